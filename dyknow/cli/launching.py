@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""roslaunch's own parent process, whose nodes get the prefixes of a plan before it starts them.
+"""The nodes of launch files: how each is made re-wirable, and roslaunch's parent that starts them.
 
-The order of steps is that of the program `roslaunch`.
+A node is made re-wirable by its launch-prefix. The prefix that it has already is kept; ours stands
+innermost, next to the node, except where a debugger has to be next to it.
 """
 
 from __future__ import annotations
@@ -11,9 +12,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shlex
 import sys
+from dataclasses import dataclass
+from enum import Enum
+from fnmatch import fnmatchcase
 from functools import lru_cache
-from typing import Any, Iterator, List, Optional, Sequence
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
 
 import roslaunch
 import rospkg
@@ -22,10 +27,201 @@ from roslaunch.core import is_machine_local
 from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
+from dyknow import names
 from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node
-from dyknow.cli.launch_plan import LaunchPlanner, NodeFilter, Treatment
-from dyknow.cli.rewirable import find_in_workspaces
-from dyknow.errors import CannotLaunch
+from dyknow.cli.rewirable import NO_LIBRARY, find_in_workspaces, find_library, obstacle
+from dyknow.errors import CannotLaunch, CannotRun
+from dyknow.ros.programs import interpreter
+
+#: Nodes that are left alone unless `--only` names them, and why.
+LEFT_ALONE = (
+    ("rosbag/record", "a bag names the topics that were recorded"),
+    ("rviz/*", "its user chooses topics in its window"),
+    ("rqt*/*", "its user chooses topics in its window"),
+    ("plotjuggler/*", "its user chooses topics in its window"),
+    ("rosbridge_server/*", "its clients choose topics"),
+    ("foxglove_bridge/*", "its clients choose topics"),
+)
+#: Have to start the program itself, not a script that becomes it.
+_DEBUGGERS = frozenset({"gdb", "gdbserver", "lldb", "valgrind", "heaptrack", "ltrace"})
+#: Take the next word for a script in Python.
+_INTERPRETERS = ("python", "ipython", "pypy", "pdb", "pudb", "coverage", "kernprof", "scalene")
+#: Start the program with another environment, or where our files are not.
+_ELSEWHERE = frozenset(
+    {"sudo", "su", "runuser", "pkexec", "doas", "ssh", "chroot", "schroot", "docker", "podman"}
+)
+#: `cwd="node"` is the folder of the first word of the command: the prefix goes there itself.
+_GO_TO_THE_NODE = 'cd "${1%/*}" && '
+#: What runs on another machine: DyKnow's prefix if its workspace has it, else the node as it is.
+_IF_THERE = (
+    "IFS=:; for folder in $CMAKE_PREFIX_PATH; do "
+    'test -x "$folder/lib/dyknow/rewirable" && exec "$folder/lib/dyknow/rewirable" "$@"; '
+    'done; exec "$@"'
+)
+
+
+class How(Enum):
+    """How a node runs."""
+
+    LIBRARY = "live ports by the library"
+    SCRIPT_HOST = "live ports by the script host"
+    OTHER_MACHINE = "live ports if DyKnow is on that machine"
+    AS_IT_IS = "as it is"
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """What becomes of a node.
+
+    Attributes:
+        node: its global name.
+        program: what it runs, `PACKAGE/TYPE`.
+        machine: where it runs, as the launch file calls it; empty for this machine.
+        how: how it runs.
+        why: why it is left as it is, else empty.
+        prefix: its whole launch-prefix, empty for none.
+    """
+
+    node: str
+    program: str
+    machine: str
+    how: How
+    why: str
+    prefix: str
+
+
+@dataclass(frozen=True)
+class NodeFilter:
+    """Patterns, as of a shell, for names of nodes and for what they run.
+
+    Attributes:
+        only: if there are any, nodes that match none are left alone.
+        except_: nodes that match one are left alone.
+    """
+
+    only: Sequence[str] = ()
+    except_: Sequence[str] = ()
+
+    def without_match(self, plan: Sequence[Treatment]) -> Tuple[List[str], List[str]]:
+        """Return the patterns of `only` and of `except_` that match no node."""
+
+        def idle(patterns: Sequence[str]) -> List[str]:
+            return [
+                pattern
+                for pattern in patterns
+                if not any(matches(each.node, each.program, [pattern]) for each in plan)
+            ]
+
+        return idle(self.only), idle(self.except_)
+
+    def reason(self, node: str, program: str) -> str:
+        """Say why the patterns leave a node alone; empty if they do not."""
+        if matches(node, program, self.except_):
+            return "--except names it"
+        if self.only:
+            return "" if matches(node, program, self.only) else "--only does not name it"
+        return next((why for pattern, why in LEFT_ALONE if fnmatchcase(program, pattern)), "")
+
+
+def matches(node: str, program: str, patterns: Sequence[str]) -> bool:
+    """Say whether a pattern matches a node's name, whose first `/` is optional, or its program."""
+    known = (node, node.lstrip("/"), program)
+    return any(fnmatchcase(name, pattern) for name in known for pattern in patterns)
+
+
+@dataclass(frozen=True)
+class LaunchPlanner:
+    """Decides about nodes.
+
+    Attributes:
+        rewirable: path of the program `rewirable`.
+        find: finds the program of a package, as roslaunch does; None if there is none.
+        is_local: says whether a machine of the launch file is this one.
+        chosen: which nodes the user wants to be re-wirable.
+    """
+
+    rewirable: str
+    find: Callable[[str, str], Optional[str]]
+    is_local: Callable[[Any], bool]
+    chosen: NodeFilter
+
+    def treat(self, node: Any) -> Treatment:
+        """Decide what becomes of one of roslaunch's nodes, which is not changed."""
+        local = self.is_local(node.machine)
+        name = names.join(node.namespace, node.name)
+        program = f"{node.package}/{node.type}"
+        words = shlex.split(node.launch_prefix or "")
+        why = self.chosen.reason(name, program) or _nothing_to_do(node) or _occupied(words)
+        if why:
+            how = How.AS_IT_IS
+        elif local:
+            how, why = self._how(node)
+        else:
+            how = How.OTHER_MACHINE
+        prefix = node.launch_prefix or ""
+        if not why:
+            prefix = self._prefix(words, local, node.cwd == "node" and not words)
+        return Treatment(name, program, "" if local else node.machine.name, how, why, prefix)
+
+    def _how(self, node: Any) -> Tuple[How, str]:
+        program = self.find(node.package, node.type)
+        if program is None:
+            return How.AS_IT_IS, "there is no such program"
+        trouble = _hidden(node)
+        try:
+            if not trouble and interpreter(program) is not None:
+                return How.SCRIPT_HOST, ""
+        except CannotRun as error:
+            trouble = str(error)
+        trouble = trouble or obstacle(program)
+        if not trouble and find_library() is None:
+            trouble = NO_LIBRARY
+        return (How.AS_IT_IS, trouble) if trouble else (How.LIBRARY, "")
+
+    def _prefix(self, words: Sequence[str], local: bool, in_its_folder: bool) -> str:
+        """Put what makes a node re-wirable into the words of its prefix."""
+        go = _GO_TO_THE_NODE if in_its_folder else ""
+        if not local:
+            own = ["/bin/sh", "-c", go + _IF_THERE, "sh"]
+        elif go:
+            own = ["/bin/sh", "-c", go + 'exec "$0" "$@"', self.rewirable]
+        else:
+            own = [self.rewirable]
+        bare = [os.path.basename(word) for word in words]
+        place = next((at for at, word in enumerate(bare) if word in _DEBUGGERS), len(words))
+        return " ".join(map(shlex.quote, [*words[:place], *own, *words[place:]]))
+
+
+def _nothing_to_do(node: Any) -> str:
+    """Say why a node needs nothing; empty if it does."""
+    if node.package == "dyknow":
+        return "it is DyKnow's own"
+    words = [word for word in node.args.split() if not word.startswith("-")]
+    if (node.package, node.type) == ("nodelet", "nodelet") and words[:1] in (["load"], ["unload"]):
+        return f"it {words[0]}s a nodelet and has no ports itself"
+    return ""
+
+
+def _occupied(prefix: Sequence[str]) -> str:
+    """Say why nothing can be put into a launch-prefix; empty if it can."""
+    for word in map(os.path.basename, prefix):
+        if word == "rewirable":
+            return "its launch-prefix makes it re-wirable"
+        if word.startswith(_INTERPRETERS):
+            return f"its launch-prefix runs it in {word}"
+        if word in _ELSEWHERE:
+            return f"its launch-prefix starts it by {word}, with another environment"
+    return ""
+
+
+def _hidden(node: Any) -> str:
+    """Say whether the node's own environment hides DyKnow; empty if it does not."""
+    path = dict(node.env_args).get("PYTHONPATH")
+    if path is None or any(
+        os.path.isdir(os.path.join(each, "dyknow")) for each in path.split(":")
+    ):
+        return ""
+    return "DyKnow is not on the PYTHONPATH that the launch file sets for it"
 
 
 @contextlib.contextmanager

@@ -1,18 +1,21 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The environment of a command: the manager's client and the output streams."""
+"""A command of `dyknow`, and the environment in which it runs."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, TextIO
 
 from dyknow import names
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
+
 
 DONE = 0
 FAILED = 1
@@ -77,3 +80,26 @@ class Shell:
     def warn(self, message: object) -> None:
         """Print a warning."""
         self.error(f"warning: {message}")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        name: what the user types.
+        summary: half a line for the list of commands.
+        description: a paragraph for its own help.
+        examples: command lines, one a line.
+        add_arguments: declares its arguments, besides those that all commands have.
+        run: runs the command; returns the exit code, None for success. Raises DyKnowError.
+        problem: returns what is wrong with a combination of arguments, or an empty text.
+    """
+
+    name: str
+    summary: str
+    description: str
+    examples: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace, Shell], Optional[int]]
+    problem: Callable[[argparse.Namespace], str] = lambda arguments: ""

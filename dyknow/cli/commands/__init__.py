@@ -1,37 +1,41 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The commands of `dyknow`, a module for each group of them."""
+"""The commands of `dyknow`, a module for each family of them."""
 
 from __future__ import annotations
 
 from typing import Tuple
 
-from dyknow.cli.command import Command
 from dyknow.cli.commands import (
     acquire,
-    check,
-    doctor,
     graph,
     inspect,
     launch,
     library,
     nodelets,
-    probe,
-    run,
+    programs,
     save_load,
-    statistics,
     streams,
-    tags,
     wiring,
 )
+from dyknow.cli.shell import Command
+
+_MODULES = (
+    *(inspect, graph, nodelets, programs, launch),
+    *(wiring, streams, acquire, library, save_load),
+)
+_BY_NAME = {each.name: each for module in _MODULES for each in module.COMMANDS}
 
 #: Titles and commands, in the order of the help.
-GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
-    ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS, *doctor.COMMANDS)),
-    ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS, *launch.COMMANDS)),
-    ("Connections", wiring.COMMANDS),
-    ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
-    ("Transformations", (*library.COMMANDS, *check.COMMANDS, *probe.COMMANDS)),
-    ("Whole wirings", save_load.COMMANDS),
+GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = tuple(
+    (title, tuple(_BY_NAME[name] for name in names.split()))
+    for title, names in (
+        ("What runs", "list info stats graph doctor"),
+        ("Nodelets and nodes", "spawn destroy protect unprotect run launch"),
+        ("Connections", "connect disconnect"),
+        ("Streams on request", "tags acquire plan streams release replan"),
+        ("Transformations", "library import export remove check probe"),
+        ("Whole wirings", "save load"),
+    )
 )

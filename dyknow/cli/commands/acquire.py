@@ -7,20 +7,107 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
+import socket
 import time
 from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
 
-from dyknow.cli.arguments import seconds, seconds_or_none
-from dyknow.cli.command import Command
-from dyknow.cli.json_output import event_json, stream_json
-from dyknow.cli.shell import FAILED, Shell
-from dyknow.cli.streams import demand_arguments, request_of
+from dyknow.cli import completion
+from dyknow.cli.arguments import hertz, seconds, seconds_or_none
+from dyknow.cli.output import event_json, stream_json
+from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
+from dyknow.model.streams import StreamRequest
 
 if TYPE_CHECKING:
     from dyknow.model.streams import Acquisition, StreamEvent, StreamStatus
     from dyknow.ros.shell_client import EventReader
+
+
+def demand_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    completion.complete_with(
+        parser.add_argument(
+            "tag", metavar="TAG", help="the tag of the stream, such as 'FieldPosition(ball)'"
+        ),
+        completion.tags,
+    )
+    parser.add_argument(
+        "--datatype",
+        metavar="TYPE",
+        default="",
+        help="the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
+    )
+    completion.complete_with(
+        parser.add_argument(
+            "--exclude",
+            metavar="LABEL",
+            nargs="+",
+            action="extend",
+            default=[],
+            help="transformations that must not be used",
+        ),
+        completion.labels,
+    )
+
+    parser.add_argument(
+        "--min-rate",
+        metavar="HZ",
+        type=hertz,
+        default=0.0,
+        help="how many messages a second there have to be (default: any number)",
+    )
+    parser.add_argument(
+        "--max-age",
+        metavar="SECONDS",
+        type=seconds,
+        default=0.0,
+        help="how old messages may be when they are sent, by their headers' stamps (default: any "
+        "age)",
+    )
+    for option, what in (
+        ("--prefer", "use these where there is a choice"),
+        ("--avoid", "use these only where there is no choice"),
+    ):
+        completion.complete_with(
+            parser.add_argument(
+                option,
+                metavar="NAME",
+                nargs="+",
+                action="extend",
+                default=[],
+                help=f"{what}: transformations by label, or concepts of their tags",
+            ),
+            completion.labels,
+        )
+    parser.add_argument(
+        "--budget",
+        metavar="SECONDS",
+        type=seconds,
+        default=0.0,
+        help="how long the plan may be improved (default: 0.1 s)",
+    )
+
+
+def request_of(
+    arguments: argparse.Namespace, lease: float = 0.0, max_silence: float = 0.0
+) -> StreamRequest:
+    """Make the request from the arguments; the client is this process."""
+    return StreamRequest(
+        tag=arguments.tag,
+        datatype=arguments.datatype,
+        client_id=f"dyknow acquire on {socket.gethostname()} ({os.getpid()})",
+        lease=lease,
+        max_silence=max_silence,
+        exclude=tuple(arguments.exclude),
+        min_rate=arguments.min_rate,
+        max_age=arguments.max_age,
+        prefer=tuple(arguments.prefer),
+        avoid=tuple(arguments.avoid),
+        budget=arguments.budget,
+    )
+
 
 #: Seconds that a claim outlives a command that was killed.
 _LEASE = 10.0
@@ -29,7 +116,7 @@ _RENEWAL = 3.0
 _RETRY = 1.0
 
 
-def _arguments(parser: argparse.ArgumentParser) -> None:
+def _acquire_arguments(parser: argparse.ArgumentParser) -> None:
     demand_arguments(parser)
     parser.add_argument(
         "--max-silence",
@@ -213,7 +300,7 @@ COMMANDS = (
         "dyknow acquire 'Undistorted(?camera)' --datatype sensor_msgs/Image --max-silence 1\n"
         "dyknow acquire 'FieldPosition(ball)' --wait --json\n"
         "dyknow acquire 'FieldPosition(ball)' --lease 60",
-        _arguments,
+        _acquire_arguments,
         _acquire,
     ),
 )

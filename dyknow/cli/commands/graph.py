@@ -1,27 +1,30 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`graph`: the computation graph as text or as a drawing."""
+"""`graph`: the computation graph as text, or as a drawing in graphviz's DOT language.
+
+Everything is written in sorted order: equal graphs have equal drawings.
+"""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 
+from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import namespace
-from dyknow.cli.command import Command
-from dyknow.cli.drawing import to_dot
-from dyknow.cli.files import write_file
-from dyknow.cli.json_output import nodelet_json
-from dyknow.cli.shell import Shell
-from dyknow.cli.topics import list_topics
-from dyknow.graphviz import CannotDraw, render
+from dyknow.cli.output import nodelet_json, state_of, write_file
+from dyknow.cli.shell import Command, Shell
+from dyknow.graphviz import CannotDraw, quote, render
+from dyknow.model.graph import PortRef
+from dyknow.wiring.ports import by_name
 from dyknow.wiring.topics import Topic, topics_of
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import Model
+    from dyknow.model.graph import Model, NodeletStatus
+
 
 #: Seconds that graphviz may take.
 _TIMEOUT = 120.0
@@ -92,6 +95,108 @@ def _topic_json(topic: Topic) -> dict[str, object]:
         "out": [{"nodelet": end.nodelet, "port": end.port} for end in topic.sources],
         "in": [{"nodelet": end.nodelet, "port": end.port} for end in topic.targets],
     }
+
+
+def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
+    """Write the graph as lines: each topic with its ports, then the disconnected ports."""
+    for topic in topics:
+        yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
+        for source in topic.sources:
+            yield f"    from {source}"
+        for target in topic.targets:
+            yield f"    to   {target}"
+    loose = [
+        f"    {port.direction:<4} {PortRef(nodelet.name, port.name)}"
+        for nodelet in snapshot.nodelets
+        for port in by_name(nodelet.ports)
+        if not port.topic
+    ]
+    loose.extend(
+        f"    {nodelet.name} ({_why_without_ports(nodelet)})"
+        for nodelet in snapshot.nodelets
+        if not nodelet.ports
+    )
+    if loose:
+        yield "(disconnected)"
+        yield from loose
+
+
+def _why_without_ports(nodelet: NodeletStatus) -> str:
+    state = state_of(nodelet)
+    return "no ports" if state == "running" else state
+
+
+_TROUBLED = {"starting": "gray50", "lost": "red3", "failed": "red3"}
+
+
+def to_dot(snapshot: Model) -> str:
+    """Write the graph: ovals for nodelets, rectangles for topics, boxes for namespaces.
+
+    The names of nodes are `n` or `t` followed by the name of the nodelet or topic.
+    """
+    inside: Dict[str, List[str]] = {}
+    nodelets = sorted(snapshot.nodelets, key=lambda nodelet: nodelet.name)
+    spaces = _with_parents(names.parent(nodelet.name) for nodelet in nodelets)
+    for nodelet in nodelets:
+        inside.setdefault(names.parent(nodelet.name), []).append(_oval(nodelet))
+    topics = topics_of(snapshot.nodelets)
+    known = {nodelet.name for nodelet in nodelets}
+    for topic in topics:
+        # /camera/image is drawn beside /camera, not in a box of its own.
+        space = names.parent(topic.name)
+        while space not in spaces or space in known:
+            space = names.parent(space)
+        label = [topic.name, *([topic.datatype] if topic.datatype else [])]
+        rectangle = f"{_id('t', topic.name)} [shape=box, label={quote(*label)}];"
+        inside.setdefault(space, []).append(rectangle)
+    lines = ["digraph dyknow {", "  rankdir=LR;", '  node [fontname="sans-serif", fontsize=11];']
+    lines.append('  edge [fontname="sans-serif", fontsize=9];')
+    lines.extend("  " + line for line in _boxes("/", sorted(spaces), inside))
+    for topic in topics:
+        for source in topic.sources:
+            ends = f"{_id('n', source.nodelet)} -> {_id('t', topic.name)}"
+            lines.append(f"  {ends} [label={quote(source.port)}];")
+        for target in topic.targets:
+            ends = f"{_id('t', topic.name)} -> {_id('n', target.nodelet)}"
+            lines.append(f"  {ends} [label={quote(target.port)}];")
+    lines.append("}")
+    return "\n".join(lines) + "\n"
+
+
+def _with_parents(spaces: Iterator[str]) -> Set[str]:
+    found = {"/"}
+    for space in spaces:
+        while space not in found:
+            found.add(space)
+            space = names.parent(space)
+    return found
+
+
+def _oval(nodelet: NodeletStatus) -> str:
+    label = [nodelet.name, *([nodelet.transformation] if nodelet.transformation else [])]
+    more = ""
+    state = state_of(nodelet)
+    if state in _TROUBLED:
+        label.append(state)
+        more = f", style=dashed, color={_TROUBLED[state]}"
+    elif nodelet.is_protected:
+        more = ", style=bold"
+    return f"{_id('n', nodelet.name)} [shape=ellipse, label={quote(*label)}{more}];"
+
+
+def _boxes(space: str, spaces: Sequence[str], inside: Dict[str, List[str]]) -> Iterator[str]:
+    yield from inside.get(space, ())
+    for child in spaces:
+        if child != "/" and names.parent(child) == space:
+            yield f"subgraph {quote('cluster ' + child)} {{"
+            yield f"  label={quote(child)};"
+            for line in _boxes(child, spaces, inside):
+                yield "  " + line
+            yield "}"
+
+
+def _id(kind: str, name: str) -> str:
+    return quote(kind + name)
 
 
 COMMANDS = (

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import positive, seconds
-from dyknow.cli.command import Command
-from dyknow.cli.shell import Shell
-from dyknow.cli.tables import columns, count
+from dyknow.cli.output import columns, count
+from dyknow.cli.shell import Command, Shell
 from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
-    from dyknow.cli.launch_plan import NodeFilter, Treatment
+    from dyknow.cli.launching import NodeFilter, Treatment
 
 
 def _launch_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +96,7 @@ def _problem(arguments: argparse.Namespace) -> str:
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli import launching
     from dyknow.cli.launch_files import find_files, unknown_arguments
-    from dyknow.cli.launch_plan import NodeFilter
+    from dyknow.cli.launching import NodeFilter
 
     files = find_files(arguments.words)
     chosen = NodeFilter(arguments.only, arguments.except_)
@@ -132,7 +131,7 @@ def _check(chosen: NodeFilter, plan: Sequence[Treatment], shell: Shell) -> None:
 
 def _summary(plan: Sequence[Treatment]) -> Iterator[str]:
     """Say how many nodes are re-wirable, and which are left alone, a line for each reason."""
-    from dyknow.cli.launch_plan import How
+    from dyknow.cli.launching import How
 
     left = sorted((each for each in plan if each.why), key=lambda each: (each.why, each.node))
     away = sum(each.how is How.OTHER_MACHINE for each in plan)

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import given_parameter, graph_name, port_topic
-from dyknow.cli.command import Command
-from dyknow.cli.json_output import nodelet_json
-from dyknow.cli.shell import FAILED, Shell
-from dyknow.cli.views import state_of
+from dyknow.cli.output import nodelet_json, state_of
+from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import DuplicatePort, DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:

@@ -10,10 +10,8 @@ import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
 
 from dyknow.cli import completion
-from dyknow.cli.command import Command
-from dyknow.cli.files import write_file
-from dyknow.cli.shell import FAILED, Shell
-from dyknow.cli.tables import count
+from dyknow.cli.output import count, write_file
+from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.wiring.load import steps_of

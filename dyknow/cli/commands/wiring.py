@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
-from dyknow.cli.command import Command
-from dyknow.cli.json_output import Json
-from dyknow.cli.shell import Shell
-from dyknow.cli.views import state_of, unknown_nodelet
+from dyknow.cli.output import Json, state_of, unknown_nodelet
+from dyknow.cli.shell import Command, Shell
 from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT

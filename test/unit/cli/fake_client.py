@@ -13,8 +13,7 @@ from typing import Any, Callable, Sequence
 
 from unit.manager.world import World
 
-from dyknow.cli.main import execute
-from dyknow.cli.parser import parse
+from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import NodeletUnreachable
 from dyknow.model.graph import Model

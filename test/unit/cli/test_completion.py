@@ -17,7 +17,7 @@ from unit.cli.fake_client import FakeClient
 from unit.manager.world import TRACKER, World
 
 from dyknow.cli import completion
-from dyknow.cli.parser import build_parser
+from dyknow.cli.main import build_parser
 
 ROOT = Path(__file__).resolve().parents[3]
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is missing")

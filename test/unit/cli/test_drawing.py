@@ -15,7 +15,7 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.cli.drawing import to_dot
+from dyknow.cli.commands.graph import to_dot
 from dyknow.graphviz import CannotDraw, render
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 

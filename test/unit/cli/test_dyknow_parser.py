@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 import dyknow
-from dyknow.cli.main import main
-from dyknow.cli.parser import all_commands, parse
+from dyknow.cli.main import all_commands, main, parse
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Parameter
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dyknow.cli.main import main
-from dyknow.cli.parser import parse
+from dyknow.cli.main import main, parse
 
 RELAY = '<node name="{name}" pkg="topic_tools" type="relay" args="/a /b"/>'
 

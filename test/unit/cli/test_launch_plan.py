@@ -17,7 +17,7 @@ import roslaunch.config
 from roslaunch.core import Machine, Node
 from roslaunch.xmlloader import XmlLoader
 
-from dyknow.cli.launch_plan import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
+from dyknow.cli.launching import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.rewirable import LIBRARY, NO_LIBRARY
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 from unit.cli.fake_client import FakeClient, run
 
-from dyknow.cli.commands.probe import _SHARED, _base, _parameters
+from dyknow.cli.commands.programs import _SHARED, _base, _parameters
 from dyknow.manager.specifications.values import value_of
 
 

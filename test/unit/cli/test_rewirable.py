@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from dyknow.cli.parser import parse
+from dyknow.cli.main import parse
 from dyknow.cli.rewirable import LIBRARY, CannotRun, become, find_library, obstacle
 
 SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.exit(7)"

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`probe`: runs a node once, and writes a specification to begin with."""
+"""`run` and `probe`: programs of packages, re-wirable."""
 
 from __future__ import annotations
 
@@ -16,18 +16,38 @@ import time
 from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
 
 from dyknow import names
+from dyknow.cli import completion
 from dyknow.cli.arguments import seconds
-from dyknow.cli.command import Command
-from dyknow.cli.commands.run import program_arguments
-from dyknow.cli.json_output import transformation_json
-from dyknow.cli.shell import Shell
+from dyknow.cli.output import transformation_json
+from dyknow.cli.rewirable import become
+from dyknow.cli.shell import Command, Shell
 from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
+from dyknow.ros.programs import find_program
 
 if TYPE_CHECKING:
     from dyknow.ros.master import Master
     from dyknow.ros.os_process import ProcessId
+
+
+def program_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare a program and its arguments, as for rosrun."""
+    completion.complete_with(
+        parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
+    )
+    parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
+    parser.add_argument(
+        "words",
+        nargs=argparse.REMAINDER,
+        metavar="ARGUMENT",
+        help="its arguments, remappings and parameters, as for rosrun",
+    )
+
+
+def _run(arguments: argparse.Namespace, shell: Shell) -> None:
+    become([find_program(arguments.package, arguments.executable), *arguments.words])
+
 
 #: Seconds between two questions for its ports.
 _STEP = 0.1
@@ -204,6 +224,19 @@ def _clean_up(master: Master, name: str) -> None:
 
 
 COMMANDS = (
+    Command(
+        "run",
+        "run a node so that its ports can be connected elsewhere",
+        "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports "
+        "that can be connected elsewhere while it runs, and is shown with the nodelets. Anything "
+        "else runs as it is, and says so. In a launch file the same is done by "
+        'launch-prefix="rosrun dyknow rewirable".',
+        "dyknow run topic_tools relay /scan /copy __name:=copier\n"
+        "dyknow run topic_tools transform /numbers /doubled std_msgs/Float64 'm.data * 2'\n"
+        "dyknow run nodelet nodelet standalone image_proc/resize image:=/camera/image_raw",
+        program_arguments,
+        _run,
+    ),
     Command(
         "probe",
         "run a node once, and write its specification",

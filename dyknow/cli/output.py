@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The output of commands: JSON, tables, values that change, and files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+import time
+from typing import TYPE_CHECKING, Any, Dict, List, Sequence
+
+from dyknow.cli.shell import Shell
+from dyknow.errors import DyKnowError
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import Parameter, Transformation
+from dyknow.similar import did_you_mean
+from dyknow.wiring.ports import by_name
+
+if TYPE_CHECKING:
+    from dyknow.model.graph import Model, NodeletStatus
+    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.streams import StreamEvent, StreamStatus
+
+
+Json = Dict[str, Any]
+
+
+def port_json(port: PortState) -> Json:
+    """A port of a running nodelet."""
+    return {
+        "name": port.name,
+        "direction": port.direction,
+        "datatype": port.datatype,
+        "topic": port.topic,
+        "tags": list(port.tags),
+    }
+
+
+def nodelet_json(nodelet: NodeletStatus) -> Json:
+    """A running nodelet."""
+    return {
+        "name": nodelet.name,
+        "transformation": nodelet.transformation,
+        "manager": nodelet.manager,
+        "protected": nodelet.is_protected,
+        "isolated": nodelet.isolated,
+        "fixed": nodelet.is_fixed,
+        "kind": nodelet.kind.value,
+        "host": nodelet.host,
+        "state": state_of(nodelet),
+        "detail": nodelet.detail,
+        "ports": [port_json(port) for port in by_name(nodelet.ports)],
+        "parameters": _parameters_json(nodelet.parameters),
+    }
+
+
+def _parameters_json(parameters: Sequence[Parameter]) -> List[Json]:
+    return [{"name": each.name, "type": each.type, "value": each.text} for each in parameters]
+
+
+def transformation_json(transformation: Transformation) -> Json:
+    """A transformation of the library."""
+    return {
+        "label": transformation.label,
+        "type": transformation.type,
+        "source": transformation.source,
+        "node": transformation.node,
+        "isolated": transformation.isolated,
+        "cost": transformation.cost,
+        "parameters": _parameters_json(transformation.parameters),
+        "ports": [
+            {
+                "name": port.name,
+                "direction": port.direction,
+                "datatype": port.datatype,
+                "tags": list(port.tags),
+            }
+            for port in transformation.ports
+        ],
+        "specification": transformation.to_xml(),
+    }
+
+
+def statistics_json(name: str, statistics: NodeletStatistics) -> Json:
+    """The statistics of a nodelet; times in s, rates in Hz, null where nothing is counted."""
+    return {
+        "nodelet": name,
+        "uptime": statistics.uptime,
+        "reconfigurations": statistics.reconfigurations,
+        "callback_errors": statistics.callback_errors,
+        "ports": [
+            {
+                "name": port.port,
+                "direction": port.direction,
+                "topic": port.topic,
+                "messages": port.messages,
+                "dropped": port.dropped,
+                "rate": port.rate,
+                "mean_callback": port.mean_callback,
+                "max_callback": port.max_callback,
+            }
+            for port in sorted(statistics.ports, key=lambda port: port.port)
+        ],
+    }
+
+
+def stream_json(stream: StreamStatus) -> Json:
+    """A claim; its lease ends at `expires`, in seconds of ROS time, or never if that is null."""
+    return {
+        "claim": stream.claim_id,
+        "client": stream.client_id,
+        "tag": stream.tag,
+        "topic": stream.topic,
+        "datatype": stream.datatype,
+        "state": stream.state.name.lower(),
+        "detail": stream.detail,
+        "nodelets": list(stream.nodelets),
+        "expires": stream.expires or None,
+        "bindings": list(stream.bindings),
+    }
+
+
+def event_json(event: StreamEvent) -> Json:
+    """A change of a claim; ``before`` is null for a new one."""
+    return {
+        "stamp": event.stamp,
+        "before": stream_json(event.before) if event.before is not None else None,
+        "after": stream_json(event.after),
+        "reason": event.reason,
+    }
+
+
+def state_of(nodelet: NodeletStatus) -> str:
+    """Return its state: `starting`, `running`, `lost` or `failed`."""
+    return nodelet.state.name.lower()
+
+
+def unknown_nodelet(name: str, model: Model) -> str:
+    """Write that there is no such nodelet, with similar names."""
+    known = [nodelet.name for nodelet in model.nodelets]
+    hint = did_you_mean(name, known) or "; see 'dyknow list'"
+    return f"no nodelet named '{name}' runs{hint}"
+
+
+def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[str]:
+    """Align rows of cells.
+
+    Args:
+        rows: cells; every row has the same number.
+        right: columns that are aligned right, such as numbers.
+
+    Returns:
+        A line for each row.
+    """
+    if not rows:
+        return []
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.rjust(width) if column in right else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def count(number: int, thing: str) -> str:
+    """Write a count: `1 nodelet`, `2 nodelets`."""
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+_HOME = "\x1b[H"
+_CLEAR = "\x1b[2J"
+_CLEAR_LINE = "\x1b[K"
+_CLEAR_BELOW = "\x1b[J"
+
+
+class Screen:
+    """Shows a value that changes.
+
+    On a terminal each value replaces the one before, cut to the window; lines are rewritten
+    without clearing the screen, so that nothing flickers. Elsewhere an empty line separates
+    values; as JSON each is one line.
+    """
+
+    def __init__(self, shell: Shell, period: float) -> None:
+        """Show through `shell`, every `period` seconds."""
+        self._shell = shell
+        self._period = period
+        self._in_place = shell.out.isatty() and not shell.as_json
+        self._shown = False
+
+    def show(self, value: Any, lines: Sequence[str]) -> None:
+        """Show a value."""
+        out = self._shell.out
+        if self._shell.as_json:
+            out.write(json.dumps(value) + "\n")
+        elif self._in_place:
+            out.write(self._page(lines))
+        else:
+            out.write(("\n" if self._shown else "") + "".join(line + "\n" for line in lines))
+        self._shown = True
+        out.flush()
+
+    def wait(self, begin: float) -> None:
+        """Wait until a period has passed since `begin`, a time of the steady clock."""
+        time.sleep(max(0.0, begin + self._period - time.monotonic()))
+
+    def _page(self, lines: Sequence[str]) -> str:
+        width, height = shutil.get_terminal_size()
+        shown = list(lines)
+        if len(shown) > height - 1:
+            hidden = len(shown) - (height - 2)
+            shown = [*shown[: height - 2], f"... {hidden} more lines"]
+        text = _HOME if self._shown else _CLEAR + _HOME
+        text += "".join(line[:width] + _CLEAR_LINE + "\n" for line in shown)
+        return text + _CLEAR_BELOW
+
+
+class CannotWrite(DyKnowError):
+    """A file cannot be written."""
+
+
+def write_file(path: str, data: bytes) -> None:
+    """Write a file; an existing one is replaced once the new one is complete.
+
+    Raises:
+        CannotWrite: with the reason.
+    """
+    try:
+        if os.path.exists(path) and not os.path.isfile(path):  # /dev/stdout, a pipe
+            with open(path, "wb") as special:
+                special.write(data)
+            return
+        _replace(os.path.realpath(path), data)
+    except OSError as error:
+        raise CannotWrite(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _replace(path: str, data: bytes) -> None:
+    handle, draft = tempfile.mkstemp(dir=os.path.dirname(path), prefix=".dyknow-")
+    try:
+        with open(handle, "wb") as file:
+            file.write(data)
+        os.chmod(draft, _mode_of(path))
+        os.replace(draft, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(draft)
+        raise
+
+
+def _mode_of(path: str) -> int:
+    try:
+        return os.stat(path).st_mode & 0o777
+    except FileNotFoundError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
