@@ -30,6 +30,7 @@ from dyknow.manager.host import (
     Count,
     Crash,
     Host,
+    HostReport,
     Listening,
     LoadRequest,
     ManagerState,
@@ -193,7 +194,8 @@ class FakeHost(Host):
         """
         at_work = None if running is None else frozenset(map(names.mark, running))
         unloaded = frozenset(map(names.mark, unloading))
-        self._crashes.append(Crash(manager, "SIGSEGV", at_work, unloaded))
+        incarnation = self.processes[manager].state.incarnation
+        self._crashes.append(Crash(manager, "SIGSEGV", at_work, unloaded, incarnation))
         self.kill(manager)
 
     def hang(self, manager: str) -> None:
@@ -380,10 +382,15 @@ class FakeHost(Host):
             for name in sorted(self.processes)
         ]
 
-    def crashes(self) -> List[Crash]:
-        """Return the crashes since the last call."""
-        crashes, self._crashes = self._crashes, []
-        return crashes
+    def poll(self) -> HostReport:
+        """List the nodelets of all nodelet managers."""
+        managers = {state.name: state for state in self.managers()}
+        nodelets = {}
+        for name in managers:
+            with contextlib.suppress(HostError):
+                nodelets[name] = frozenset(self.list(name))
+        crashes = {each.incarnation: each for each in self._crashes}
+        return HostReport(managers, nodelets, crashes)
 
     def look_for(self, manager: str) -> None:
         """Do nothing: nodelet managers are known as soon as they are there."""
@@ -461,14 +468,6 @@ class FakeHost(Host):
     def list(self, manager: str) -> List[str]:
         """List nodelets."""
         return sorted(self._alive(manager).nodelets)
-
-    def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
-        """List the nodelets of several nodelet managers."""
-        found = {}
-        for state in managers:
-            with contextlib.suppress(HostError):
-                found[state.name] = self.list(state.name)
-        return found
 
     def detail(self, name: str) -> str:
         """Return what the test says of it."""

@@ -78,12 +78,31 @@ class Crash:
         running: marks (``names.mark``) of the nodelets whose code was running; None if that is not
             known, as of the stock nodelet manager.
         unloading: marks of the nodelets that were being unloaded on request.
+        incarnation: the process that crashed.
     """
 
     manager: str
     cause: str
     running: Optional[FrozenSet[int]] = None
     unloading: FrozenSet[int] = frozenset()
+    incarnation: str = ""
+
+
+@dataclass(frozen=True)
+class HostReport:
+    """What a host saw when it was polled.
+
+    Attributes:
+        managers: nodelet managers and re-wirable nodes by name, dead ones included.
+        nodelets: what each of them runs; without those that did not answer, or were restarted
+            meanwhile.
+        crashes: recent ones by incarnation. The crash of a process that ``managers`` shows as
+            dead, or as restarted, is among them.
+    """
+
+    managers: Mapping[str, ManagerState]
+    nodelets: Mapping[str, FrozenSet[str]]
+    crashes: Mapping[str, Crash]
 
 
 @dataclass(frozen=True)
@@ -152,13 +171,9 @@ class Host(ABC):
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers that nodelets can be given to, dead ones included."""
 
-    def crashes(self) -> List[Crash]:
-        """Return the crashes since the last call, as far as they were seen.
-
-        After ``managers`` has shown a nodelet manager as dead, or as restarted, the next call
-        reports its crash.
-        """
-        return []
+    @abstractmethod
+    def poll(self) -> HostReport:
+        """Ask all nodelet managers for their nodelets, side by side."""
 
     def may_publish(self, manager: str) -> bool:
         """Whether a nodelet manager that does not answer may still publish on topics of claims.
@@ -169,9 +184,9 @@ class Host(ABC):
 
     @abstractmethod
     def look_for(self, manager: str) -> None:
-        """Look at once whether a nodelet manager of others is there by now.
+        """Probe an external nodelet manager now instead of at its next poll.
 
-        A nodelet manager that does not answer is not awaited.
+        One that does not answer is not awaited.
         """
 
     @abstractmethod
@@ -207,13 +222,6 @@ class Host(ABC):
     @abstractmethod
     def list(self, manager: str) -> List[str]:
         """Return the names of the nodelets that a nodelet manager runs."""
-
-    @abstractmethod
-    def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
-        """Return the names of the nodelets of several nodelet managers, asked side by side.
-
-        Nodelet managers that do not answer, or were restarted meanwhile, are left out.
-        """
 
     @abstractmethod
     def ports(self, name: str) -> Tuple[PortState, ...]:

@@ -14,14 +14,14 @@ import contextlib
 import logging
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, Mapping, Optional, Set, Tuple
+from typing import AbstractSet, Callable, Iterable, List, Optional, Set, Tuple
 
 from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Crash, Host, ManagerState
+from dyknow.manager.host import Crash, Host, HostReport, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
 from dyknow.manager.record import (
     NOTHING_HEARD,
@@ -82,7 +82,7 @@ class Observer:
         self._run = run
         self._state_lock = state_lock("nodelets that are brought back")
         self._dead: Set[str] = set()  # found by the present look
-        self._crashes: Dict[str, Crash] = {}  # since the look before it, by nodelet manager
+        self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         self._returning: Set[str] = set()  # being brought back
         self._to_ask: Set[str] = set()  # ports that could not be asked for
         #: Called with the record of a nodelet of a claim that died.
@@ -117,29 +117,27 @@ class Observer:
         with self._turn:
             changed, self._to_ask = changed | self._to_ask, set()
             records = self._graph.all()  # before the processes: none of them is newer
-            states = self._host.managers()
-            self._crashes = {}
-            for crash in self._host.crashes():
-                self._crashes[crash.manager] = crash
-                self._accuse(crash)
-            listed = {name: set(names) for name, names in self._host.lists(states).items()}
-            by_name = {state.name: state for state in states}
+            report = self._host.poll()
+            for incarnation, crash in report.crashes.items():
+                if incarnation not in self._accused:
+                    self._accuse(crash)
+            self._accused = report.crashes.keys()
             doubtful = [
-                (record, by_name.get(record.manager))
+                record
                 for record in records
                 if record.name in changed
                 or self._description(record) != record.transformation
-                or not _as_it_was(record, by_name.get(record.manager), listed)
+                or not _as_it_was(record, report)
             ]
-            self._lose(doubtful, listed)
-            for record, state in doubtful:
-                self._check(record, state, listed, changed)
+            self._lose(doubtful, report)
+            for record in doubtful:
+                self._check(record, report, changed)
             known = {record.name for record in self._graph.all()}
             self._to_ask |= changed & known - {record.name for record in records}
-            for manager in sorted(listed):
-                for name in sorted(listed[manager] - known):
+            for manager in sorted(report.nodelets):
+                for name in sorted(report.nodelets[manager] - known):
                     if not self._graph.is_busy(name):
-                        self._meet(name, by_name[manager])
+                        self._adopt_unknown(name, report.managers[manager])
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
             self._bring_back_soon(name)
@@ -159,25 +157,21 @@ class Observer:
             f" while it ran code of {at_work}" if at_work else "",
         )
 
-    def _lose(
-        self,
-        doubtful: Iterable[Tuple[Record, ManagerState | None]],
-        listed: Mapping[str, Set[str]],
-    ) -> None:
+    def _lose(self, doubtful: List[Record], report: HostReport) -> None:
         """Mark the nodelets that are lost with their nodelet manager.
 
         All in one step: a claim that uses several of them sees one loss.
         """
         lost = []
         with contextlib.ExitStack() as held:
-            for record, state in doubtful:
+            for record in doubtful:
                 try:
                     current = held.enter_context(self._graph.changing(record.name))
                 except Busy:
                     continue  # another operation works on it; the next look sees the outcome
                 if current is None or not _is_same_life(current, record):
                     continue
-                trouble = self._trouble(current, state, listed)
+                trouble = self._trouble(current, report)
                 if not trouble or current.state not in (State.RUNNING, State.LOST):
                     continue
                 why = "; ".join(filter(None, (trouble, current.suspicion)))
@@ -187,60 +181,44 @@ class Observer:
                 lost.append(replace(current, state=State.LOST, detail=why))
             self._graph.put(*lost)
 
-    def _trouble(
-        self, record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]
-    ) -> str:
+    def _trouble(self, record: Record, report: HostReport) -> str:
         """Say why a nodelet is lost with its nodelet manager; empty if it is not."""
+        state = report.managers.get(record.manager)
         if record.transformation is None or record.unwanted or (state and state.unseen):
             return ""  # until its host was looked for, it is as it was
-        if _has_died(record, state, listed):
-            if self._was_being_unloaded(record) or not record.is_spawned:
+        if _has_died(record, report):
+            if _was_being_unloaded(record, report) or not record.is_spawned:
                 return ""
-            crash = self._crashes.get(record.manager)
+            crash = report.crashes.get(record.incarnation)
             cause = f" ({crash.cause})" if crash is not None else ""
             return f"{'it' if record.kind.is_node else 'its nodelet manager'} has died{cause}"
-        if record.manager in listed or self._host.may_publish(record.manager):
+        if record.manager in report.nodelets or self._host.may_publish(record.manager):
             return ""
         what = "it" if record.kind.is_node else f"nodelet manager {record.manager}"
         cure = f": {state.cure}" if state is not None and state.cure else ""
         return f"{what} does not answer{cure}"
 
-    def _was_being_unloaded(self, record: Record) -> bool:
-        """Whether a nodelet's process crashed while the nodelet was unloaded on request."""
-        crash = self._crashes.get(record.manager)
-        return crash is not None and names.mark(record.name) in crash.unloading
-
-    def _check(
-        self,
-        record: Record,
-        state: ManagerState | None,
-        listed: Dict[str, Set[str]],
-        changed: Set[str],
-    ) -> None:
+    def _check(self, record: Record, report: HostReport, changed: Set[str]) -> None:
         try:
             with self._graph.changing(record.name) as current:
                 if current is None or not _is_same_life(current, record):
                     self._to_ask.update({record.name} & changed)
                     return
-                self._compare(current, state, listed, changed)
+                self._compare(current, report, changed)
         except Busy:
             self._to_ask.update({record.name} & changed)
             return  # another operation works on it; the next look sees the outcome
 
-    def _compare(
-        self,
-        record: Record,
-        state: ManagerState | None,
-        listed: Dict[str, Set[str]],
-        changed: Set[str],
-    ) -> None:
-        alive = state is not None and record.manager in listed
-        if alive and record.name in listed[record.manager] and not record.unwanted:
+    def _compare(self, record: Record, report: HostReport, changed: Set[str]) -> None:
+        state = report.managers.get(record.manager)
+        listed = report.nodelets.get(record.manager)
+        alive = state is not None and listed is not None
+        if alive and listed and record.name in listed and not record.unwanted:
             self._follow(record, state, record.name in changed)
         elif state is not None and state.unseen:
             return  # until its host was looked for, it is as it was
         elif record.transformation is None or (
-            not record.is_spawned and _has_died(record, state, listed)
+            not record.is_spawned and _has_died(record, report)
         ):
             self._graph.remove(record.name)
         elif record.unwanted:
@@ -254,8 +232,8 @@ class Observer:
                 self._lifecycle.forget(record)
             else:  # it failed, or the manager was killed while it was bringing it back
                 self._dead.add(record.name)
-        elif _has_died(record, state, listed):
-            if self._was_being_unloaded(record):
+        elif _has_died(record, report):
+            if _was_being_unloaded(record, report):
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(record)
             elif record.state is not State.RUNNING:  # else another operation has just worked on it
@@ -367,7 +345,7 @@ class Observer:
         else:
             _log.warning("%s is not back: %s", record.name, restored.detail)
 
-    def _meet(self, name: str, state: ManagerState) -> None:
+    def _adopt_unknown(self, name: str, state: ManagerState) -> None:
         try:
             with self._graph.changing(name, new=True):
                 if name in self._host.list(state.name):  # and not gone since the look began
@@ -421,22 +399,30 @@ def _is_same_life(current: Record, record: Record) -> bool:
     return (current.manager, current.incarnation) == (record.manager, record.incarnation)
 
 
-def _has_died(record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]) -> bool:
+def _has_died(record: Record, report: HostReport) -> bool:
     """Whether the process that ran a nodelet has ended, as far as is known."""
+    state = report.managers.get(record.manager)
     if state is None or (state.own and not state.alive):
         return True
     return (
-        record.manager in listed
-        and record.name not in listed[record.manager]
+        record.manager in report.nodelets
+        and record.name not in report.nodelets[record.manager]
         and state.incarnation != record.incarnation
     )
 
 
-def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
+def _was_being_unloaded(record: Record, report: HostReport) -> bool:
+    """Whether a nodelet's process crashed while the nodelet was unloaded on request."""
+    crash = report.crashes.get(record.incarnation)
+    return crash is not None and names.mark(record.name) in crash.unloading
+
+
+def _as_it_was(record: Record, report: HostReport) -> bool:
     """Whether a nodelet runs on in the process that was seen last: nothing is to be done."""
+    state = report.managers.get(record.manager)
     return (
         state is not None
         and record.state is State.RUNNING
         and record.incarnation == state.incarnation
-        and record.name in listed.get(record.manager, ())
+        and record.name in report.nodelets.get(record.manager, ())
     )

@@ -7,7 +7,7 @@ A topic of a claim has one publisher at a time. A DyKnow manager that cannot rea
 manager replaces its parts of claims, but cannot stop them. So each nodelet manager holds a lease,
 which its DyKnow manager renews several times a second, and stops publishing on topics of claims
 when the lease has run out. The manager replaces nothing before that
-(``dyknow.ros.hosting.lease_keeper``).
+(``dyknow.ros.hosting.grants``).
 
 A lease is counted from a moment of this process's own clock that the manager has confirmed: it
 sends back the clock of the last answer that it received. However late a renewal arrives, the

@@ -20,8 +20,7 @@ from graph import Manager, call
 from processes import eventually
 from std_msgs.msg import Header
 
-from dyknow.ros.hosting.count_collector import CountCollector
-from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.counts import CountClient, MessageCounter, counts_of
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
 
@@ -72,18 +71,25 @@ class CountingTest(unittest.TestCase):
     """Nodelet managers of all kinds; this process provides their services."""
 
     def setUp(self):
-        self.counting = CountCollector(Master(rospy.get_name()))
-        self.addCleanup(self.counting.close)
+        self.clients = {}
 
     def offer(self, name, service_class, handler):
         self.addCleanup(rospy.Service(name, service_class, handler).shutdown)
+
+    def counts(self, wanted):
+        """Counts as a host returns them, of nodelets by nodelet manager."""
+        for name in wanted:
+            if name not in self.clients:
+                self.clients[name] = CountClient(Master(rospy.get_name()), name)
+                self.addCleanup(self.clients[name].close)
+        return counts_of((self.clients[name], wanted[name]) for name in wanted)
 
     def messages(self, **wanted):
         """Messages on the port out, by nodelet."""
         wanted = {f"/{manager}": [f"/{each}" for each in wanted[manager]] for manager in wanted}
         return {
             name[1:]: None if counts is None else counts["out"].messages
-            for name, counts in self.counting.counts(wanted).items()
+            for name, counts in self.counts(wanted).items()
         }
 
     def good(self, name, messages=7):
@@ -118,7 +124,7 @@ class CountingTest(unittest.TestCase):
             self.messages(good=["there", "gone"], absent=["lost"]),
             {"there": 7, "gone": None, "lost": None},
         )
-        (count,) = self.counting.counts({"/good": ["/there"]})["/there"].values()
+        (count,) = self.counts({"/good": ["/there"]})["/there"].values()
         self.assertTrue(count.latched)
         self.assertLessEqual(count.asked, count.answered)
 

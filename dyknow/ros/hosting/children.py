@@ -13,10 +13,11 @@ environment says.
 
 from __future__ import annotations
 
+import collections
 import logging
 import time
 from functools import partial
-from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Tuple
+from typing import Deque, Dict, Iterable, List, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken
@@ -25,24 +26,19 @@ from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
-from dyknow.ros.hosting.child_keeper import (
-    PATIENCE,
-    START_TIMEOUT,
-    Child,
-    ChildKeeper,
-    end_process,
-)
+from dyknow.ros.hosting.child import PATIENCE, START_TIMEOUT, Child, ChildKeeper
 from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
 
+#: Crashes that are remembered.
+_CRASHES = 100
 #: Seconds to wait for a child of an earlier manager, which may just have been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {
     NodeletKind.PYTHON: "dyknow_nodelet_manager",
     NodeletKind.CPP: "dyknow_cpp_nodelet_manager",
 }
-
-NO_NAMES: FrozenSet[str] = frozenset()
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -51,35 +47,25 @@ class Children:
     """The processes of one DyKnow manager; every method is safe from any thread."""
 
     def __init__(
-        self,
-        launcher: Launcher,
-        namespace: str,
-        path: str,
-        on_change: Callable[[], None] = lambda: None,
+        self, context: PeerContext, launcher: Launcher, namespace: str, path: str
     ) -> None:
-        """Begin without children.
+        """Prepare; there are no children yet.
 
         Args:
-            launcher: starts them.
+            context: what all peers share.
+            launcher: starts the children.
             namespace: that of the DyKnow manager, and of its shared children.
             path: file of the records.
-            on_change: called when a child is up or has ended.
         """
+        self._context = context
         self._launcher = launcher
         self._namespace = namespace
         self._path = path
-        self._on_change = on_change
         self._changed = state_condition("children")
         self._writing_turn = turn_lock("records of children")
-        self._keeper = ChildKeeper(
-            launcher,
-            self._changed,
-            on_process=self._write,
-            on_change=on_change,
-            on_crash=self._note,
-        )
+        self._keeper = ChildKeeper(launcher, self._changed, self._write, self._note)
         self._children: Dict[str, Child] = {}
-        self._crashes: List[Crash] = []
+        self._crashes: Deque[Crash] = collections.deque(maxlen=_CRASHES)
         self._ending = False
         self._unwritten = False  # the disk did not take the records
 
@@ -100,7 +86,7 @@ class Children:
         living += [each for each in self._launcher.running() if each.name not in known]
         known = {record.name for record in living}
         self._clean_up([each for each in records if each.name not in known])
-        children = [self._add(Child(record, adopted=True)) for record in living]
+        children = [self._add(Child(self._context, record, adopted=True)) for record in living]
         self._write()
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
         for child in children:
@@ -119,17 +105,18 @@ class Children:
         """Have so many shared children; they come up in the background."""
         have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
         for _ in range(count - len(have)):
-            self._add(Child(ChildRecord(self._free_name(kind), kind)))
+            self._add(Child(self._context, ChildRecord(self._free_name(kind), kind)))
 
-    def ensure(
-        self, kind: NodeletKind, isolated_for: str, without: AbstractSet[str] = NO_NAMES
-    ) -> str:
-        """Return the name of a child that is up, starting one if there is none.
+    def find(self, name: str) -> Optional[Child]:
+        """Return the child of that name, if there is one."""
+        return self._children.get(name)
+
+    def ensure(self, kind: NodeletKind, isolated_for: str) -> str:
+        """Return the name of a child that is up, starting one if there is none that answers.
 
         Args:
             kind: what it must be able to host.
             isolated_for: the nodelet that is to have it alone; empty for a shared one.
-            without: children that hang, and are left out.
 
         Raises:
             HostError: it does not come up.
@@ -141,16 +128,16 @@ class Children:
                 for child in self._children.values()
                 if child.record.kind is kind and child.record.isolated_for == isolated_for
             ]
-            fitting = [each for each in same if each.wanted and each.record.name not in without]
+            fitting = [each for each in same if each.wanted and each.state.responsive]
         up = [child for child in fitting if child.up]
         if up:
-            return min(child.record.name for child in up)
+            return min(child.name for child in up)
         if not fitting:
             if isolated_for:
                 for child in (each for each in same if not each.wanted):
                     child.gone.wait(deadline - time.monotonic())  # then its name is free again
             name = self._free_name(kind, isolated_for)
-            fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
+            fitting = [self._add(Child(self._context, ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
 
     def check_free(self, node: str) -> None:
@@ -183,7 +170,7 @@ class Children:
             HostError: it did not come up, and was ended.
         """
         record = ChildRecord(name, kind, name)
-        child = self._add(Child(record, command=command, start_timeout=timeout))
+        child = self._add(Child(self._context, record, command=command, start_timeout=timeout))
         try:
             self._wait_up(child, time.monotonic() + timeout)
         except HostError as error:
@@ -200,10 +187,9 @@ class Children:
             self._wait_up(child, time.monotonic() + timeout)
 
     def crashes(self) -> List[Crash]:
-        """Return the crashes since the last call."""
+        """Return the last crashes, the oldest first."""
         with self._changed:
-            crashes, self._crashes = self._crashes, []
-        return crashes
+            return list(self._crashes)
 
     def await_end(self, name: str, incarnation: str, timeout: float) -> None:
         """Wait until a process has ended, and is known to have."""
@@ -250,7 +236,7 @@ class Children:
     # Starting
 
     def _add(self, child: Child) -> Child:
-        name = child.record.name
+        name = child.name
         with self._changed:
             if self._ending:
                 raise HostError("the manager is being ended")
@@ -282,7 +268,7 @@ class Children:
                 if not self._changed.wait(deadline - time.monotonic()):
                     break
             if child.up:
-                return child.record.name
+                return child.name
         reason = child.trouble or "it does not come up"
         raise HostError(f"{child.title}: {reason}")
 
@@ -293,11 +279,12 @@ class Children:
             self._keeper.keep(child)
         finally:
             with self._changed:
-                self._children.pop(child.record.name, None)
+                self._children.pop(child.name, None)
                 child.gone.set()
                 self._changed.notify_all()
+        child.close()
         self._write()
-        self._on_change()
+        self._context.on_change()
 
     def _note(self, crash: Crash) -> None:
         with self._changed:
@@ -306,10 +293,7 @@ class Children:
     # Ending
 
     def _end(self, children: List[Child]) -> None:
-        records = [child.record for child in children]
-        enders = [
-            in_background(f"ending {each.name}", partial(end_process, each)) for each in records
-        ]
+        enders = [in_background(f"ending {each.name}", each.end) for each in children]
         for ender in enders:
             ender.join(2 * PATIENCE)
         for child in children:

@@ -30,8 +30,8 @@ from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
-from dyknow.ros.hosting.external_managers import may_be_there
+from dyknow.ros.hosting.counts import SERVICE as COUNTS
+from dyknow.ros.hosting.external import may_be_there
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import SPAWNED

@@ -35,6 +35,7 @@ from dyknow.periodic import PeriodicWorker
 from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
+from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.installed import missing_here
@@ -85,29 +86,26 @@ class ManagerNode(Closable):
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         master = self._master = Master(node)
-        self._children = Children(
-            Launcher(
-                master,
-                self._owner,
-                settings.orphan_timeout,
-                {guards_key(node): to_parameter(settings.guards)},
-            ),
-            names.parent(node),
-            settings.state_path("children.json"),
-            self._on_child,
-        )
-        self._workers = Workers("work of the manager", _WORKERS)
-        running = started()
-        self._backups = PeriodicWorker("backup", self._store.back_up, _BACKUP_PERIOD)
-        self._host = RosHost(
+        running = self._running = started()
+        context = PeerContext(
             master,
-            self._children,
-            Registrar(),
-            settings.nodelet_managers,
             settings.guards,
+            rospy.get_node_uri() or "",
+            lambda: self._watch.refresh_now(),
             running,
         )
-        self._running = running
+        launcher = Launcher(
+            master,
+            self._owner,
+            settings.orphan_timeout,
+            {guards_key(node): to_parameter(settings.guards)},
+        )
+        self._children = Children(
+            context, launcher, names.parent(node), settings.state_path("children.json")
+        )
+        self._workers = Workers("work of the manager", _WORKERS)
+        self._backups = PeriodicWorker("backup", self._store.back_up, _BACKUP_PERIOD)
+        self._host = RosHost(context, self._children, Registrar(), settings.nodelet_managers)
         ontology = _ontology(settings)
         for warning in ontology.warnings if ontology is not None else ():
             rospy.logwarn("%s", warning)
@@ -128,6 +126,7 @@ class ManagerNode(Closable):
 
     def start(self) -> None:
         """Take over the nodelets of an earlier life, and offer the services."""
+        self._host.start()
         self._children.adopt()
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
         self._load_transformations()
@@ -149,7 +148,7 @@ class ManagerNode(Closable):
         self._publisher.note_change()
         self._watch.start()
         self._backups.start()
-        self._host.start(self._watch.refresh_now)
+        self._host.listen_for_nodes()
 
     def _hear(self, manager: str, nodelet: str, detail: str) -> None:
         """Hear of a change of a nodelet."""
@@ -243,9 +242,6 @@ class ManagerNode(Closable):
         self._publisher.note_change()
         self._streams.note_change()
 
-    def _on_child(self) -> None:
-        self._watch.refresh_now()
-
     def _protected(self) -> Dict[str, List[str]]:
         protected: Dict[str, List[str]] = {}
         for record in self.manager.graph.all():
@@ -256,7 +252,7 @@ class ManagerNode(Closable):
     def _after_change(self) -> None:
         self._fixed.follow()
         self._grant()
-        self._host.protect(self._protected())  # first, since the next line hands them over
+        self._host.hand_over(self._protected())
         self._listener.follow(self._announcers())
 
     def _grant(self) -> None:

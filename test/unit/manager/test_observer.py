@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Iterable
 
 import pytest
 from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.manager.host import LoadRequest, ManagerState
+from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.model.graph import NodeletKind, State
 
 
@@ -67,17 +66,17 @@ def test_nodelets_of_a_nodelet_manager_that_exists_no_more_are_placed_again(worl
 def test_what_came_back_during_a_look_is_not_lost_by_it(world: World) -> None:
     world.spawn("camera", "a")
     world.host.kill("/fake_0")
-    real = world.host.lists
+    real = world.host.poll
 
-    def lists(managers: Iterable[ManagerState]) -> dict[str, list[str]]:
-        world.host.lists = real  # type: ignore[method-assign]
-        answers = real(managers)
+    def poll() -> HostReport:
+        world.host.poll = real  # type: ignore[method-assign]
+        report = real()
         with world.manager.graph.changing("/a") as record:
             assert record is not None
             world.manager.lifecycle.restore(record)
-        return answers
+        return report
 
-    world.host.lists = lists  # type: ignore[method-assign, assignment]
+    world.host.poll = poll  # type: ignore[method-assign]
     seen: list[str] = []
     world.manager.on_change = lambda: seen.append(world.states()["/a"])
     world.manager.look()

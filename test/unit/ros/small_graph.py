@@ -10,11 +10,13 @@ import itertools
 import socket
 import struct
 import threading
+from io import BytesIO
 from typing import Any, Dict, Iterator, List
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
-from nodelet.srv import NodeletList
+from dyknow_msgs.srv import GetCounts, GetCountsResponse
+from nodelet.srv import NodeletList, NodeletListResponse
 
 _pids = itertools.count(1000)
 
@@ -50,7 +52,7 @@ class SmallMaster:
         self._served = _XmlRpc(
             {
                 "lookupNode": lambda caller, name: self._of(name, "uri"),
-                "lookupService": lambda caller, name: self._of(name[: -len("/list")], "service"),
+                "lookupService": lambda caller, name: self._service(*name.rsplit("/", 1)),
                 "getSystemState": lambda caller: [
                     [[f"{name}/changes", [name]] for name in self.nodes],
                     [],
@@ -60,6 +62,10 @@ class SmallMaster:
         )
         self.uri = self._served.uri
 
+    def _service(self, name: str, service: str) -> Any:
+        kind = getattr(self.nodes.get(name), "kind", "")
+        return self._of(name, "service") if service == ("get_counts" if kind else "list") else None
+
     def _of(self, name: str, what: str) -> Any:
         return getattr(self.nodes[name], what) if name in self.nodes else None
 
@@ -68,9 +74,10 @@ class SmallMaster:
 
 
 class SmallManager:
-    """Serves `list`, reports its process id, and ends on request.
+    """Serves `list`, or `get_counts` of a node, reports its process id, and ends on request.
 
     Attributes:
+        kind: what it is if it is a re-wirable node.
         nodelets: names of its nodelets.
         goes_on: cleared while the process is stopped.
         ended: set when it was told to end.
@@ -78,7 +85,8 @@ class SmallManager:
         error: sent in the header of each connection; empty: there is none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kind: str = "") -> None:
+        self.kind = kind
         self.nodelets: List[str] = []
         self.pid = next(_pids)
         self.goes_on = threading.Event()
@@ -124,18 +132,21 @@ class SmallManager:
     def _serve(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError, struct.error), connection:
             self._read(connection)
-            fields = {"callerid": "/small", "md5sum": NodeletList._md5sum, "type": "*"}
+            service = GetCounts if self.kind else NodeletList
+            fields = {"callerid": "/small", "md5sum": service._md5sum, "type": "*"}
             if self.error:
                 fields = {"error": self.error}
             rosgraph.network.write_ros_handshake_header(connection, fields)
             while True:
                 self._read(connection)
                 self.goes_on.wait()
-                names = [name.encode() for name in self.nodelets]
-                body = struct.pack("<I", len(names)) + b"".join(
-                    struct.pack("<I", len(name)) + name for name in names
-                )
-                connection.sendall(b"\1" + struct.pack("<I", len(body)) + body)
+                body = BytesIO()
+                if self.kind:
+                    GetCountsResponse(kind=self.kind).serialize(body)
+                else:
+                    NodeletListResponse(self.nodelets).serialize(body)
+                answer = body.getvalue()
+                connection.sendall(b"\1" + struct.pack("<I", len(answer)) + answer)
 
     @staticmethod
     def _read(connection: socket.socket) -> None:

@@ -19,9 +19,12 @@ from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.master import Master
 from dyknow.ros.os_process import ProcessId
 
 PATIENCE = 10.0
+CONTEXT = PeerContext(Master("/manager"))
 
 
 class SlowDisk:
@@ -54,7 +57,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
 @pytest.fixture
 def children(tmp_path: Path) -> Children:
     launcher: Any = SimpleNamespace(is_free=lambda name: True, running=list)
-    return Children(launcher, "/", str(tmp_path / "children.json"))
+    return Children(CONTEXT, launcher, "/", str(tmp_path / "children.json"))
 
 
 def test_a_slow_disk_holds_up_nobody_who_looks(children: Children, disk: SlowDisk) -> None:
@@ -158,7 +161,7 @@ def test_what_died_while_there_was_no_manager_is_cleaned_up_after(launcher: Fake
         ChildRecord("/was_to_be_started", NodeletKind.PYTHON, "/n"),
     ]
     child_records.write(launcher.path, records)
-    children = Children(cast(Any, launcher), "/", launcher.path)
+    children = Children(CONTEXT, cast(Any, launcher), "/", launcher.path)
     assert children.adopt() == ["/lives"]
     assert launcher.cleaned == ["/dead", "/node", "/was_to_be_started"]
     assert child_records.read(launcher.path) == records[1:2]
@@ -168,12 +171,12 @@ def test_what_died_while_there_was_no_manager_is_cleaned_up_after(launcher: Fake
 def test_what_runs_is_taken_over_without_a_record(launcher: FakeLauncher, text: str) -> None:
     launcher.found = [ChildRecord("/lives", NodeletKind.CPP, "", ProcessId.of(os.getpid()))]
     Path(launcher.path).write_text(text)
-    assert Children(cast(Any, launcher), "/", launcher.path).adopt() == ["/lives"]
+    assert Children(CONTEXT, cast(Any, launcher), "/", launcher.path).adopt() == ["/lives"]
     assert child_records.read(launcher.path) == launcher.found
 
 
 def test_a_record_is_there_before_the_process(launcher: FakeLauncher) -> None:
-    children = Children(cast(Any, launcher), "/", launcher.path)
+    children = Children(CONTEXT, cast(Any, launcher), "/", launcher.path)
     children.want(NodeletKind.PYTHON, 1)
     assert launcher.launched.wait(PATIENCE)
     assert [each.name for each in launcher.at_launch] == ["/dyknow_nodelet_manager"]

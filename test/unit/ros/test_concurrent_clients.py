@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
+from dataclasses import replace
 from typing import Any, Callable, Iterator, List
 
 import pytest
@@ -15,9 +17,12 @@ from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.errors import HostError
 from dyknow.model.graph import NodeletKind
-from dyknow.ros.hosting.external_managers import ExternalManager
-from dyknow.ros.hosting.list_client import ListClients
+from dyknow.ros.hosting.child import Child
+from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.hosting.external import External
+from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.master import Master
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.service_client import ServiceClient
 
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
@@ -77,18 +82,21 @@ def test_a_persistent_client_is_closed_while_others_call(graph: SmallMaster) -> 
 def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
     graph: SmallMaster,
 ) -> None:
-    clients = ListClients(Master("/test", graph.uri))
-    numbers = iter(range(10**9))
+    child = Child(PeerContext(Master("/test", graph.uri)), ChildRecord(NAME, KIND))
+    child.up = True
+    numbers = itertools.count()
     answers: List[List[str]] = []
 
     def ask() -> None:
+        process = ProcessId(1, next(numbers) // 20)
+        child.record = replace(child.record, process=process)
         try:
-            answers.append(clients.of(NAME, str(next(numbers) // 20), KIND).list(PATIENCE))
+            answers.append(child.list())
         except HostError:
             return
 
-    together(ask, ask, ask, lambda: clients.keep(()))
-    clients.close()
+    together(ask, ask, ask, child.close)
+    child.close()
     assert answers
     assert all(each == ["/a", "/b"] for each in answers)
 
@@ -96,7 +104,8 @@ def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
 def test_who_asks_an_external_manager_while_its_connections_break_is_refused_or_answered(
     graph: SmallMaster,
 ) -> None:
-    manager = ExternalManager(Master("/test", graph.uri), NAME)
+    manager = External(PeerContext(Master("/test", graph.uri)), NAME)
+    manager.start()
     answers: List[List[str]] = []
 
     def ask() -> None:

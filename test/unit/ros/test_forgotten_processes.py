@@ -5,74 +5,60 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterator, List, Tuple
+from typing import Any, Iterator, cast
 
 import pytest
-from unit.ros.small_graph import SmallMaster
+from unit.ros.small_graph import SmallManager, small_graph
 
-from dyknow.manager.host import Crash, ManagerState
+from dyknow.manager.host import Crash, HostReport
 from dyknow.manager.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting import launcher as launcher_module
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.hosting.host import RosHost, _Failure
+from dyknow.ros.hosting.children import Children
+from dyknow.ros.hosting.external import External
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.os_process import ProcessId
 
-NODE = ManagerState("/n", NodeletKind.NODE, "first", own=False)
-
-
-class Children:
-    """None."""
-
-    def all(self) -> List[Any]:
-        return []
-
 
 @pytest.fixture
 def host() -> Iterator[RosHost]:
-    with contextlib.closing(SmallMaster()) as graph:
-        registrar: Any = SimpleNamespace()
-        children: Any = Children()
-        made = RosHost(Master("/test", graph.uri), children, registrar)
-        yield made
-        made.close()
+    """A host with one node, whose process is gone."""
+    with small_graph() as graph:
+        graph.nodes["/n"] = SmallManager("node")
+        context = PeerContext(Master("/test", graph.uri))
+        registrar, launcher = cast(Any, SimpleNamespace()), cast(Any, SimpleNamespace())
+        host = RosHost(context, Children(context, launcher, "/", ""), registrar)
+        host.look_for_nodes(["/n"])
+        yield host
+        host.close()
 
 
-def tables(host: RosHost) -> List[Tuple[str, Any]]:
-    """What is kept by process."""
-    owners = [host, host._guards, host._collector, host._list_clients, host._nodes]
-    return [
-        (f"{type(owner).__name__}.{name}", value)
-        for owner in owners
-        for name, value in vars(owner).items()
-        if isinstance(value, dict)
-    ]
-
-
-def test_a_process_that_is_gone_is_forgotten(
-    host: RosHost, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    present = [NODE]
-    monkeypatch.setattr(host._nodes, "all", lambda: list(present))
-    host.managers()
-    host.counts({NODE.name: ["/n"]})
-    client = host._list_clients.of(NODE.name, NODE.incarnation, NODE.kind)
-    host._failures[NODE.name, "/n"] = _Failure.LATE
-    host.note_detail(NODE.name, "/n", "a callback has been running for 12 s")
-    kept = [name for name, table in tables(host) if table]
-    assert len(kept) >= 5, kept
-    host.managers()
-    assert host._list_clients.of(NODE.name, NODE.incarnation, NODE.kind) is client
-    present.clear()
-    host.managers()
-    assert [name for name, table in tables(host) if table] == []
+def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
+    report = host.poll()
+    assert report.managers["/n"].kind is NodeletKind.NODE
+    assert report.nodelets == {"/n": frozenset(["/n"])}
+    host.grant({"/topic": "/n"}, ["/n"])
+    host.note_detail("/n", "/n", "a callback has been running for 12 s")
+    assert host.counts({"/n": ["/n"]}) == {"/n": None}
+    assert host.detail("/n") and host.may_publish("/n")
+    (node,) = host._peers()
+    host._external._drop(cast(External, node))
+    assert host.poll() == HostReport({}, {}, {})
+    assert host.counts({"/n": ["/n"]}) == {"/n": None}
+    host.note_detail("/n", "/n", "it was late")
+    assert host.detail("/n") == ""
+    workers = [node._worker, node.counts._worker, node.lease._worker]  # type: ignore[attr-defined]
+    for worker in workers:
+        worker.close(30.0)
+        assert not worker.running
 
 
 def test_old_accusations_are_forgotten() -> None:

@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""External nodelet managers: which thread looks for them, and which never wait for them."""
+"""External processes: which thread looks for them, and which never wait for them."""
 
 from __future__ import annotations
 
 import threading
 import time
-from typing import Callable, Iterator
+from types import SimpleNamespace
+from typing import Callable, Iterator, List
 
 import pytest
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.ros.hosting.external_managers import ExternalManager, ExternalManagers
+from dyknow.model.graph import NodeletKind
+from dyknow.ros.hosting import external
+from dyknow.ros.hosting.external import External, Externals
+from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.master import Master
 
 LONG = 30.0
@@ -33,11 +37,16 @@ def eventually(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
+def context(graph: SmallMaster) -> PeerContext:
+    return PeerContext(Master("/test", graph.uri))
+
+
 @pytest.fixture
-def peer(graph: SmallMaster) -> Iterator[ExternalManager]:
+def peer(graph: SmallMaster) -> Iterator[External]:
     graph.nodes[FAR] = SmallManager()
     graph.nodes[FAR].nodelets = ["/b", "/a"]
-    peer = ExternalManager(Master("/test", graph.uri), FAR)
+    peer = External(context(graph), FAR)
+    peer.start()
     eventually(lambda: peer.state.responsive)
     yield peer
     peer.close()
@@ -52,7 +61,8 @@ def test_nobody_waits_for_one_that_was_never_seen() -> None:
             answer.wait()
             return ""
 
-    peers = ExternalManagers(SilentMaster("/test", "http://127.0.0.1:9"), [FAR])
+    peers = Externals(PeerContext(SilentMaster("/test", "http://127.0.0.1:9")), [FAR])
+    peers.start()
     assert asked.wait(LONG)
     (peer,) = peers.all()
     assert (peer.state.unseen, peer.state.away, peer.state.alive) == (True, True, False)
@@ -66,9 +76,7 @@ def test_nobody_waits_for_one_that_was_never_seen() -> None:
     peers.close()
 
 
-def test_one_that_answers_is_asked_for_its_nodelets(
-    graph: SmallMaster, peer: ExternalManager
-) -> None:
+def test_one_that_answers_is_asked_for_its_nodelets(graph: SmallMaster, peer: External) -> None:
     assert peer.list() == ["/a", "/b"]
     state = peer.state
     assert (state.alive, state.responsive, state.away, state.own) == (True, True, False, False)
@@ -76,7 +84,7 @@ def test_one_that_answers_is_asked_for_its_nodelets(
 
 
 def test_one_that_hangs_is_asked_by_nobody_until_it_is_back(
-    graph: SmallMaster, peer: ExternalManager
+    graph: SmallMaster, peer: External
 ) -> None:
     manager, before = graph.nodes[FAR], peer.state.incarnation
     manager.goes_on.clear()
@@ -93,7 +101,7 @@ def test_one_that_hangs_is_asked_by_nobody_until_it_is_back(
     assert peer.list() == ["/a", "/b"]
 
 
-def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: ExternalManager) -> None:
+def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: External) -> None:
     graph.nodes[FAR].close()
     with pytest.raises(HostError):
         peer.list()
@@ -103,7 +111,7 @@ def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: ExternalM
     eventually(lambda: peer.state.responsive)
 
 
-def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: ExternalManager) -> None:
+def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: External) -> None:
     before = peer.state.incarnation
     graph.nodes[FAR].lose_connections()
     with pytest.raises(HostError):
@@ -113,7 +121,7 @@ def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: Externa
 
 
 def test_a_successor_is_never_taken_for_its_predecessor(
-    graph: SmallMaster, peer: ExternalManager
+    graph: SmallMaster, peer: External
 ) -> None:
     before = peer.state.incarnation
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
@@ -126,7 +134,7 @@ def test_a_successor_is_never_taken_for_its_predecessor(
     assert peer.list() == []
 
 
-def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: ExternalManager) -> None:
+def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: External) -> None:
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
     try:
         assert elder.ended.wait(LONG)
@@ -137,7 +145,7 @@ def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: ExternalMana
 
 
 def test_who_lost_its_name_while_it_hung_is_told_when_it_goes_on(
-    graph: SmallMaster, peer: ExternalManager
+    graph: SmallMaster, peer: External
 ) -> None:
     elder = graph.nodes[FAR]
     elder.goes_on.clear()
@@ -155,7 +163,7 @@ def test_who_lost_its_name_while_it_hung_is_told_when_it_goes_on(
 
 
 def test_another_process_at_the_same_address_is_left_alone(
-    graph: SmallMaster, peer: ExternalManager
+    graph: SmallMaster, peer: External
 ) -> None:
     elder, newcomer = graph.nodes[FAR], SmallManager()
     elder.pid += 1
@@ -168,7 +176,7 @@ def test_another_process_at_the_same_address_is_left_alone(
         elder.close()
 
 
-def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: ExternalManager) -> None:
+def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: External) -> None:
     graph.close()
     assert peer.list() == ["/a", "/b"]
     peer.look()
@@ -176,9 +184,10 @@ def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: Externa
     assert peer.list() == ["/a", "/b"]
 
 
-def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: ExternalManager) -> None:
+def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: External) -> None:
     peer.list()
-    peers = ExternalManagers(Master("/test", graph.uri), [FAR])
+    peers = Externals(context(graph), [FAR])
+    peers.start()
     eventually(lambda: peers.hosting("/a"))
     found = peers.hosting("/a")
     assert found is not None
@@ -189,7 +198,8 @@ def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: ExternalM
 
 
 def test_one_that_has_just_come_is_found_by_who_names_it(graph: SmallMaster) -> None:
-    peer = ExternalManager(Master("/test", graph.uri), FAR)
+    peer = External(context(graph), FAR)
+    peer.start()
     try:
         eventually(lambda: not peer.state.unseen)
         assert not peer.state.alive
@@ -201,3 +211,79 @@ def test_one_that_has_just_come_is_found_by_who_names_it(graph: SmallMaster) -> 
             eventually(lambda: not peer.state.alive)
     finally:
         peer.close()
+
+
+@pytest.fixture
+def nodes(graph: SmallMaster, monkeypatch: pytest.MonkeyPatch) -> Iterator[Externals]:
+    monkeypatch.setattr(external, "_NODE_PATIENCE", 0.5)
+    graph.nodes[FAR] = SmallManager("cpp_node")
+    nodes = Externals(context(graph))
+    nodes.look_for([FAR])
+    yield nodes
+    nodes.close()
+
+
+def test_a_node_runs_itself_alone(nodes: Externals) -> None:
+    (node,) = nodes.all()
+    assert (node.state.kind, node.state.own) == (NodeletKind.CPP_NODE, False)
+    assert node.answers and node.list() == [FAR]
+    assert nodes.hosting(FAR) is node
+
+
+def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(
+    graph: SmallMaster, nodes: Externals
+) -> None:
+    (node,) = nodes.all()
+    graph.nodes[FAR].close()
+    with pytest.raises(HostError):
+        node.list()
+    eventually(lambda: not nodes.all())
+    assert nodes.find(FAR) is None and not node.may_publish
+    eventually(lambda: not nodes._externals)
+    eventually(lambda: not node._worker.running)
+    del graph.nodes[FAR]
+
+
+def test_a_node_that_lost_its_connection_is_there_all_along(
+    graph: SmallMaster, nodes: Externals
+) -> None:
+    (node,) = nodes.all()
+    before = node.state.incarnation
+    graph.nodes[FAR].lose_connections()
+    with pytest.raises(HostTimeout):
+        node.list()
+    assert nodes.all() == [node]
+    eventually(lambda: node.answers)
+    assert node.state.incarnation == before and node.list() == [FAR]
+
+
+def test_a_node_that_hangs_stays_for_as_long_as_it_does(
+    graph: SmallMaster, nodes: Externals
+) -> None:
+    (node,) = nodes.all()
+    graph.nodes[FAR].goes_on.clear()
+    with pytest.raises(HostTimeout):
+        node.list()
+    assert (node.state.alive, node.state.responsive, node.state.away) == (True, False, True)
+    eventually(lambda: time.monotonic() > node._expected_until)
+    assert nodes.all() == [node]
+    graph.nodes[FAR].goes_on.set()
+    eventually(lambda: node.answers)
+
+
+def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph: SmallMaster) -> None:
+    changes: List[str] = []
+    graph.nodes["/manager"] = SmallManager()
+    nodes = Externals(
+        PeerContext(Master("/test", graph.uri), on_change=lambda: changes.append("")),
+        is_child=lambda name: name == "/child",
+    )
+    try:
+        for name in (FAR, "/manager", "/child"):
+            nodes._announced(SimpleNamespace(nodelets=[name]))
+        assert sorted(nodes._externals) == [FAR, "/manager"]
+        graph.nodes[FAR] = SmallManager("node")
+        eventually(lambda: [each.name for each in nodes.all()] == [FAR])
+        eventually(lambda: changes)
+    finally:
+        nodes.close()

@@ -10,14 +10,18 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import dataclass, field, replace
-from typing import Callable, Optional, Tuple
+from dataclasses import replace
+from typing import Callable, List, Optional, Tuple
+
+import rosgraph.network
 
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Crash
+from dyknow.manager.host import Crash, ManagerState
 from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.hosting.peer import ListClient, NodeletPeer, host_errors
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.os_process import ProcessId, boot
 
@@ -32,9 +36,8 @@ _STEP = 0.02
 _log = logging.getLogger("rosout.dyknow")
 
 
-@dataclass
-class Child:
-    """One nodelet manager or node; its thread writes, others read.
+class Child(NodeletPeer):
+    """One nodelet manager or node that we start; its own thread writes, others read.
 
     Attributes:
         record: what is known of it on disk.
@@ -50,36 +53,103 @@ class Child:
         start_timeout: seconds that it may take to offer its services.
     """
 
-    record: ChildRecord
-    adopted: bool = False
-    up: bool = False
-    wanted: bool = True
-    gone: threading.Event = field(default_factory=threading.Event)
-    trouble: str = ""
-    stale: str = ""
-    log: Optional[LogTail] = None
-    rewirable: bool = True
-    command: Tuple[str, ...] = ()
-    start_timeout: float = START_TIMEOUT
+    def __init__(
+        self,
+        context: PeerContext,
+        record: ChildRecord,
+        adopted: bool = False,
+        command: Tuple[str, ...] = (),
+        start_timeout: float = START_TIMEOUT,
+    ) -> None:
+        """Prepare; ``ChildKeeper`` runs it."""
+        super().__init__(context, record.name)
+        self.record = record
+        self.adopted = adopted
+        self.up = False
+        self.wanted = True
+        self.gone = threading.Event()
+        self.trouble = ""
+        self.stale = ""
+        self.log: Optional[LogTail] = None
+        self.rewirable = True
+        self.command = command
+        self.start_timeout = start_timeout
+        self._lists: Tuple[str, Optional[ListClient]] = ("", None)  # of one incarnation
 
     @property
     def title(self) -> str:
-        """What it is, with its name."""
+        """Its sort and name."""
         what = "node" if self.record.kind.is_node else "nodelet manager"
-        return f"{what} {self.record.name}"
+        return f"{what} {self.name}"
 
     @property
     def incarnation(self) -> str:
         """Differs for each process, also of other boots; empty while none is up."""
         found = self.record.process
-        if found is None or not self.up:
-            return ""
-        return f"{boot()[:8]}/{found.pid}@{found.started}"
+        return incarnation_of(found) if found is not None and self.up else ""
+
+    @property
+    def state(self) -> ManagerState:
+        """What is known of it now; it is responsive unless it was asked, and did not answer."""
+        incarnation, (asked, client) = self.incarnation, self._lists
+        return ManagerState(
+            self.name,
+            self.record.kind,
+            incarnation,
+            self.record.isolated_for,
+            responsive=client is None or asked != incarnation or client.answers,
+            rewirable=self.rewirable,
+            host=rosgraph.network.get_host_name(),
+            cure=self._cure,
+        )
+
+    def list(self, incarnation: str = "") -> List[str]:
+        """Ask for its nodelets, over a connection that is kept for as long as its process runs."""
+        current = self.incarnation
+        if not current:
+            raise HostError(f"nodelet manager '{self.name}' is not running")
+        asked, client = self._lists
+        if client is None or asked != current:
+            if client is not None:
+                client.close()
+            client = ListClient(self.context.master, self.name, is_node=self.record.kind.is_node)
+            self._lists = current, client
+        with host_errors(self.name):
+            return client.list()
 
     def echo(self) -> None:
-        """Print what it printed since the last call."""
+        """Print its output since the last call."""
         if self.log is not None:
             self.log.copy(sys.stdout)
+
+    def end(self) -> None:
+        """End its process; nodes take leave of the master on SIGINT, as roslaunch sends it."""
+        is_node = self.record.kind.is_node
+        signals = (signal.SIGINT, signal.SIGTERM) if is_node else (signal.SIGTERM,)
+        if self.record.process is not None:
+            self.record.process.end(PATIENCE, signals)
+
+    def close(self) -> None:
+        """Close the connections; its process runs on."""
+        super().close()
+        client = self._lists[1]
+        if client is not None:
+            client.close()
+
+    @property
+    def _cure(self) -> str:
+        """Say what to do about it if it does not answer."""
+        process = self.record.process
+        if process is None:
+            return ""
+        text = f"if its process is stopped, kill -CONT {process.pid}; if it hangs, kill -9 "
+        again = "" if self.record.kind.is_node else ", and it is started again with its nodelets"
+        return f"{text}{process.pid}{again}"
+
+
+def incarnation_of(process: ProcessId) -> str:
+    """Return a text that differs for each process, also of other boots."""
+    return f"{boot()[:8]}/{process.pid}@{process.started}"
 
 
 class ChildKeeper:
@@ -90,7 +160,6 @@ class ChildKeeper:
         launcher: Launcher,
         changed: threading.Condition,
         on_process: Callable[[], None],
-        on_change: Callable[[], None],
         on_crash: Callable[[Crash], None],
     ) -> None:
         """Keep none yet.
@@ -99,13 +168,11 @@ class ChildKeeper:
             launcher: starts processes.
             changed: held while a child is changed, and notified of it.
             on_process: called before a child gets a process, and when it has it.
-            on_change: called when a child is up or has ended.
             on_crash: called with a crash before its child is shown as dead.
         """
         self._launcher = launcher
         self._changed = changed
         self._on_process = on_process
-        self._on_change = on_change
         self._on_crash = on_crash
 
     def keep(self, child: Child) -> None:
@@ -123,15 +190,14 @@ class ChildKeeper:
                 _log.exception("%s", child.title)
             if not child.wanted:
                 break
-            deaths.served(child.record.name, time.monotonic() - begin)
-            deaths.failed(child.record.name)
-            pause = deaths.remaining(child.record.name)
+            deaths.served(child.name, time.monotonic() - begin)
+            deaths.failed(child.name)
+            pause = deaths.remaining(child.name)
             with self._changed:
                 self._changed.wait_for(lambda: not child.wanted, pause)
         self._launcher.clean_up(child.record)
 
     def _live(self, child: Child) -> None:
-        name = child.record.name
         try:
             if child.record.process is None:
                 self._launch(child)
@@ -139,13 +205,13 @@ class ChildKeeper:
             assert found is not None
             self._follow_until_up(child, found)
             if not child.wanted:
-                end_process(child.record)
+                child.end()
             status = found.wait_for_rest()
             if child.wanted:
                 _log.warning("%s (process %d) has died", child.title, found.pid)
-                crash = self._launcher.examine(child.record.kind, name, found.pid, status)
+                crash = self._launcher.examine(child.record.kind, child.name, found.pid, status)
                 if crash is not None:
-                    self._on_crash(crash)
+                    self._on_crash(replace(crash, incarnation=incarnation_of(found)))
         finally:
             with self._changed:
                 child.up, child.adopted = False, False
@@ -153,13 +219,12 @@ class ChildKeeper:
                 child.record = replace(child.record, process=None)
                 self._changed.notify_all()
         child.echo()
-        self._on_change()
+        child.context.on_change()
 
     def _launch(self, child: Child) -> None:
-        name = child.record.name
-        if self._launcher.living(name) is not None:
+        if self._launcher.living(child.name) is not None:
             raise HostError("another node has that name")
-        child.stale = self._launcher.registered(name)
+        child.stale = self._launcher.registered(child.name)
         self._on_process()  # on disk before it is there: nothing of it is left if we are killed
         found, child.log = self._launcher.launch(child.record, child.command)
         with self._changed:
@@ -168,28 +233,25 @@ class ChildKeeper:
 
     def _follow_until_up(self, child: Child, found: ProcessId) -> None:
         """Wait until its services are offered; end a process that is late and lost."""
-        name = child.record.name
         if child.adopted:
-            child.log = self._launcher.follow(name)
+            child.log = self._launcher.follow(child.name)
         deadline = time.monotonic() + child.start_timeout
         kind = child.record.kind
-        uri = self._launcher.address(kind, name, child.stale)
-        while not uri:
+        while not self._launcher.address(kind, child.name, child.stale):
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
                 return
             if time.monotonic() > deadline and self._is_lost(child):
-                end_process(child.record)
+                child.end()
                 what = "offered no ports" if kind.is_node else "not come up"
                 raise HostError(f"it has {what} within {child.start_timeout:g} s")
             time.sleep(_STEP)
-            uri = self._launcher.address(kind, name, child.stale)
-        rewirable = self._launcher.is_rewirable(kind, name)
+        rewirable = self._launcher.is_rewirable(kind, child.name)
         with self._changed:
             child.rewirable = rewirable
             child.up = child.wanted
             self._changed.notify_all()
-        self._on_change()
+        child.context.on_change()
 
     def _is_lost(self, child: Child) -> bool:
         """Whether a process that is late will never come up.
@@ -198,13 +260,6 @@ class ChildKeeper:
         to an earlier master, and is lost.
         """
         try:
-            return not child.adopted or not self._launcher.registered(child.record.name)
+            return not child.adopted or not self._launcher.registered(child.name)
         except PeerTimeout:
             return False
-
-
-def end_process(record: ChildRecord) -> None:
-    """End a process; nodes take leave of the master on SIGINT, as roslaunch sends it."""
-    signals = (signal.SIGINT, signal.SIGTERM) if record.kind.is_node else (signal.SIGTERM,)
-    if record.process is not None:
-        record.process.end(PATIENCE, signals)

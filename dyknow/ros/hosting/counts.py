@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Counts of messages: of nodelets, whose process is asked, and on topics, which are subscribed to.
+
+Who owns what: a ``CountClient`` owns a kept connection, and a thread that alone uses it, started
+with the first request. Registering with the ROS master may take its time, so one thread does that
+for all topics. rospy has one connection to each publisher, however many subscribe.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, Collection, Dict, Iterable, List, Mapping, Optional, Set, Tuple
+
+import rospy
+from dyknow_msgs.msg import Port
+from dyknow_msgs.srv import GetCounts
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.locks import state_lock
+from dyknow.manager.host import Count, Listening
+from dyknow.model.transformation import OUT
+from dyknow.periodic import PeriodicWorker
+from dyknow.ros.ages import age_of_serialised
+from dyknow.ros.client import ProxyClient
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.transport.registrar import Registrar
+from dyknow.workers import Workers
+
+#: Service of our nodelet managers, and of re-wirable nodes.
+SERVICE = "get_counts"
+#: Seconds that a caller waits for the counts of all processes together.
+PATIENCE = 0.5
+#: Seconds for the counts of one process; no caller waits that long.
+_TIMEOUT = 2.0
+#: Nodelets whose counts are requested by name; there is a limit to the size of a request.
+_MOST_NAMED = 500
+#: Seconds without a reply after which a connection may be one to a process that is gone.
+_STALE = 10.0
+#: Seconds without a request after which a connection is closed until the next.
+_IDLE = 10.0
+#: Seconds to wait, at the end, for a registration that is going on.
+_END_PATIENCE = 0.5
+
+Counts = Dict[str, Optional[Mapping[str, Count]]]
+"""By nodelet, the counts of its out-ports; None for one that is not there."""
+
+
+def counts_of(asked: Iterable[Tuple[CountClient, Collection[str]]]) -> Counts:
+    """Ask processes for the counts of nodelets, side by side, as ``Host.counts`` does.
+
+    A process that took longer than ``PATIENCE`` the last time is not waited for; a late reply is
+    returned by the next call.
+    """
+    deadline = time.monotonic() + PATIENCE
+    requests = [(client, nodelets, client.ask(nodelets)) for client, nodelets in asked]
+    found: Counts = {}
+    for client, nodelets, number in requests:
+        found.update(client.replies(number, nodelets, deadline))
+    return found
+
+
+class CountClient:
+    """Asks one process for counts, one request after the other."""
+
+    def __init__(self, master: Master, name: str) -> None:
+        """Prepare; the thread is started with the first request."""
+        self._proxies = ProxyClient(master)
+        self._client = ServiceClient(master, names.join(name, SERVICE), GetCounts, True)
+        self._state_lock = state_lock("counts")
+        self._wanted: Set[str] = set()
+        self._fresh: Counts = {}
+        self._asked = self._answered = time.monotonic()
+        self._in_time = True
+        self._worker = PeriodicWorker(f"message counts of {name}", self._round, _IDLE, pause=0.0)
+
+    def ask(self, nodelets: Collection[str]) -> int:
+        """Send a request after the previous reply has arrived; returns its sequence number."""
+        with self._state_lock:
+            self._wanted.update(nodelets)
+        self._worker.start()
+        return self._worker.wake()
+
+    def replies(self, number: int, nodelets: Collection[str], deadline: float) -> Counts:
+        """Wait for a reply, unless that may take long; returns what is new."""
+        if self._in_time:
+            left = max(0.0, deadline - time.monotonic())
+            self._in_time = self._worker.wait_for(number, left)
+        with self._state_lock:
+            return {name: self._fresh.pop(name) for name in nodelets if name in self._fresh}
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._worker.close()
+        self._client.close()
+
+    def _round(self) -> None:
+        with self._state_lock:
+            nodelets, self._wanted = sorted(self._wanted), set()
+        began = time.monotonic()
+        if not nodelets:
+            if began - self._asked >= _IDLE:
+                self._client.close()
+            return
+        self._asked = began
+        found = self._request(nodelets)
+        with self._state_lock:
+            self._fresh.update(found)
+        self._in_time = time.monotonic() - began <= PATIENCE
+
+    def _request(self, nodelets: List[str]) -> Counts:
+        asked = time.monotonic()
+        named = nodelets if len(nodelets) <= _MOST_NAMED else []  # an empty list asks for all
+        try:
+            answer = self._client.call(_TIMEOUT, named)
+        except PeerTimeout:
+            if time.monotonic() - self._answered >= _STALE:
+                self._client.close()
+                self._answered = time.monotonic()
+            return {}
+        except (ServiceLost, ServiceFailed):  # it may be one without this service
+            return self._one_by_one(nodelets)
+        answered = self._answered = time.monotonic()
+        found: Counts = dict.fromkeys(nodelets)
+        for each in answer.nodelets:
+            if each.nodelet in found:
+                found[each.nodelet] = {
+                    port.port: Count(
+                        port.messages,
+                        asked,
+                        answered,
+                        port.latched,
+                        None if math.isnan(port.age) else port.age,
+                    )
+                    for port in each.ports
+                    if port.direction == Port.OUT
+                }
+        return found
+
+    def _one_by_one(self, nodelets: List[str]) -> Counts:
+        """Ask each nodelet's proxy, which does not say what is latched, or how old."""
+        found: Counts = {}
+        for name in nodelets:
+            asked = time.monotonic()
+            try:
+                ports = self._proxies.get_statistics(name, _TIMEOUT).ports
+            except PeerTimeout:
+                break  # each of the others would take that long
+            except HostError:
+                found[name] = None
+                continue
+            answered = time.monotonic()
+            found[name] = {
+                port.port: Count(port.messages or 0, asked, answered)
+                for port in ports
+                if port.direction == OUT
+            }
+        return found
+
+
+class MessageCounter:
+    """Makes a handle for each topic to be counted; none of its methods waits for the master."""
+
+    def __init__(self, registrar: Registrar) -> None:
+        """Count nothing yet; ``registrar`` knows what the master has yet to be told."""
+        self._registrar = registrar
+        self._registrations = Workers("registering to count messages", 1)
+
+    def listen(self, topic: str) -> Listening:
+        """Begin to count the messages of a topic, of any type."""
+        return _TopicCounter(topic, self._registrar, self._registrations)
+
+    def close(self) -> None:
+        """Register nothing any more."""
+        self._registrations.close(_END_PATIENCE)
+
+
+class _TopicCounter(Listening):
+    def __init__(self, topic: str, registrar: Registrar, registrations: Workers) -> None:
+        self._topic = topic
+        self._registrar = registrar
+        self._registrations = registrations
+        self._state_lock = state_lock("message counter")
+        self._messages = 0
+        self._age: Optional[float] = None
+        self._is_age_wanted = True
+        self._closed = False
+        self._subscriber: Optional[Any] = None
+        registrations.run(self._register)
+
+    def count(self) -> Optional[Count]:
+        if self._subscriber is None or not self._registrar.is_subscribed(self._topic):
+            return None
+        now = time.monotonic()
+        with self._state_lock:
+            self._is_age_wanted = True
+            return Count(self._messages, now, now, age=self._age)
+
+    def close(self) -> None:
+        self._closed = True
+        self._registrations.run(self._unregister)
+
+    # Both are called by the one thread of registrations.
+
+    def _register(self) -> None:
+        if not self._closed:
+            self._subscriber = rospy.Subscriber(
+                self._topic, rospy.AnyMsg, self._add_one, queue_size=1
+            )
+
+    def _unregister(self) -> None:
+        if self._subscriber is not None:
+            self._subscriber.unregister()
+
+    def _add_one(self, message: Any) -> None:
+        with self._state_lock:  # rospy calls from a thread for each publisher
+            self._messages += 1
+            is_age_wanted, self._is_age_wanted = self._is_age_wanted, False
+        if is_age_wanted:
+            self._age = age_of_serialised(message)

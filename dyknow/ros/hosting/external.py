@@ -1,0 +1,420 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Nodelet managers and re-wirable nodes that the DyKnow manager did not start, on any host.
+
+Nodelet managers are named by the settings. Each re-wirable node announces its name to everybody
+who begins to listen to one topic, so it does not matter which side begins first.
+
+Who owns what: an ``External`` owns what is known of one process, and a thread that finds it out.
+While the process answers, each caller asks it directly over a kept connection. The first caller
+without an answer marks it as unresponsive; from then on every call fails at once and only the
+thread goes on asking, so no call waits for a host that is away.
+
+The ROS master decides which process bears a name. When another process registers under the name
+while the host of the first is away, the master cannot tell the first to end. The thread does so as
+soon as it can be reached.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from typing import Callable, FrozenSet, Iterable, List, Optional
+
+import rospy
+from dyknow_msgs.msg import NodeletChanges
+from dyknow_msgs.srv import GetCounts
+
+from dyknow import names
+from dyknow.backoff import Backoff
+from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.locks import state_lock
+from dyknow.manager.host import ManagerState
+from dyknow.model.graph import NodeletKind
+from dyknow.periodic import PeriodicWorker
+from dyknow.ros.addresses import host_of
+from dyknow.ros.hosting.counts import SERVICE as COUNTS
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.hosting.peer import LIST_TIMEOUT, ListClient, NodeletPeer
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+
+#: Seconds for a new connection and the first answer over it, on a slow link.
+FIND_TIMEOUT = 3.0
+#: Seconds between two attempts to find a process, doubling up to the longest.
+_FIRST_PAUSE = 0.25
+_LONGEST_PAUSE = 2.0
+#: Poll period for a responsive nodelet manager (detects that another process took its name).
+_PERIOD = 1.0
+#: Seconds for which a node is looked for that has ended, or whose name was announced. Should it
+#: come back later, rospy connects again and it announces itself again.
+_NODE_PATIENCE = 10.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass(frozen=True)
+class Process:
+    """The process that bears a name.
+
+    Attributes:
+        uri: address of its node.
+        pid: its process id.
+        kind: what it hosts, or is; None for a stock C++ nodelet manager, whose nodelets have no
+            ports.
+    """
+
+    uri: str
+    pid: int
+    kind: Optional[NodeletKind]
+
+    @property
+    def incarnation(self) -> str:
+        """Differs for every process."""
+        return f"{self.uri}@{self.pid}"
+
+
+@dataclass(frozen=True)
+class Presence:
+    """What is known of the process behind a name.
+
+    Attributes:
+        process: the last that answered; None if it has ended, or none has answered yet.
+        trouble: why it cannot be asked; empty if it can.
+        away: whether the trouble is that it did not answer: it may run all the same.
+        nodelets: what it ran when it was asked last.
+        unseen: whether the first attempt to find it is not over yet.
+    """
+
+    process: Optional[Process] = None
+    trouble: str = "it has not answered yet"
+    away: bool = True
+    nodelets: FrozenSet[str] = frozenset()
+    unseen: bool = True
+
+
+class NotRunning(HostError):
+    """The master has no node of that name, or it is another sort of node."""
+
+
+class External(NodeletPeer):
+    """One nodelet manager or re-wirable node that others started; safe from any thread."""
+
+    def __init__(
+        self,
+        context: PeerContext,
+        name: str,
+        is_node: bool = False,
+        on_gone: Callable[[External], None] = lambda gone: None,
+    ) -> None:
+        """Prepare; ``start`` begins to look for it.
+
+        Args:
+            context: what all peers share.
+            name: its global name.
+            is_node: whether a re-wirable node is meant, not a nodelet manager.
+            on_gone: called when a node has been gone for so long that it is not looked for.
+        """
+        super().__init__(context, name)
+        self.is_node = is_node
+        self._on_gone = on_gone
+        self._master = context.master
+        self._state_lock = state_lock("external process")
+        self._presence = Presence()
+        self._client = ListClient(self._master, name, is_node=is_node)
+        #: Processes that bore the name before and have not been told yet that they lost it.
+        self.displaced: List[Process] = []
+        self._reported = Presence()
+        self._expected_until = time.monotonic() + _NODE_PATIENCE
+        self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
+        self._period: Optional[float] = 0.0
+        self._worker = PeriodicWorker(
+            f"looking for {self._title}", self._round, lambda: self._period, pause=0.0
+        )
+        self.start = self._worker.start
+
+    @property
+    def presence(self) -> Presence:
+        """What is known of it now."""
+        return self._presence
+
+    @property
+    def state(self) -> ManagerState:
+        """What is known of it now, as the manager sees it."""
+        known = self._presence
+        kind = known.process.kind if known.process is not None else NodeletKind.PYTHON
+        return ManagerState(
+            self.name,
+            kind or NodeletKind.CPP,
+            known.process.incarnation if known.process is not None else "",
+            own=False,
+            responsive=not known.trouble,
+            away=known.away,
+            unseen=known.unseen,
+            rewirable=kind is not None,
+            host=host_of(known.process.uri) if known.process is not None else "",
+        )
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether it may hold a lease; one that has ended publishes no more."""
+        known = self._presence
+        return (not known.trouble or known.away) and super().may_publish
+
+    def check(self) -> None:
+        """Refuse to ask one that cannot be asked.
+
+        Raises:
+            HostTimeout: it did not answer when it was asked last.
+            HostError: it is not there.
+        """
+        self._refuse_if_missed(self._presence)
+
+    def list(self, incarnation: str = "") -> List[str]:
+        """Ask for its nodelets, if it answers at all."""
+        while True:
+            with self._state_lock:
+                client, known = self._client, self._presence
+            self._refuse_if_missed(known)
+            assert known.process is not None
+            if incarnation not in ("", known.process.incarnation):
+                raise HostError(f"{self._title} is another process by now")
+            try:
+                names = client.list()
+            except (HostError, PeerTimeout) as error:
+                # A lost connection is no proof that it has ended: the thread finds that out.
+                self._miss(client, error, away=self.is_node or may_be_there(error))
+                self._worker.wake()
+                continue  # now there is a new connection, or trouble
+            with self._state_lock:
+                if client is self._client:
+                    self._presence = replace(self._presence, nodelets=frozenset(names))
+            return names
+
+    def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
+        """Probe it once more, if it was not found the last time, and wait for the outcome.
+
+        One that does not answer is not waited for.
+
+        Args:
+            timeout: seconds to wait at most.
+        """
+        known = self._presence
+        if known.unseen or (known.trouble and not known.away):
+            self._worker.wait_for(self._worker.wake(), timeout)
+
+    def expect(self) -> None:
+        """Look for a node for some more time: its name was announced."""
+        self._expected_until = time.monotonic() + _NODE_PATIENCE
+        self._worker.start()
+        self._worker.wake()
+
+    def forget(self, nodelet: str) -> None:
+        """Note that a nodelet which it ran is loaded elsewhere now."""
+        with self._state_lock:
+            nodelets = self._presence.nodelets - {nodelet}
+            self._presence = replace(self._presence, nodelets=nodelets)
+
+    def look(self) -> None:
+        """Find out whether it is there, and which process it is."""
+        if self._presence.trouble or not self.is_node:
+            self._find()
+        if not self._presence.trouble:
+            self.displaced = [each for each in self.displaced if not self._end(each)]
+
+    def close(self) -> None:
+        """Look for it no more."""
+        super().close()
+        self._worker.close()
+        self._client.close()
+
+    # Inside
+
+    @property
+    def _title(self) -> str:
+        return f"{'node' if self.is_node else 'nodelet manager'} '{self.name}'"
+
+    def _round(self) -> None:
+        self.look()
+        self._report()
+        known = self._presence
+        if known.trouble or self.displaced:
+            self._backoff.failed(self.name)
+            self._period = self._backoff.remaining(self.name)
+        else:
+            self._backoff.forgive(self.name)
+            self._period = None if self.is_node else _PERIOD
+        if self.is_node and known.process is None and time.monotonic() > self._expected_until:
+            self._on_gone(self)
+
+    def _report(self) -> None:
+        """Log what has changed, and say that something has."""
+        before, now = self._reported, self._presence
+        self._reported = now
+        was, is_now = before.process, now.process
+        if (was, bool(before.trouble), before.away) == (is_now, bool(now.trouble), now.away):
+            return
+        title = self._title.replace("'", "")
+        if is_now is not None and not now.trouble:
+            _log.info("%s is there (%s)", title, is_now.incarnation)
+        elif not self.is_node or is_now is not None:
+            _log.warning("%s cannot be asked: %s", title, now.trouble)
+        elif was is not None:
+            _log.info("%s is gone", title)
+            self.withdraw_guards()
+        self.context.on_change()
+
+    def _refuse_if_missed(self, known: Presence) -> None:
+        if known.trouble:
+            text = f"{self._title}: {known.trouble}"
+            raise HostTimeout(text) if known.away else HostError(text)
+
+    def _miss(self, client: ListClient, trouble: Exception, away: bool) -> None:
+        """Note that it cannot be asked, unless it was found again meanwhile."""
+        with self._state_lock:
+            if client is not self._client:
+                return
+            known = self._presence
+            process = known.process if away else None
+            if not known.trouble:
+                self._expected_until = time.monotonic() + _NODE_PATIENCE
+            self._presence = Presence(process, str(trouble), away, known.nodelets, unseen=False)
+
+    def _find(self) -> None:
+        known = self._presence
+        try:
+            uri = self._master.node(self.name)
+        except PeerTimeout as error:
+            if known.trouble:
+                self._miss(self._client, error, away=True)
+            return  # a master that is away says nothing of the process
+        if uri and not known.trouble and known.process is not None and known.process.uri == uri:
+            return
+        client = ListClient(self._master, self.name, reconnects=False, is_node=self.is_node)
+        try:
+            if not uri:
+                raise NotRunning("it is not running")
+            pid = self._master.pid(self.name, uri, LIST_TIMEOUT)
+            nodelets = frozenset(client.list(FIND_TIMEOUT))
+            found = Process(uri, pid, self._kind())
+        except (HostError, PeerTimeout, LookupError) as error:
+            client.close()
+            self._miss(self._client, error, may_be_there(error))
+            return
+        with self._state_lock:
+            before, old, self._client = self._presence, self._client, client
+            self._presence = Presence(found, "", False, nodelets, unseen=False)
+        old.close()
+        if before.process is not None and before.process.uri != uri:
+            self.displaced.append(before.process)
+
+    def _kind(self) -> Optional[NodeletKind]:
+        client = ServiceClient(self._master, names.join(self.name, COUNTS), GetCounts)
+        try:
+            kind = client.call(LIST_TIMEOUT, [self.name]).kind
+        except (ServiceFailed, ServiceLost):
+            return None
+        if not self.is_node:
+            return NodeletKind.PYTHON if kind == NodeletKind.PYTHON.value else NodeletKind.CPP
+        if kind not in [each.value for each in NodeletKind if each.is_node]:
+            raise NotRunning("it is no re-wirable node")
+        return NodeletKind(kind)
+
+    def _end(self, displaced: Process) -> bool:
+        """Tell a process to end whose name another one bears now; returns whether it knows."""
+        reason = f"another node bears the name {self.name}"
+        try:
+            if self._master.pid(self.name, displaced.uri, LIST_TIMEOUT) == displaced.pid:
+                self._master.shut_down(self.name, displaced.uri, reason, LIST_TIMEOUT)
+        except PeerTimeout as error:
+            return not may_be_there(error)
+        except LookupError:
+            return True
+        return True
+
+
+def may_be_there(trouble: BaseException) -> bool:
+    """Whether the host did not answer at all, so that the process may run all the same."""
+    answers = (ConnectionRefusedError, ConnectionResetError, LookupError, NotRunning)
+    return not isinstance(trouble, answers) and not isinstance(trouble.__cause__, answers)
+
+
+class Externals:
+    """All external nodelet managers, and the re-wirable nodes that run."""
+
+    def __init__(
+        self,
+        context: PeerContext,
+        managers: Iterable[str] = (),
+        is_child: Callable[[str], bool] = lambda name: False,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            context: what all peers share.
+            managers: names of the nodelet managers.
+            is_child: whether a node of that name is a child of ours, and not external.
+        """
+        self._context = context
+        self._is_child = is_child
+        self._state_lock = state_lock("external processes")
+        self._externals = {name: External(context, name) for name in sorted(set(managers))}
+        self._subscriber: Optional[rospy.Subscriber] = None
+
+    def start(self) -> None:
+        """Begin to look for the nodelet managers, side by side."""
+        for each in list(self._externals.values()):
+            each.start()
+
+    def listen(self) -> None:
+        """Listen for re-wirable nodes from now on."""
+        self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, self._announced)
+
+    def look_for(self, nodes: Iterable[str]) -> None:
+        """Find nodes that may run, before they announce their names; waits for the outcome."""
+        for each in [self._expect(name) for name in nodes]:
+            each.look_now()
+
+    def all(self) -> List[External]:
+        """Return the nodelet managers, there or not, and the nodes that are there, by name."""
+        with self._state_lock:
+            found = [self._externals[name] for name in sorted(self._externals)]
+        return [each for each in found if not each.is_node or each.presence.process is not None]
+
+    def find(self, name: str) -> Optional[External]:
+        """Return the one of that name; None if there is none, or if it is a node and gone."""
+        found = self._externals.get(name)
+        if found is not None and found.is_node and found.presence.process is None:
+            return None
+        return found
+
+    def hosting(self, nodelet: str) -> Optional[External]:
+        """Return the one that ran a nodelet when it was asked last, if there is one."""
+        return next((each for each in self.all() if nodelet in each.presence.nodelets), None)
+
+    def close(self) -> None:
+        """Look for none of them any more."""
+        if self._subscriber is not None:
+            self._subscriber.unregister()
+        for each in list(self._externals.values()):
+            each.close()
+
+    def _announced(self, message: NodeletChanges) -> None:
+        """Note nodes that announce themselves, on rospy's threads."""
+        for name in message.nodelets:
+            if not self._is_child(name):
+                self._expect(name)
+
+    def _expect(self, name: str) -> External:
+        made = External(self._context, name, is_node=True, on_gone=self._drop)
+        with self._state_lock:
+            found = self._externals.setdefault(name, made)
+        found.expect()
+        return found
+
+    def _drop(self, gone: External) -> None:
+        with self._state_lock:
+            self._externals.pop(gone.name, None)
+        gone.close()

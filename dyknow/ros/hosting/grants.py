@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What a process is granted: the lease to publish on topics of claims, and the guards.
+
+Who owns what: a ``Lease`` owns a kept connection, and a thread that alone uses it, started when
+the lease is granted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from dataclasses import dataclass, field
+from typing import Callable, Dict, Mapping, Optional, Sequence
+
+from dyknow_msgs.srv import RenewLease
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.guards import NO_GUARDS, Guards
+from dyknow.locks import state_lock
+from dyknow.manager.host import ManagerState
+from dyknow.periodic import STEADY, Clock, PeriodicWorker
+from dyknow.ros.master import Master
+from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
+from dyknow.ros.nodelets.lease_service import SERVICE
+from dyknow.ros.service_client import ServiceClient, ServiceLost
+
+#: Seconds that a lease holds.
+DURATION = 2.0
+#: Seconds between the beginnings of two renewals; on a slow link one begins when the last ended.
+_PERIOD = 0.25
+#: The same for a process that has not answered yet, or knows no leases.
+_UNCONFIRMED_PERIOD = 1.0
+_TIMEOUT = 1.0
+#: Seconds between two checks that the guards are still there.
+GUARDS_PERIOD = 1.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass(eq=False)
+class PeerContext:
+    """What the peers of one DyKnow manager share.
+
+    Attributes:
+        master: the ROS master; its caller is the manager's node.
+        guards: what nodelets must not do.
+        uri: address of the manager's node.
+        on_change: called when a process is up or has ended, or a lease has run out.
+        running: time for which this process has run (s): a manager that was stopped asks again
+            before it judges.
+        clock: steady time, for the guards.
+        producers: by topic of a claim, the nodelet that publishes there; empty for none.
+        protected: by process, the nodelets that only this manager may unload.
+    """
+
+    master: Master
+    guards: Guards = NO_GUARDS
+    uri: str = ""
+    on_change: Callable[[], object] = lambda: None
+    running: Callable[[], float] = time.monotonic
+    clock: Clock = STEADY
+    producers: Mapping[str, str] = field(default_factory=dict)
+    protected: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.began = self.running()
+
+    @property
+    def is_young(self) -> bool:
+        """Whether a lease may still hold that an earlier life of the manager granted."""
+        return self.running() - self.began < DURATION
+
+
+class Lease:
+    """Lets one process publish on topics of claims, for ``DURATION`` from each renewal.
+
+    ``dyknow.nodelet.leases`` is the process's side. While a process may hold a lease, nothing that
+    it supplies is replaced, although it does not answer: it has not certainly stopped publishing.
+    """
+
+    def __init__(self, context: PeerContext, name: str, answers: Callable[[], bool]) -> None:
+        """Grant none yet.
+
+        Args:
+            context: has the topics and their producers.
+            name: of the process.
+            answers: whether the process answers otherwise; if not, nothing is renewed.
+        """
+        self._context = context
+        self._name = name
+        self._answers = answers
+        #: When it was answered last, or granted: an earlier life may have done that just before.
+        self._answered: Optional[float] = None
+        self._is_out = False
+        #: Asks one process; another one that has the name later has another clock.
+        self._client = self._new_client()
+        self._confirmed = 0.0
+        self._began = time.monotonic()
+        self._worker = PeriodicWorker(f"lease of {name}", self._renew, self._pause, pause=0.0)
+
+    @property
+    def is_granted(self) -> bool:
+        """Whether it was granted; from then on it is renewed."""
+        return self._answered is not None
+
+    @property
+    def may_be_held(self) -> bool:
+        """Whether the process may still hold one, perhaps from an earlier life of the manager."""
+        if self._answered is None:
+            return self._context.is_young
+        return self._context.running() - self._answered < DURATION
+
+    def grant(self) -> None:
+        """Renew it now, and again and again."""
+        if self._answered is None:
+            self._answered = self._context.running()
+        self._worker.start()
+        self._worker.wake()
+
+    def release(self) -> None:
+        """Renew it no more, and take it back, so that all may go on."""
+        self._worker.close()
+        if not self._answers():
+            return
+        try:
+            self._client.call(_TIMEOUT, **self._request(0.0, {}))
+        except (HostError, PeerTimeout) as error:
+            _log.debug("the lease of %s is not taken back: %s", self._name, error)
+
+    def close(self) -> None:
+        """Renew it no more."""
+        self._worker.close()
+        self._client.close()
+
+    def _pause(self) -> float:
+        period = _PERIOD if self._confirmed else _UNCONFIRMED_PERIOD
+        return max(0.0, self._began + period - time.monotonic())
+
+    def _renew(self) -> None:
+        self._began = time.monotonic()
+        try:
+            if self._answers():
+                is_first = not self._confirmed
+                self._call()
+                if is_first:  # it only asked for the clock
+                    self._call()
+        except ServiceLost:
+            self._client.close()
+            self._client, self._confirmed = self._new_client(), 0.0
+        except (HostError, PeerTimeout) as error:
+            _log.debug("the lease of %s is not renewed: %s", self._name, error)
+        was_out, self._is_out = self._is_out, not self.may_be_held
+        if self._is_out and not was_out:
+            self._context.on_change()
+
+    def _call(self) -> None:
+        request = self._request(self._confirmed, self._context.producers)
+        answer = self._client.call(_TIMEOUT, **request)
+        self._answered, self._confirmed = self._context.running(), answer.clock
+
+    def _request(self, confirmed: float, producers: Mapping[str, str]) -> Dict[str, object]:
+        topics = sorted(producers)
+        return {
+            "uri": self._context.uri,
+            "confirmed": confirmed,
+            "duration": DURATION,
+            "topics": topics,
+            "nodelets": [producers[topic] for topic in topics],
+        }
+
+    def _new_client(self) -> ServiceClient:
+        service = names.join(self._name, SERVICE)
+        return ServiceClient(self._context.master, service, RenewLease, True, reconnects=False)
+
+
+class Guarding:
+    """Whether one process has the guards, which are a parameter of its own at the master.
+
+    With them go the names of the nodelets that only this DyKnow manager may unload
+    (``dyknow.ros.nodelets.guard_parameters``). Guards that are missing, or were changed by another
+    program, are handed over again. Stock nodelet managers enforce nothing, and get none.
+    """
+
+    def __init__(self, context: PeerContext, name: str) -> None:
+        self._context = context
+        self._name = name
+        self._state_lock = state_lock("handover of guards")
+        #: Incarnation that has the guards, and the nodelets named to it.
+        self._done: object = None
+        self._seen = 0.0
+        self._trouble = ""
+
+    @property
+    def _key(self) -> str:
+        return names.join(self._name, guards_key(self._context.master.caller))
+
+    def hand_over(self, state: ManagerState) -> None:
+        """Hand them over, unless the process has them; a failure is logged."""
+        if not state.alive or not state.rewirable:
+            return
+        now = self._context.clock.now()
+        protected = tuple(sorted(self._context.protected.get(self._name, ())))
+        with self._state_lock:
+            is_known = self._done == (state.incarnation, protected)
+            if is_known and now - self._seen < GUARDS_PERIOD:
+                return
+            self._seen = now
+        parameter = to_parameter(self._context.guards, protected)
+        try:
+            if is_known and self._present() == parameter:
+                return
+            self._context.master.ask("setParam", self._key, parameter)
+        except (PeerTimeout, LookupError) as error:
+            with self._state_lock:
+                is_news, self._trouble = not self._trouble, str(error)
+            if is_news:
+                _log.warning("%s cannot be given the guards yet: %s", self._name, error)
+            return
+        with self._state_lock:
+            self._done = (state.incarnation, protected)
+            had_failed, self._trouble = bool(self._trouble), ""
+        if had_failed:
+            _log.info("%s has the guards now", self._name)
+        elif is_known:
+            _log.warning("%s: the guards were missing or changed, and are set again", self._name)
+
+    def check(self) -> None:
+        """Raise ``HostError`` if they could not be handed over."""
+        if self._trouble:
+            raise HostError(
+                f"nodelet manager '{self._name}' does not have the guards yet: {self._trouble}"
+            )
+
+    def withdraw(self) -> None:
+        """Remove them, as far as the master answers."""
+        with contextlib.suppress(LookupError, PeerTimeout):
+            self._context.master.ask("deleteParam", self._key)
+
+    def _present(self) -> object:
+        try:
+            return self._context.master.ask("getParam", self._key)
+        except LookupError:
+            return None

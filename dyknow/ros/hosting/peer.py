@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A process that runs nodelets, as the manager's node knows it and asks it.
+
+There are three sorts: children of ours (``child``), external nodelet managers and re-wirable nodes
+(both ``external``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+from abc import ABC, abstractmethod
+from typing import Dict, Iterator, List
+
+from dyknow_msgs.srv import GetCounts
+from nodelet.srv import NodeletList
+
+from dyknow import names
+from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.manager.host import ManagerState
+from dyknow.ros.hosting.counts import SERVICE as COUNTS
+from dyknow.ros.hosting.counts import CountClient
+from dyknow.ros.hosting.grants import Guarding, Lease, PeerContext
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
+
+#: Seconds for the list of a process, over a connection that is there.
+LIST_TIMEOUT = 1.0
+
+
+class LoadFailure(enum.Enum):
+    """How the last load of a nodelet failed."""
+
+    LATE = "not up in time; it may still come up"
+    REFUSED = "refused; there is nothing to unload"
+
+
+class NodeletPeer(ABC):
+    """One process that runs nodelets, or its successors of the same name; thread-safe.
+
+    Attributes:
+        name: its global node name.
+        counts: how many messages its nodelets have sent.
+        lease: lets it publish on topics of claims.
+        failures: loads that failed, by nodelet.
+        details: what ails its nodelets, as it announced.
+    """
+
+    def __init__(self, context: PeerContext, name: str) -> None:
+        """Prepare; nothing is connected yet."""
+        self.name = name
+        self.context = context
+        self.counts = CountClient(context.master, name)
+        self.lease = Lease(context, name, lambda: self.answers)
+        self.failures: Dict[str, LoadFailure] = {}
+        self.details: Dict[str, str] = {}
+        self._guarding = Guarding(context, name)
+
+    @property
+    @abstractmethod
+    def state(self) -> ManagerState:
+        """What is known of it now; it is not asked."""
+
+    @abstractmethod
+    def list(self, incarnation: str = "") -> List[str]:
+        """Return the names of its nodelets, sorted.
+
+        Args:
+            incarnation: the process that is meant; empty for any.
+
+        Raises:
+            HostTimeout: it does not answer, or did not when it was asked last.
+            HostError: it is not there, or is another process.
+        """
+
+    @property
+    def answers(self) -> bool:
+        """Whether it is there, and answered when it was asked last."""
+        state = self.state
+        return state.alive and state.responsive
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether it may hold a lease; while it may, it must not be taken for lost."""
+        return self.lease.may_be_held
+
+    def hand_over(self) -> None:
+        """Hand the guards over, unless it has them as they are now.
+
+        A failure is logged, and tried again by the next call.
+        """
+        self._guarding.hand_over(self.state)
+
+    def check_guards(self) -> None:
+        """Refuse to load where the guards could not be handed over.
+
+        Raises:
+            HostError: they could not.
+        """
+        self._guarding.check()
+
+    def withdraw_guards(self) -> None:
+        """Remove the guards, as far as the master answers."""
+        self._guarding.withdraw()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self.counts.close()
+        self.lease.close()
+
+
+class ListClient:
+    """Asks one process for its nodelets, over a connection that is kept.
+
+    When the connection breaks another process may have the name by now. Its list says nothing of
+    the nodelets of this one, so it is not taken for an answer.
+    """
+
+    def __init__(
+        self, master: Master, name: str, reconnects: bool = True, is_node: bool = False
+    ) -> None:
+        """Prepare.
+
+        Args:
+            master: where the process is looked up.
+            name: its global name.
+            reconnects: whether to connect again when the connection is lost.
+            is_node: whether it is a node; that answers for as long as it runs itself.
+        """
+        service, question = (COUNTS, GetCounts) if is_node else ("list", NodeletList)
+        self._client = ServiceClient(
+            master, names.join(name, service), question, persistent=True, reconnects=reconnects
+        )
+        self._node = name if is_node else ""
+        self._address = ""
+        #: Whether the last question was answered in time.
+        self.answers = True
+
+    def list(self, timeout: float = LIST_TIMEOUT) -> List[str]:
+        """Return the names of its nodelets, sorted.
+
+        Raises:
+            PeerTimeout: no answer in time.
+            HostError: it is not there, or another process has its name.
+        """
+        try:
+            if self._node:
+                self._client.call(timeout, [self._node])
+                found = [self._node]
+            else:
+                found = self._client.call(timeout).nodelets
+        except PeerTimeout:
+            self.answers = False
+            raise
+        self.answers = True
+        self._address = self._address or self._client.address
+        if self._client.address != self._address:
+            self._client.close()
+            raise HostError("another process has that name now")
+        return sorted(found)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+
+@contextlib.contextmanager
+def host_errors(whom: str = "") -> Iterator[None]:
+    """Turn a time-out or a refusal into an error of the host, whose text begins with ``whom``."""
+    try:
+        yield
+    except (PeerTimeout, LookupError) as error:
+        kind = HostTimeout if isinstance(error, PeerTimeout) else HostError
+        raise kind(f"{whom}: {error}" if whom else str(error)) from error
