@@ -4,10 +4,9 @@
 """Modules of one nodelet's own, beside those that the process shares.
 
 Code that is executed with ``__builtins__`` of its own imports by the ``__import__`` in there.
-Functions keep the globals that they were defined in, so every thread that runs such code, whoever
-started it, finds the same modules. An ``Importer`` is that ``__import__``: it executes copies of
-some modules, puts *views* in place of others (rospy as one nodelet is to see it), and leaves the
-rest to Python.
+Functions keep the globals that they were defined in, so every thread that runs such code finds
+the same modules. An ``Importer`` is that ``__import__``: it executes copies of some modules, puts
+*views* in place of others (rospy as one nodelet is to see it), and leaves the rest to Python.
 """
 
 from __future__ import annotations
@@ -42,20 +41,14 @@ from dyknow.nodelet.module_files import is_standard, package_spec
 
 Module = types.ModuleType
 
-#: Subpackages that hold messages, whose classes are the same for everybody.
+#: Subpackages that hold messages, whose classes the whole process shares.
 _MESSAGES = ("msg", "srv")
 
 
 class View(Module):
-    """A module some of whose members are replaced; all others are the real one's."""
+    """A proxy module that overrides some members of a real module, or adds some."""
 
     def __init__(self, real: Module, members: Mapping[str, Any]) -> None:
-        """Make a view.
-
-        Args:
-            real: the module.
-            members: what takes the place of its members, or stands beside them.
-        """
         super().__init__(real.__name__, real.__doc__)
         public = getattr(real, "__all__", None)
         if public is None:
@@ -65,7 +58,7 @@ class View(Module):
             self.__path__ = real.__path__
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the real module has."""
+        """Return a member of the real module."""
         return getattr(self.__dict__["_real"], name)
 
 
@@ -73,7 +66,7 @@ class Importer:
     """The modules of one owner.
 
     Attributes:
-        modules: by name: views, copies, and what they were given of the process's modules.
+        modules: by name: views, copies, and modules of the process that these import.
         path: where modules are searched; code may change it.
     """
 
@@ -87,15 +80,15 @@ class Importer:
         search: Sequence[str] = (),
         is_alone: bool = False,
     ) -> None:
-        """Make an importer that has its views alone.
+        """Make an importer without copies.
 
         Args:
             is_own: whether a module is to be copied, by its top-level name; or, below a view, by
                 its full name.
-            folders: what is in them is copied; they are searched first.
-            views: makes what takes the place of modules, by name, when it is imported.
+            folders: modules in them are copied; they are searched first.
+            views: makes a view, by the name of the module, when that is imported.
             blind: top-level names of copies that are to see the process's modules, not the views.
-            functions: what takes the place of built-in functions.
+            functions: replacements of built-in functions.
             search: further folders that are searched, before those of the process.
             is_alone: whether the process is the owner's: copies are in ``sys.modules`` too, and
                 the path is ``sys.path`` itself.
@@ -137,7 +130,7 @@ class Importer:
         return self._load(name) if self._concerns(name) else importlib.import_module(name)
 
     def everything(self) -> MutableMapping[str, Module]:
-        """What ``sys.modules`` is to its code."""
+        """The ``sys.modules`` of its code."""
         return (_AllModules if self._is_alone else collections.ChainMap)(self.modules, sys.modules)
 
     def files(self) -> Iterator[str]:
@@ -149,7 +142,7 @@ class Importer:
     def clear(self) -> bool:
         """Empty the copies, whose functions and variables refer to each other.
 
-        Nothing happens while a thread runs their code, which is returned as False.
+        Nothing happens, and False is returned, while a thread runs their code.
         """
         copies = [
             vars(module)
@@ -170,7 +163,10 @@ class Importer:
     # Inside
 
     def _dataclass(self, cls: Optional[Type[Any]] = None, **options: Any) -> Any:
-        """Make a dataclass, whose annotations Python looks up in a module in ``sys.modules``."""
+        """Replace ``dataclass``, which resolves annotations in a module in ``sys.modules``.
+
+        The copied module is there meanwhile.
+        """
 
         def make(cls: Type[Any]) -> Any:
             name = cls.__module__
@@ -217,9 +213,9 @@ class Importer:
         fromlist: Optional[Sequence[str]] = (),
         level: int = 0,
     ) -> Module:
-        if not level and name.partition(".")[0] in self._hidden:
-            return builtins.__import__(name, globals, locals, fromlist or (), 0)
-        return self._import(name, globals, locals, fromlist, level)
+        hides = not level and name.partition(".")[0] in self._hidden
+        load: Callable[..., Module] = builtins.__import__ if hides else self._import
+        return load(name, globals, locals, fromlist or (), level)
 
     def _concerns(self, name: str) -> bool:
         top = name.partition(".")[0]
@@ -267,7 +263,7 @@ class Importer:
             return self.modules[name]
 
     def _spec(self, name: str, parent: Optional[Module]) -> Optional[ModuleSpec]:
-        """What to execute for a module; None if it is to be that of the process."""
+        """Find the code of a module; None if it is to be that of the process."""
         if parent is None:
             spec = package_spec(name, self.path)
             is_ours = True

@@ -3,8 +3,8 @@
 
 """Where modules come from: which are Python's own, and which need a library.
 
-What catkin puts into a devel space executes the files of the source space; it is followed to
-those. There is one way to find a package, for shared modules and for copies: ``package_spec``.
+The files that catkin puts into a devel space execute those of the source space; they are followed
+to these. There is one way to find a package, for shared modules and for copies: ``package_spec``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,7 @@ import sysconfig
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import (
-    Collection,
-    Dict,
-    FrozenSet,
-    Iterator,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Collection, Dict, FrozenSet, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.locks import state_lock
 
@@ -38,16 +28,16 @@ _SCRIPT_RELAY = re.compile(r"^python_script = (['\"])(.*?)\1$", re.MULTILINE)
 _IMPORTED = re.compile(r"^[ \t]*(?:import|from)[ \t]+([A-Za-z_]\w*)", re.MULTILINE)
 _STANDARD = tuple(os.path.join(sysconfig.get_paths()[key], "") for key in ("stdlib", "platstdlib"))
 _THIRD_PARTY = ("site-packages", "dist-packages")
-#: Folders of a package that import no library: generated messages, and what runs nowhere.
+#: Folders of a package that import no library: generated messages, and tests.
 _LEFT_OUT = frozenset(("msg", "srv", "cfg", "test", "tests", "__pycache__"))
-#: A package with more files than this is no library for ROS.
+#: A package with more files than this is not a library for ROS.
 _MOST_FILES = 100
 
 Stamp = Tuple[int, int]
 
 
 def is_standard(top: str) -> bool:
-    """Whether a top-level module is of Python itself."""
+    """Whether a top-level module belongs to Python itself."""
     if top in sys.builtin_module_names:
         return True
     try:
@@ -65,10 +55,10 @@ def is_standard(top: str) -> bool:
 def package_spec(top: str, path: Collection[str]) -> Optional[ModuleSpec]:
     """Find a top-level module; of a catkin package, with every folder that holds its modules.
 
-    The modules of a package in a devel space are in two folders: what its authors wrote is in the
-    source space, and what catkin generated (``msg``, ``srv``, ``cfg``) in the devel space. A relay
-    in the latter joins them, but it also puts the source space in front of ``sys.path``, so the
-    next search may find the source folder alone. This finds both, whichever comes first.
+    The modules of a package in a devel space are in two folders: the authors' in the source space,
+    and the generated ones (``msg``, ``srv``, ``cfg``) in the devel space. A relay in the latter
+    joins them, but it also puts the source space in front of ``sys.path``, so the next search may
+    find the source folder alone. This finds both, whichever comes first.
 
     Args:
         top: its name.
@@ -135,7 +125,7 @@ class CatkinFinder:
 
 
 def script_file(path: str) -> str:
-    """Return the file that a script is; of a relay in a devel space, what that executes."""
+    """Return the real file of a script; of a relay in a devel space, the file that it executes."""
     real = os.path.realpath(path)
     try:
         with open(real, encoding="utf-8", errors="replace") as file:
@@ -146,7 +136,7 @@ def script_file(path: str) -> str:
 
 
 def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, str]:
-    """Return the source files of a top-level module and of what is below it, by module name.
+    """Return the source files of a top-level module and its submodules, by module name.
 
     Args:
         top: its name.
@@ -177,7 +167,7 @@ def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
 
     Args:
         module: its name.
-        files: what is looked at, by module name.
+        files: the files that are considered, by module name.
     """
     waiting, reached = [module], {}
     while waiting:
@@ -193,7 +183,7 @@ def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
 
 @functools.lru_cache(maxsize=1000)
 def _imported_names(file: str, module: str, stamp: Optional[Stamp]) -> List[str]:
-    """Full names of what a file imports, as it is now; some may be of classes and functions."""
+    """Full names of a file's imports; some may be classes and functions."""
     try:
         tree = ast.parse(Path(file).read_bytes(), file)
     except (OSError, SyntaxError, ValueError):
@@ -211,7 +201,7 @@ def _imported_names(file: str, module: str, stamp: Optional[Stamp]) -> List[str]
 
 
 def stamps(files: Collection[str]) -> Dict[str, Stamp]:
-    """Return what changes when a file is written, of each file that is there."""
+    """Return the time and size of each file that exists, which change when it is written."""
     found = {}
     for file in files:
         try:

@@ -4,9 +4,8 @@
 """Timers of all nodelets on one thread, which sleeps until the next one is due.
 
 The thread only posts to the timer's strand, so a slow callback delays no other timer. A timer
-whose callback has not run yet is not queued a second time, as in roscpp. Waking up costs more than
-all else, so timers that are due shortly after each other are fired together, at most two
-milliseconds late.
+whose callback has not run yet is not queued a second time, as in roscpp. Waking up costs most, so
+timers that are due shortly after each other are fired together, at most two milliseconds late.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ class Timer:
         return not self._done
 
     def shutdown(self) -> None:
-        """Call back no more; a callback that runs is not waited for."""
+        """Stop the calls; a running callback is not waited for."""
         self._done = True
         self._queue.discard(self)
         self._let_go()
@@ -149,7 +148,7 @@ class TimerQueue:
         self.ticker.wake()
 
     def tick(self) -> Optional[float]:
-        """Fire what is due; returns when the next timer is."""
+        """Fire the timers that are due; returns when the next one is."""
         now = self.ticker.now()
         fired: List[Tuple[Timer, float]] = []
         with self._lock:
@@ -161,7 +160,7 @@ class TimerQueue:
                 fired.append((timer, due))
             for timer, due in fired:
                 if not timer.oneshot:
-                    # Due on its grid, but never in a burst to catch up what was slept through.
+                    # Due on its grid, but never in a burst to catch up with missed calls.
                     missed = int((now - due) / timer.period)
                     following = due + (missed + 1) * timer.period
                     heapq.heappush(self._heap, (following, next(self._order), timer))
@@ -181,14 +180,14 @@ class TimerQueue:
         while not self._closed:
             try:
                 self.ticker.wait(self.tick())
-            except Exception:  # the boundary of the thread: timers of others must go on
+            except Exception:  # the boundary of the thread: the other timers must go on
                 _log.exception("the timer thread goes on after an error")
 
 
 def _ignore(event: Any) -> None:
-    """Call nobody back."""
+    """Do nothing."""
 
 
 def _pause(timer: Timer) -> float:
-    """Seconds for which this timer lets others pass; once late, a single call is not missed."""
+    """Seconds by which a timer may be late; once late, a single call is not missed."""
     return _PAUSE if timer.oneshot else _PART_OF_PERIOD * timer.period

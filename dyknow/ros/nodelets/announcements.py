@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers tell of changes on the topic ``~changes``: the names of nodelets, no more.
+"""Nodelet managers announce changes on the topic ``~changes``: the names of nodelets, no more.
 
 A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
-it does not say how they are now. Names that come in quick succession are told once, in one
+it does not say how they are now. Names that come in quick succession are announced once, in one
 message.
 
-A node with ports that is no nodelet manager tells its own name on one topic that all of them
-share, to everybody who begins to listen. So it is found without a question to the ROS master.
+A node with ports that is not a nodelet manager announces its own name on one latched topic that
+all of them share. So it is found without a question to the ROS master.
 """
 
 from __future__ import annotations
@@ -23,27 +23,26 @@ from dyknow.locks import state_lock, turn_lock
 from dyknow.periodic import PeriodicWorker
 
 TOPIC = "changes"
-#: Of the nodes with ports that are no nodelet managers.
+#: Of the nodes with ports that are not nodelet managers.
 NODES_TOPIC = "/dyknow/rewirable_nodes"
-#: Seconds in which changes that follow one that was told are collected.
+#: Seconds after an announcement in which further changes are collected.
 _WINDOW = 0.02
 _QUEUE_SIZE = 1000
 
 
 class Announcer:
-    """The side that tells."""
+    """The side of the nodelet manager.
+
+    Args:
+        everything: names for new listeners, which may have missed some.
+        detail: describes a fault of a nodelet; empty if it has none.
+    """
 
     def __init__(
         self,
         everything: Callable[[], Iterable[str]],
         detail: Callable[[str], str] = lambda name: "",
     ) -> None:
-        """Advertise the topic.
-
-        Args:
-            everything: names for new listeners, which may have missed some.
-            detail: returns what ails a nodelet; empty if nothing does.
-        """
         self._everything = everything
         self._detail = detail
         #: Global names of the topics that it publishes.
@@ -60,19 +59,19 @@ class Announcer:
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
         self._worker.start()
 
-    def tell(self, name: str) -> None:
+    def announce(self, name: str) -> None:
         """Announce a nodelet; returns at once."""
         with self._lock:
             self._names.add(name)
         self._worker.wake()
 
-    def tell_newcomer(self, publish: Callable[[NodeletChanges], None]) -> None:
-        """Announce everything to a new listener."""
+    def announce_all(self, publish: Callable[[NodeletChanges], None]) -> None:
+        """Announce every nodelet to a new listener."""
         names = sorted(self._everything())
         if names:
             publish(self._message(names))
 
-    def tell_of_node(self) -> None:
+    def announce_node(self) -> None:
         """Announce this process as a node with ports, whose services are there."""
         self._node_publisher = rospy.Publisher(
             NODES_TOPIC, NodeletChanges, latch=True, queue_size=1
@@ -111,26 +110,24 @@ class _Newcomers(rospy.SubscribeListener):
     def peer_subscribe(
         self, topic_name: str, topic_publish: Any, peer_publish: Callable[[NodeletChanges], None]
     ) -> None:
-        """Tell a new listener everything."""
-        self._announcer.tell_newcomer(peer_publish)
+        self._announcer.announce_all(peer_publish)
 
 
 class Listener:
-    """The side that is told, by any number of nodelet managers."""
+    """The side that listens to any number of nodelet managers.
 
-    def __init__(self, hear: Callable[[str, str, str], None]) -> None:
-        """Begin without subscriptions.
+    Args:
+        changed: called with the names of a nodelet manager and of its nodelet, and a description
+            of that one's fault, on rospy's threads.
+    """
 
-        Args:
-            hear: called with the names of a nodelet manager and of its nodelet, and what ails
-                that, on rospy's threads.
-        """
-        self._hear = hear
+    def __init__(self, changed: Callable[[str, str, str], None]) -> None:
+        self._changed = changed
         self._turn = turn_lock("listening to nodelet managers")
         self._subscribers: Dict[str, Any] = {}
 
     def follow(self, managers: Iterable[str]) -> None:
-        """Listen to these nodelet managers and no others."""
+        """Listen to these nodelet managers and to no others."""
         wanted: List[str] = sorted(managers)
         with self._turn:
             for manager in [each for each in self._subscribers if each not in wanted]:
@@ -138,12 +135,12 @@ class Listener:
             for manager in wanted:
                 if manager not in self._subscribers:
                     self._subscribers[manager] = rospy.Subscriber(
-                        f"{manager}/{TOPIC}", NodeletChanges, self._told, manager
+                        f"{manager}/{TOPIC}", NodeletChanges, self._receive, manager
                     )
 
-    def _told(self, message: NodeletChanges, manager: str) -> None:
+    def _receive(self, message: NodeletChanges, manager: str) -> None:
         for name, detail in itertools.zip_longest(message.nodelets, message.details):
-            self._hear(manager, name, detail or "")
+            self._changed(manager, name, detail or "")
 
     def close(self) -> None:
         """End all subscriptions."""

@@ -5,9 +5,9 @@
 
 Each DyKnow manager has a parameter of its own, ``~guards/KEY``, and the guards of all add up:
 none lifts what another denies, and each takes away only its own. With them go the names of
-the nodelets that the owner protects: for others these are not unloaded. The parameter server
-tells a nodelet manager of every change, so a check costs no remote call and guards that change
-reach nodelets that run.
+the nodelets that the owner protects from being unloaded by other nodes. The parameter server
+notifies a nodelet manager of every change, so a check costs no remote call and guards that change
+reach running nodelets.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> Dict[str, Any
 
 
 def from_parameter(value: Any) -> Guards:
-    """Read what ``to_parameter`` wrote; what is not there is not guarded."""
+    """Read a value of ``to_parameter``; missing entries guard nothing."""
     if not isinstance(value, dict):
         return NO_GUARDS
     return Guards(
@@ -79,7 +79,7 @@ class GuardParameters:
     """The guards of this process."""
 
     def __init__(self) -> None:
-        """Begin to follow the parameters; the node must be initialised."""
+        """Subscribe to the parameters; the node must be initialised."""
         self._name: str = rospy.resolve_name("~" + _GUARDS)
         self._master = Master(rospy.get_name())
         self._values = ParamServerCache()
@@ -89,12 +89,12 @@ class GuardParameters:
 
     def current(self) -> Guards:
         """Return the guards of this moment, those of all owners together."""
-        return together(from_parameter(each) for each in self._read().values())
+        return together(map(from_parameter, self._read().values()))
 
     def check_caller(self, caller: str, what: str) -> None:
         """Refuse a change in read-only mode, unless a read-only DyKnow manager makes it.
 
-        Such a manager refuses what users ask of it, and still brings back nodelets that died.
+        Such a manager refuses the requests of users, and still restores nodelets that died.
 
         Raises:
             Denied: the mode is read-only.
@@ -102,10 +102,10 @@ class GuardParameters:
         guards = self._read()
         own = from_parameter(guards.get(_key_of(caller)))
         if not own.read_only:
-            together(from_parameter(each) for each in guards.values()).check_writable(what)
+            together(map(from_parameter, guards.values())).check_writable(what)
 
     def check_program(self, caller: str, program: str) -> None:
-        """Refuse to start a script; a DyKnow manager has checked what its own guards say.
+        """Refuse to start a script; a DyKnow manager has checked its own guards.
 
         Raises:
             Denied: it must not be started, or is named by its path.
@@ -119,15 +119,21 @@ class GuardParameters:
     def check_protection(self, caller: str, name: str) -> None:
         """Refuse to unload a nodelet that another DyKnow manager than the caller protects.
 
-        The parameter server itself is asked: its news may still be on the way when a protection
-        has been acknowledged.
+        The parameter server itself is queried: its notification may still be on the way when a
+        protection has been acknowledged.
 
         Raises:
             ProtectedFromUnloading: one does.
         """
         own = _key_of(caller)
-        for key, guards in self._ask().items():
-            if key != own and name in guards.get(_PROTECTED, ()):
+        try:
+            guards = _by_owner(self._master.ask("getParam", self._name))
+        except LookupError:
+            return
+        except PeerTimeout:
+            guards = self._read()
+        for key, each in guards.items():
+            if key != own and name in each.get(_PROTECTED, ()):
                 raise ProtectedFromUnloading(name)
 
     def _read(self) -> Dict[str, Any]:
@@ -136,14 +142,6 @@ class GuardParameters:
         except KeyError:  # it is not set
             return {}
 
-    def _ask(self) -> Dict[str, Any]:
-        try:
-            return _by_owner(self._master.ask("getParam", self._name))
-        except LookupError:
-            return {}
-        except PeerTimeout:
-            return self._read()
-
 
 def _by_owner(value: Any) -> Dict[str, Any]:
     parameters = value.items() if isinstance(value, dict) else ()
@@ -151,18 +149,16 @@ def _by_owner(value: Any) -> Dict[str, Any]:
 
 
 def _keep_apart(name: str, values: ParamServerCache) -> None:
-    """Let rospy put news of parameters at and below ``name`` into a cache of ours.
+    """Let rospy put notifications of parameters at and below ``name`` into a cache of ours.
 
     Its own cache refuses those of a parameter that it does not have yet. If it had ours, it would
     answer ``get_param("~")`` with them alone: of a namespace it returns what it has.
     """
     cache = get_param_server_cache()
     update = cache.update
-
-    def note(key: str, value: Any) -> None:
-        (values.set if f"{key}/".startswith(f"{name}/") else update)(key, value)
-
-    cache.update = note
+    cache.update = lambda key, value: (values.set if f"{key}/".startswith(f"{name}/") else update)(
+        key, value
+    )
 
 
 def caller_of(request: Any) -> str:

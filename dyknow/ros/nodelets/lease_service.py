@@ -1,28 +1,32 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The service with which DyKnow managers renew the leases of this process.
+"""What keeps a process from publishing beside its successor: leases, and the name of the node.
 
-The rules are in ``dyknow.nodelet.leases``; here are the service, the thread that watches over the
-leases, and its look at a manager's host.
+The rules of leases are in ``dyknow.nodelet.leases``; here are the service with which DyKnow
+managers renew them, the thread that watches over them, and its look at a manager's host.
+
+A node ends when another one has registered under its name. The master notifies it at that moment,
+but only once. A node that is cut off just then never hears of it, so each also polls the master.
 """
 
 from __future__ import annotations
 
 import contextlib
 import socket
-from typing import Any
+from typing import Any, Callable
 
 import rosgraph.network
 import rospy
 from dyknow_msgs.srv import RenewLease, RenewLeaseResponse
 
-from dyknow.errors import LimitExceeded
+from dyknow.errors import LimitExceeded, PeerTimeout
 from dyknow.nodelet.bus import Bus
 from dyknow.nodelet.leases import Leases, Sight
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.addresses import connect
+from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 
 SERVICE = "renew_lease"
@@ -30,6 +34,8 @@ SERVICE = "renew_lease"
 PERIOD = 0.2
 #: Seconds for a connection to a manager's host, and for an answer.
 PATIENCE = 0.4
+#: Seconds between two queries of the master for our name, and for its answer.
+NAME_PERIOD = 1.0
 
 _QUESTION = (
     "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param><value>"
@@ -38,15 +44,14 @@ _QUESTION = (
 
 
 class LeaseService(Closable):
-    """Offers the service; the node must be initialised."""
+    """Offers the service; the node must be initialised.
+
+    Args:
+        bus: where the nodelets publish.
+        guards: limits of requests.
+    """
 
     def __init__(self, bus: Bus, guards: GuardParameters) -> None:
-        """Begin without leases.
-
-        Args:
-            bus: where the nodelets publish.
-            guards: limits of requests.
-        """
         self._guards = guards
         self._leases = Leases(lambda topic: bus.owners(topic)[0], bus.fence)
         self._worker = PeriodicWorker(
@@ -55,14 +60,13 @@ class LeaseService(Closable):
         self._service = rospy.Service("~" + SERVICE, RenewLease, self._renew)
 
     def close(self) -> None:
-        """Offer it no more."""
+        """Withdraw the service."""
         self._worker.close()
         self._service.shutdown("the nodelet manager ends")
 
     def _renew(self, request: Any) -> RenewLeaseResponse:
-        texts = (request.uri, *request.topics, *request.nodelets)
         try:
-            self._guards.current().check_sizes(texts)
+            self._guards.current().check_sizes((request.uri, *request.topics, *request.nodelets))
         except LimitExceeded as error:
             raise rospy.ServiceException(str(error)) from error
         if len(request.topics) != len(request.nodelets):
@@ -84,7 +88,7 @@ def look(uri: str) -> Sight:
     try:
         host, port = rosgraph.network.parse_http_host_and_port(uri)
         with contextlib.closing(connect(host, port, PATIENCE)) as connection:
-            return _ask(connection, host)
+            return _query(connection, host)
     except socket.timeout:
         return Sight.SILENT
     except ConnectionError:
@@ -93,7 +97,7 @@ def look(uri: str) -> Sight:
         return Sight.SILENT
 
 
-def _ask(connection: socket.socket, host: str) -> Sight:
+def _query(connection: socket.socket, host: str) -> Sight:
     body = _QUESTION.format(rospy.get_name())
     head = f"POST /RPC2 HTTP/1.0\r\nHost: {host}\r\nContent-Type: text/xml\r\n"
     connection.settimeout(PATIENCE)
@@ -102,3 +106,26 @@ def _ask(connection: socket.socket, host: str) -> Sight:
         return Sight.AT_WORK if connection.recv(1) else Sight.NOT_AT_WORK
     except (socket.timeout, ConnectionError):
         return Sight.NOT_AT_WORK
+
+
+def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
+    """Query the master from time to time, in a thread of its own, which node has a name.
+
+    A master that is away, or knows no node of that name, changes nothing.
+
+    Args:
+        name: of this node.
+        uri: its address.
+        end: called once with the reason when the master has another address.
+    """
+    master = Master(name, timeout=NAME_PERIOD)
+
+    def check() -> None:
+        with contextlib.suppress(PeerTimeout):
+            if master.node(name) not in ("", uri):
+                worker.close()
+                end(f"another node bears the name {name} now")
+
+    worker = PeriodicWorker("looking who bears the name of this node", check, NAME_PERIOD)
+    worker.start()
+    worker.wake()

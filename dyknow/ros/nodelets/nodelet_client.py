@@ -56,15 +56,15 @@ def run_load(
     bond: bool,
     argv: Sequence[str],
 ) -> int:
-    """Load a nodelet, stay until it is gone or not wanted any more, and unload it then.
+    """Load a nodelet, stay until it is gone or a signal comes, and unload it then.
 
     Args:
-        default_name: The name of the node and the nodelet if the command line gives none.
-        nodelet_type: Its class, `pkg/Class`.
-        manager: The manager's name.
-        my_argv: The nodelet's arguments.
-        bond: Whether to watch over each other.
-        argv: The command line with ROS's own arguments, program name first.
+        default_name: name of the node and the nodelet, unless the command line has one.
+        nodelet_type: its class, `pkg/Class`.
+        manager: the manager's name.
+        my_argv: the nodelet's arguments.
+        bond: whether to watch over each other.
+        argv: the command line with ROS's own arguments, program name first.
 
     Returns:
         The process's exit code.
@@ -74,23 +74,19 @@ def run_load(
 
 
 def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
-    """Unload a nodelet by its name.
-
-    Returns:
-        The process's exit code.
-    """
+    """Unload a nodelet by its name; returns the process's exit code."""
     rospy.init_node("nodelet_unloader", argv=list(argv), disable_signals=True)
     return DONE if unload(name, manager, _UNLOAD_TIMEOUT) else FAILED
 
 
 def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bool:
-    """Ask a manager to unload a nodelet; log what happens.
+    """Request an unload from a manager, and log the outcome.
 
     Args:
-        name: The nodelet, with the name under which it was loaded.
-        manager: The manager's name.
-        timeout: How long (s) the manager may take.
-        at_exit: Whether a manager that is gone already is as good: everything may be ending.
+        name: of the nodelet at its load.
+        manager: the manager's name.
+        timeout: seconds that the manager may take.
+        at_exit: whether a manager that is gone already is as good: everything may be ending.
     """
     rospy.loginfo(f"Unloading nodelet {name} from manager {manager}")
     service = f"{manager}/unload_nodelet"
@@ -123,9 +119,7 @@ class _LoadClient:
     def __init__(
         self, name: str, nodelet_type: str, manager: str, my_argv: Sequence[str], bond: bool
     ) -> None:
-        self._name = name
-        self._type = nodelet_type
-        self._manager = manager
+        self._name, self._type, self._manager = name, nodelet_type, manager
         self._my_argv = my_argv
         self._bond_id = f"{name}_{uuid.uuid4()}" if bond else ""
         self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
@@ -231,7 +225,7 @@ class _LoadClient:
 
 
 def _cause(error: rospy.ServiceException) -> str:
-    """What a manager says of a failure, which rospy shows as the representation of bytes."""
+    """The manager's text of a failure, which rospy shows as the representation of bytes."""
     said = re.search(r"responded with an error: (b'.*'|b\".*\")$", str(error), re.DOTALL)
     if said is None:
         return f": {error}"
@@ -241,7 +235,7 @@ def _cause(error: rospy.ServiceException) -> str:
 
 
 def _wait_for(service: str) -> None:
-    """Wait until the service is offered, and say now and then that we do."""
+    """Wait until the service is offered, and log it now and then."""
     rospy.logdebug(f"Waiting for service {service} to be available...")
     if _is_available(service, 1.0):
         return

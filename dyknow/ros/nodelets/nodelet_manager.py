@@ -20,14 +20,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 import rospy
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
-from nodelet.srv import (
-    NodeletList,
-    NodeletListResponse,
-    NodeletLoad,
-    NodeletLoadResponse,
-    NodeletUnload,
-    NodeletUnloadResponse,
-)
+from nodelet import srv
 
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
@@ -48,8 +41,7 @@ from dyknow.ros.messages import counts_message
 from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
-from dyknow.ros.nodelets.lease_service import LeaseService
-from dyknow.ros.nodelets.name_watch import end_when_displaced
+from dyknow.ros.nodelets.lease_service import LeaseService, end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.transport.middleware import rospy_middleware
@@ -143,9 +135,9 @@ class NodeletManager(Closable):
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
-        self._announcer = Announcer(self.loader.list, self._detail)
+        self._announcer = Announcer(self.loader.list, lambda name: self._stuck.detail(name))
         self._stuck = StuckCallbacks(
-            self.loader, rospy.get_name(), settings.stuck_after, self._announcer.tell
+            self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
         self._stuck.start()
         self._services: List[Any] = []
@@ -154,36 +146,31 @@ class NodeletManager(Closable):
         self._ending = False
 
     def offer(self) -> None:
-        """Offer the services of nodelet/Nodelet{Load,Unload,List}, and the one for counts."""
+        """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~get_counts``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._lease_service = LeaseService(self._runtime.bus, self._guards)
-        for name, service_class, handler in (
-            ("~load_nodelet", NodeletLoad, self._load),
-            ("~unload_nodelet", NodeletUnload, self._unload),
-            ("~get_counts", GetCounts, self._get_counts),
-            (
-                "~list",
-                NodeletList,
-                self._list,
-            ),  # the last: where it is, all are
-        ):
-            self._services.append(rospy.Service(name, service_class, handler))
+        self._services += [
+            rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
+            rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
+            rospy.Service("~get_counts", GetCounts, self._get_counts),
+            rospy.Service("~list", srv.NodeletList, self._list),  # the last: where it is, all are
+        ]
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
-        """Host one thing under the name of the node, which is no nodelet manager then.
+        """Host one thing under the name of the node, which is not a nodelet manager then.
 
         Args:
-            kind: what it is.
+            kind: of the thing.
             remappings: table of global names.
         """
         self._kind = kind
         name = rospy.get_name()
         hide_topics(self._announcer.topics)
         self.loader.load(name, kind.value, remappings)
-        self._announcer.tell(name)
+        self._announcer.announce(name)
         self._lease_service = LeaseService(self._runtime.bus, self._guards)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
-        self._announcer.tell_of_node()  # last: who hears of it asks at once
+        self._announcer.announce_node()  # last: subscribers query immediately
 
     def load(
         self,
@@ -204,7 +191,7 @@ class NodeletManager(Closable):
             targets: what to remap them to.
             my_argv: arguments for the nodelet.
             bond_id: the client's end of a bond, empty for none.
-            caller: node that asks for it, empty when it is this one.
+            caller: the requesting node, empty when it is this one.
 
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
@@ -221,13 +208,13 @@ class NodeletManager(Closable):
                 self._guards.check_program(caller, my_argv[0])
         descriptors.check_left()
         self.loader.load(name, type_name, remappings, my_argv)
-        self._announcer.tell(name)
+        self._announcer.announce(name)
         if bond_id:
             self._bond(name, bond_id)
         rospy.loginfo("loaded nodelet %s of type %s%s", name, type_name, _for(caller))
 
     def unload(self, name: str, caller: str = "") -> None:
-        """Unload a nodelet; ``caller`` is the node that asks for it, empty when it is this one.
+        """Unload a nodelet; ``caller`` is the requesting node, empty when it is this one.
 
         Raises:
             UnknownNodelet: there is none of that name.
@@ -246,7 +233,7 @@ class NodeletManager(Closable):
     def close(self) -> None:
         """Unload everything and end.
 
-        No client asked for these unloads, so the list is not answered any more: a manager that
+        No client requested these unloads, so the list is not answered any more: a manager that
         keeps nodelets running has to see a process that ends, not nodelets that go.
         """
         logging.getLogger("rosout").addFilter(_is_no_late_connection)
@@ -264,9 +251,6 @@ class NodeletManager(Closable):
         self._bonds.close()
         self._runtime.close()
         self._record.close()
-
-    def _detail(self, name: str) -> str:
-        return self._stuck.detail(name)
 
     # Bonds
 
@@ -291,7 +275,7 @@ class NodeletManager(Closable):
             rospy.loginfo("%s", error)
 
     def _unloaded(self, name: str) -> None:
-        self._announcer.tell(name)
+        self._announcer.announce(name)
         bond_id = self._bonded.pop(name, None)
         if bond_id is not None:
             self._bonds.remove(bond_id)
@@ -301,12 +285,12 @@ class NodeletManager(Closable):
     def _attach(self, context: Context, thing: Any) -> Optional[Closable]:
         if not isinstance(thing, NodeletProxy):
             return None
-        thing.on_change = lambda: self._announcer.tell(context.name)
+        thing.on_change = lambda: self._announcer.announce(context.name)
         return ProxyServices(thing, self._guards.check_caller)
 
     # Services
 
-    def _load(self, request: Any) -> NodeletLoadResponse:
+    def _load(self, request: Any) -> srv.NodeletLoadResponse:
         try:
             self.load(
                 request.name,
@@ -319,20 +303,20 @@ class NodeletManager(Closable):
             )
         except DyKnowError as error:
             raise _failed("Failed to load nodelet", request.name, error) from error
-        return NodeletLoadResponse(True)
+        return srv.NodeletLoadResponse(True)
 
-    def _unload(self, request: Any) -> NodeletUnloadResponse:
+    def _unload(self, request: Any) -> srv.NodeletUnloadResponse:
         try:
             self.unload(request.name, caller_of(request))
         except DyKnowError as error:
             raise _failed("Failed to unload nodelet", request.name, error) from error
-        return NodeletUnloadResponse(True)
+        return srv.NodeletUnloadResponse(True)
 
-    def _list(self, request: Any) -> NodeletListResponse:
+    def _list(self, request: Any) -> srv.NodeletListResponse:
         running = self.loader.list()
         if self._ending:  # asked last: what this list lacks may have been unloaded by the end
             raise rospy.ServiceException("the nodelet manager ends")
-        return NodeletListResponse(running)
+        return srv.NodeletListResponse(running)
 
     def _get_counts(self, request: Any) -> GetCountsResponse:
         wanted = set(request.nodelets)
@@ -340,17 +324,13 @@ class NodeletManager(Closable):
             self._guards.current().check_sizes(wanted, len(request.nodelets))
         except LimitExceeded as error:
             raise rospy.ServiceException(str(error)) from error
-        proxies = [
-            context.attached
+        counts = [
+            counts_message(context.name, context.attached.get_statistics())
             for context in self.loader.contexts()
             if isinstance(context.attached, NodeletProxy)
             and (not wanted or context.name in wanted)
         ]
-        return GetCountsResponse(
-            [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies],
-            self._kind.value,
-            self._stuck.remains(),
-        )
+        return GetCountsResponse(counts, self._kind.value, self._stuck.remains())
 
 
 def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
@@ -381,9 +361,9 @@ def _for(caller: str) -> str:
 
 
 def _end_without_owner(argv: Sequence[str], end: Callable[[], None]) -> None:
-    """A child of a DyKnow manager ends when that is gone for too long.
+    """End a child of a DyKnow manager when that is gone for too long.
 
-    Its command line says how, since it may have to wait for a master that is gone as well.
+    Its command line has the details, since it may have to wait for a master that is gone as well.
     """
     given = rospy.client.load_command_line_node_params(argv)
     lock, timeout = given.get("owner_lock", ""), float(given.get("orphan_timeout", 0.0))
@@ -407,12 +387,12 @@ def _crash_record() -> CrashRecord:
 
 
 def _make(bound: bool = True) -> NodeletManager:
-    faulthandler.enable()  # a crash prints what each thread was at
+    faulthandler.enable()  # a crash prints the stack of each thread
     return NodeletManager(Settings.read(), bound=bound)
 
 
 def run_manager(argv: Sequence[str], node: str = "manager") -> int:
-    """Run a nodelet manager until it is told to end; returns the exit code."""
+    """Run a nodelet manager until it is to end; returns the exit code."""
 
     def start() -> NodeletManager:
         manager = _make()

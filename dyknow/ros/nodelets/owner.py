@@ -3,7 +3,7 @@
 
 """Which DyKnow manager looks after a nodelet manager, and what happens when none does.
 
-A DyKnow manager holds a lock on a file as long as it lives; the kernel gives the lock back
+A DyKnow manager holds a lock on a file as long as it lives; the kernel releases the lock
 whatever kills it. Each of its nodelet managers waits for that lock: as long as the owner lives
 the wait costs nothing, and its end is noticed at once. An owner that returns in time takes the
 lock again. So there is no heartbeat, and a stopped owner is not a dead one.
@@ -15,6 +15,7 @@ owner.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import signal
@@ -40,7 +41,7 @@ class OwnerLock:
         """Take the lock.
 
         Args:
-            path: the file whose name nodelet managers are given.
+            path: the file whose name nodelet managers get.
 
         Raises:
             StoreError: another owner has it, or the file cannot be made.
@@ -62,26 +63,21 @@ class OwnerLock:
             in_background("owner", self._take_later)
 
     def release(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         self._owners.close()
         self._waiting.close()
 
     def _take_later(self) -> None:
         """Wait for nodelet managers that just find out that the predecessor is gone."""
-        try:
+        with contextlib.suppress(ValueError):  # released before
             _lock(self._waiting, fcntl.LOCK_EX)
-        except ValueError:
-            return  # released before
 
 
 def wait_until_orphaned(path: str, timeout: float) -> None:
     """Return when the lock was free, or the file gone, for ``timeout`` seconds."""
     while True:
-        try:
-            with open(path) as file:
-                _lock(file, fcntl.LOCK_SH)  # blocks as long as there is an owner
-        except FileNotFoundError:
-            pass
+        with contextlib.suppress(FileNotFoundError), open(path) as file:
+            _lock(file, fcntl.LOCK_SH)  # blocks as long as there is an owner
         time.sleep(timeout)
         try:
             with open(path) as file:

@@ -8,14 +8,7 @@ from __future__ import annotations
 from typing import Any, Callable, List, Protocol, Sequence, Tuple
 
 import rospy
-from dyknow_msgs.srv import (
-    GetConfig,
-    GetConfigResponse,
-    GetStatistics,
-    GetStatisticsResponse,
-    SetConfig,
-    SetConfigResponse,
-)
+from dyknow_msgs import srv
 
 from dyknow import names
 from dyknow.errors import DyKnowError
@@ -28,7 +21,7 @@ from dyknow.ros.nodelets.guard_parameters import caller_of
 
 
 class Proxy(Protocol):
-    """What the services ask: a nodelet's proxy, or what stands in for it."""
+    """A nodelet's proxy, or what stands in for it."""
 
     @property
     def name(self) -> str:
@@ -41,14 +34,14 @@ class Proxy(Protocol):
         """Connect ports to topics, all or none; raises DyKnowError."""
 
     def get_statistics(self) -> NodeletStatistics:
-        """Return what the nodelet has done."""
+        """Return the counts of this moment."""
 
 
 class ProxyServices(Closable):
     """Offers get_config, set_config and get_statistics until it is closed.
 
     They are answered on rospy's threads, not on the nodelet's queue: a nodelet whose callback
-    hangs can still be looked at and re-wired.
+    hangs can still be inspected and re-wired.
     """
 
     def __init__(
@@ -69,9 +62,9 @@ class ProxyServices(Closable):
         self._closed = False
         try:
             for name, service_class, handler in (
-                ("get_config", GetConfig, self._get_config),
-                ("set_config", SetConfig, self._set_config),
-                ("get_statistics", GetStatistics, self._get_statistics),
+                ("get_config", srv.GetConfig, self._get_config),
+                ("set_config", srv.SetConfig, self._set_config),
+                ("get_statistics", srv.GetStatistics, self._get_statistics),
             ):
                 full_name = names.join(proxy.name, name)
                 self._services.append(
@@ -97,10 +90,10 @@ class ProxyServices(Closable):
 
         return answer
 
-    def _get_config(self, request: Any) -> GetConfigResponse:
-        return GetConfigResponse([port_message(port) for port in self._proxy.get_config()])
+    def _get_config(self, request: Any) -> srv.GetConfigResponse:
+        return srv.GetConfigResponse([port_message(port) for port in self._proxy.get_config()])
 
-    def _set_config(self, request: Any) -> SetConfigResponse:
+    def _set_config(self, request: Any) -> srv.SetConfigResponse:
         caller, name = caller_of(request), self._proxy.name
         config = config_pairs(request.config)
         try:
@@ -108,14 +101,10 @@ class ProxyServices(Closable):
             self._proxy.set_config(config)
         except DyKnowError as error:
             rospy.logerr("%s: set_config of %s: %s", name, for_log(caller), for_log(error))
-            return SetConfigResponse(False, str(error))
-        rospy.loginfo(
-            "%s: %s connected %s",
-            name,
-            for_log(caller),
-            for_log(", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config)),
-        )
-        return SetConfigResponse(True, "")
+            return srv.SetConfigResponse(False, str(error))
+        made = ", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config)
+        rospy.loginfo("%s: %s connected %s", name, for_log(caller), for_log(made))
+        return srv.SetConfigResponse(True, "")
 
-    def _get_statistics(self, request: Any) -> GetStatisticsResponse:
+    def _get_statistics(self, request: Any) -> srv.GetStatisticsResponse:
         return statistics_message(self._proxy.get_statistics())

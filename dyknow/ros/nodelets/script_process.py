@@ -147,7 +147,7 @@ class _ScriptProcess:
         guest, main_over = self._guest, self._main_over
 
         class Itself(Nodelet):
-            """Stands for the script among the nodelets: there is no other one."""
+            """Stands for the script among the nodelets, of which it is the only one."""
 
             def bind(self, context: Context) -> None:
                 context.executor = context.runtime.blocking
@@ -163,7 +163,7 @@ class _ScriptProcess:
         return Itself
 
     def _listen_for_signals(self) -> None:
-        """End in order when told to; handlers that the script had set are called then, too."""
+        """End in order at a signal; handlers that the script had set are called then, too."""
         if threading.current_thread() is not threading.main_thread():
             return
         on_signals(_SIGNALS, self._stop)
@@ -174,7 +174,7 @@ class _ScriptProcess:
         rospy.signal_shutdown("told to end")
 
     def _withdraw(self) -> None:
-        """Withdraw what the script has at the master; rosnode kill begins here."""
+        """Withdraw the script's registrations; rosnode kill begins here."""
         self._guest.shut_down("shutdown")  # however long its hooks take, as in rospy
         with self._withdrawal_turn:
             manager, self._manager = self._manager, None

@@ -10,187 +10,161 @@ import gc
 import logging
 import threading
 
+import pytest
+
 from dyknow.nodelet.scheduler import ManualExecutor, Strand
 
 
-def test_tasks_run_in_the_order_they_were_posted():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s")
-    for number in range(100):
-        strand.post(lambda number=number: ran.append(number))
-    executor.drain()
-    assert ran == list(range(100))
+class Bench:
+    """A strand whose tasks record that they ran."""
+
+    def __init__(self, held=False):
+        self.executor, self.ran = ManualExecutor(), []
+        self.strand = Strand(self.executor, "culprit", held)
+        self.drain = self.executor.drain
+
+    def post(self, *names):
+        for name in names:
+            self.strand.post(lambda name=name: self.ran.append(name))
 
 
-def test_nothing_runs_before_the_executor_is_asked():
-    executor, ran = ManualExecutor(), []
-    Strand(executor, "s").post(lambda: ran.append(1))
-    assert ran == []
-    assert executor.step() is True
-    assert ran == [1]
-    assert executor.step() is False
+@pytest.fixture(name="bench")
+def _bench():
+    return Bench()
 
 
-def test_a_task_posted_by_a_task_runs_after_it_and_not_inside_it():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s")
-
-    def outer() -> None:
-        strand.post(lambda: ran.append("inner"))
-        ran.append("outer")
-
-    strand.post(outer)
-    executor.drain()
-    assert ran == ["outer", "inner"]
+@pytest.fixture(name="held")
+def _held():
+    return Bench(held=True)
 
 
-def test_a_busy_strand_lets_others_in_between():
-    executor, ran = ManualExecutor(), []
-    greedy, modest = Strand(executor, "greedy"), Strand(executor, "modest")
-
-    def again() -> None:
-        ran.append("greedy")
-        if len(ran) < 1000:
-            greedy.post(again)
-
-    greedy.post(again)
-    modest.post(lambda: ran.append("modest"))
-    executor.drain()
-    assert ran.index("modest") < 100
+def test_tasks_run_when_the_executor_steps_in_the_order_they_were_posted(bench):
+    bench.post(*range(100))
+    assert bench.ran == []
+    assert bench.executor.step() is True
+    assert bench.ran == [0]
+    bench.drain()
+    assert bench.ran == list(range(100))
+    assert bench.executor.step() is False
 
 
-def test_a_held_strand_collects_until_it_is_resumed():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s", held=True)
-    strand.post(lambda: ran.append(1))
-    strand.post(lambda: ran.append(2))
-    executor.drain()
-    assert ran == []
-    strand.resume()
-    strand.post(lambda: ran.append(3))
-    executor.drain()
-    assert ran == [1, 2, 3]
-    assert not strand.busy
+def test_a_task_posted_by_a_task_runs_after_it_and_not_inside_it(bench):
+    bench.strand.post(lambda: (bench.post("inner"), bench.ran.append("outer")))
+    bench.drain()
+    assert bench.ran == ["outer", "inner"]
 
 
-def test_resuming_twice_is_resuming_once():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s", held=True)
-    strand.post(lambda: ran.append(1))
-    strand.resume()
-    strand.resume()
-    assert executor.step() is True
-    assert executor.step() is False
-    assert ran == [1]
+def test_a_busy_strand_lets_others_in_between(bench):
+    modest = Strand(bench.executor, "modest")
+
+    def again():
+        bench.ran.append("greedy")
+        if len(bench.ran) < 1000:
+            bench.strand.post(again)
+
+    bench.strand.post(again)
+    modest.post(lambda: bench.ran.append("modest"))
+    bench.drain()
+    assert bench.ran.index("modest") < 100
 
 
-def test_a_resumed_strand_without_tasks_takes_later_ones():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s", held=True)
-    strand.resume()
-    executor.drain()
-    strand.post(lambda: ran.append(1))
-    executor.drain()
-    assert ran == [1]
+def test_a_held_strand_collects_until_it_is_resumed_once(held):
+    held.post(1, 2)
+    held.drain()
+    assert held.ran == []
+    held.strand.resume()
+    held.strand.resume()
+    held.post(3)
+    for _ in range(3):
+        assert held.executor.step() is True
+    assert held.executor.step() is False
+    assert held.ran == [1, 2, 3]
+    assert not held.strand.busy
 
 
-def test_a_killed_strand_drops_what_waits_and_what_comes():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s")
-    strand.post(lambda: ran.append(1))
-    strand.kill()
-    strand.post(lambda: ran.append(2))
-    executor.drain()
-    assert ran == []
-    assert not strand.busy
+def test_a_resumed_strand_without_tasks_takes_later_ones(held):
+    held.strand.resume()
+    held.drain()
+    held.post(1)
+    held.drain()
+    assert held.ran == [1]
 
 
-def test_a_task_that_kills_its_own_strand_is_the_last():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s")
-    strand.post(lambda: (ran.append(1), strand.kill()))
-    strand.post(lambda: ran.append(2))
-    executor.drain()
-    assert ran == [1]
+def test_a_killed_strand_drops_queued_and_later_tasks(bench, held):
+    for each in (bench, held):
+        each.post(1)
+        each.strand.kill()
+        each.post(2)
+        each.strand.resume()
+        each.drain()
+        assert each.ran == []
+        assert not each.strand.busy
 
 
-def test_a_strand_killed_while_held_never_runs():
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s", held=True)
-    strand.post(lambda: ran.append(1))
-    strand.kill()
-    strand.resume()
-    executor.drain()
-    assert ran == []
+def test_a_task_that_kills_its_own_strand_is_the_last(bench):
+    bench.strand.post(lambda: (bench.ran.append(1), bench.strand.kill()))
+    bench.post(2)
+    bench.drain()
+    assert bench.ran == [1]
 
 
-def test_a_task_that_exits_the_interpreter_ends_only_itself(caplog):
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "culprit")
+@pytest.mark.parametrize("error", [SystemExit(1), KeyboardInterrupt(), ValueError()])
+def test_a_task_that_raises_ends_only_itself(bench, caplog, error):
+    def leave():
+        raise error
 
-    def leave() -> None:
-        raise SystemExit(1)
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    for task in (leave, interrupt, lambda: ran.append(1)):
-        strand.post(task)
-    executor.drain()
-    assert ran == [1]
-    assert caplog.text.count("culprit: a task failed") == 2
-    assert "SystemExit" in caplog.text
+    bench.strand.post(leave)
+    bench.post(1)
+    bench.drain()
+    assert bench.ran == [1]
+    assert caplog.text.count("culprit: a task failed") == 1
+    assert type(error).__name__ in caplog.text
 
 
-def test_the_end_of_a_callback_that_outlived_its_strand_is_noted_once(caplog):
-    executor = ManualExecutor()
-    strand = Strand(executor, "/late")
+def test_the_end_of_a_callback_that_outlived_its_strand_is_logged_once(bench, caplog):
     caplog.set_level(logging.INFO)
-    strand.post(lambda: (strand.kill(log_end=True), strand.kill(log_end=True)))
-    strand.post(lambda: None)
-    executor.drain()
+    kill = bench.strand.kill
+    bench.strand.post(lambda: (kill(log_end=True), kill(log_end=True)))
+    bench.post(1)
+    bench.drain()
     assert [r.getMessage() for r in caplog.records] == [
-        "/late: the callback that ran at the unload has ended"
+        "culprit: the callback that ran at the unload has ended"
     ]
 
 
-def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog):
-    executor = ManualExecutor()
+def test_nothing_is_logged_of_a_strand_that_ran_nothing_when_it_was_killed(bench, held, caplog):
     caplog.set_level(logging.INFO)
-    queued = Strand(executor, "/queued")
-    queued.post(lambda: None)
-    queued.kill(log_end=True)
-    held = Strand(executor, "/held", held=True)
-    held.kill(log_end=True)
-    held.resume()
-    executor.drain()
+    for each in (bench, held):
+        each.post(1)
+        each.strand.kill(log_end=True)
+        each.strand.resume()
+        each.drain()
     assert caplog.records == []
 
 
-def test_a_task_that_comes_while_the_strand_lets_go_is_not_forgotten():
+def test_a_task_that_comes_while_the_strand_becomes_idle_is_not_forgotten(bench):
     # The critical moment: the strand has found its queue empty and is still busy.
-    executor, ran = ManualExecutor(), []
-    strand = Strand(executor, "s")
-    guest = threading.Thread(target=lambda: strand.post(lambda: ran.append("late")))
+    ran = bench.ran
+    guest = threading.Thread(target=lambda: bench.post("late"))
 
     class Door(collections.deque):
         def __len__(self):
             if ran and guest.ident is None:
                 guest.start()
                 guest.join(0.05)
-                assert guest.is_alive(), "who posts now has to wait"
+                assert guest.is_alive(), "a thread that posts now has to wait"
             return super().__len__()
 
         def __bool__(self):  # Python 3.8 asks the deque of C otherwise
             return len(self) > 0
 
-    strand._tasks = Door()
-    strand.post(lambda: ran.append("first"))
-    executor.drain()
+    bench.strand._tasks = Door()
+    bench.post("first")
+    bench.drain()
     guest.join(10.0)
-    executor.drain()
+    bench.drain()
     assert ran == ["first", "late"]
-    assert not strand.busy
+    assert not bench.strand.busy
 
 
 def test_an_executor_keeps_no_strand_alive():

@@ -13,7 +13,7 @@ from unit.nodelet.fakes import Message, in_thread, join, pool_world, wait_until
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 world = pool_world(3)
 
-SWITCHES = 1000
+SWITCHES = 400
 
 
 class Stream:

@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The worker pool: real threads, exclusion, lost wake-ups, the watchdog."""
+"""Worker pools: real threads, exclusion, lost wake-ups, growth, the watchdog."""
 
 from __future__ import annotations
 
 import itertools
 import logging
 import threading
-from unittest import mock
 
 import pytest
 from unit.nodelet.fakes import PATIENCE, in_thread, join, wait_for, wait_until
@@ -29,6 +28,11 @@ def _make_pool():
         pool.close()
 
 
+@pytest.fixture(name="pool", params=[3, None], ids=["fixed", "growing"])
+def _pool(request, make_pool):
+    return make_pool(request.param)
+
+
 class Blocker:
     """Tasks that block until released."""
 
@@ -45,13 +49,28 @@ class Blocker:
             assert self.started.acquire(timeout=PATIENCE)
 
 
+class Clock:
+    """Time that a test sets; knows how often it was read, as the watchdog does at each look."""
+
+    def __init__(self):
+        self.seconds = 100.0
+        self._reads = threading.Semaphore(0)
+
+    def __call__(self):
+        self._reads.release()
+        return self.seconds
+
+    def wait_read(self, times):
+        for _ in range(times):
+            assert self._reads.acquire(timeout=PATIENCE)
+
+
 def test_a_pool_needs_a_worker():
     with pytest.raises(ValueError, match="at least one worker"):
         WorkerPool(0)
 
 
-def test_tasks_of_a_strand_never_overlap_and_keep_their_order(make_pool):
-    pool = make_pool(4)
+def test_tasks_of_a_strand_never_overlap_and_keep_their_order(pool):
     strands = [Strand(pool, str(n)) for n in range(5)]
     inside = [0] * 5
     overlaps, ran = [], [[] for _ in range(5)]
@@ -63,16 +82,15 @@ def test_tasks_of_a_strand_never_overlap_and_keep_their_order(make_pool):
         ran[which].append(number)
         inside[which] -= 1
 
-    for number in range(2000):
+    for number in range(1000):
         for which, strand in enumerate(strands):
             strand.post(lambda w=which, n=number: task(w, n))
     assert pool.drain(PATIENCE)
     assert overlaps == []
-    assert ran == [list(range(2000))] * 5
+    assert ran == [list(range(1000))] * 5
 
 
-def test_strands_overlap_with_each_other(make_pool):
-    pool = make_pool(2)
+def test_strands_overlap_with_each_other(pool):
     both = threading.Barrier(2)
     met = []
 
@@ -86,27 +104,25 @@ def test_strands_overlap_with_each_other(make_pool):
     assert met == [1, 1]
 
 
-def test_no_wake_up_is_lost_under_many_posting_threads(make_pool):
+def test_no_wake_up_is_lost_under_many_posting_threads(pool):
     # Strands run empty all the time here, and only then could a wake-up be missed.
-    pool = make_pool(3)
     strands = [Strand(pool, str(n)) for n in range(4)]
     counts = [itertools.count() for _ in strands]
 
     def post(offset):
-        for number in range(4000):
+        for number in range(2000):
             which = (number + offset) % len(strands)
             strands[which].post(counts[which].__next__)
 
     join(*[in_thread(lambda o=o: post(o)) for o in range(4)])
     assert pool.drain(PATIENCE), "a strand with tasks was forgotten"
-    assert [next(count) for count in counts] == [4000] * 4
+    assert [next(count) for count in counts] == [2000] * 4
 
 
-def test_a_task_is_run_though_nothing_follows_it(make_pool):
+def test_a_task_is_run_though_nothing_follows_it(pool):
     # One task at a time, each awaited: a lost wake-up would show as a time-out at once.
-    pool = make_pool(2)
     strand, ran = Strand(pool, "s"), threading.Semaphore(0)
-    for _ in range(2000):
+    for _ in range(1000):
         strand.post(ran.release)
         assert ran.acquire(timeout=PATIENCE)
 
@@ -125,23 +141,19 @@ def test_exiting_tasks_do_not_end_workers(make_pool):
     assert pool.threads == 1
 
 
-def test_drain_gives_up_while_something_runs(make_pool):
-    pool, blocker = make_pool(1), Blocker()
-    strand = Strand(pool, "s")
-    strand.post(blocker)
-    blocker.wait_started()
-    assert pool.drain(0.0) is False
-    blocker.release.set()
-    assert pool.drain(PATIENCE) is True
-
-
-def test_drain_does_not_wait_for_a_killed_strand(make_pool):
-    pool, blocker = make_pool(1), Blocker()
-    strand = Strand(pool, "s")
-    strand.post(blocker)
-    blocker.wait_started()
-    strand.kill()
-    assert pool.drain(PATIENCE) is True
+def test_drain_waits_for_a_running_task_unless_its_strand_was_killed(pool):
+    blocker = Blocker()
+    for kill in (False, True):
+        strand = Strand(pool, "s")
+        strand.post(blocker)
+        blocker.wait_started()
+        assert pool.drain(0.0) is False
+        if kill:
+            strand.kill()
+            assert pool.drain(PATIENCE) is True
+        blocker.release.set()
+        assert pool.drain(PATIENCE) is True
+        blocker.release.clear()
     blocker.release.set()
 
 
@@ -175,33 +187,22 @@ def test_a_replaced_worker_ends_when_its_callback_returns(make_pool):
     wait_until(lambda: pool.threads == 1)
 
 
-def test_workers_that_block_with_nobody_waiting_are_kept(make_pool):
-    now = [0.0]
-    looks = threading.Semaphore(0)
-
-    def clock():
-        looks.release()
-        return now[0]
-
-    pool, blocker = make_pool(1, clock=clock), Blocker()
+def test_workers_that_block_while_no_task_waits_are_kept(make_pool):
+    clock, blocker = Clock(), Blocker()
+    pool = make_pool(1, clock=clock)
     strand = Strand(pool, "s")
     strand.post(blocker)
     blocker.wait_started()
-    for _ in range(4):
-        assert looks.acquire(timeout=PATIENCE)
+    clock.wait_read(1)
+    clock.seconds += 5.0
+    clock.wait_read(3)
     assert pool.threads == 1
     blocker.release.set()
 
 
 def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
-    now = [0.0]
-    looks = threading.Semaphore(0)
-
-    def clock():
-        looks.release()
-        return now[0]
-
-    pool, blocker = make_pool(1, stuck_after=5.0, clock=clock), Blocker()
+    clock, blocker = Clock(), Blocker()
+    pool = make_pool(1, stuck_after=5.0, clock=clock)
 
     def a_callback_that_hangs():
         blocker()
@@ -210,16 +211,11 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
     caplog.set_level(logging.WARNING)
     strand.post(a_callback_that_hangs)
     blocker.wait_started()
-
-    def look(times):
-        for _ in range(times):
-            assert looks.acquire(timeout=PATIENCE)
-
-    look(3)
+    clock.wait_read(3)
     assert caplog.text == ""
-    now[0] = 6.0
+    clock.seconds += 6.0
     wait_until(lambda: "/hanging" in caplog.text)
-    look(3)
+    clock.wait_read(3)
     assert caplog.text.count("has not returned") == 1
     assert "a_callback_that_hangs" in caplog.text
     # The next callback of the same strand that hangs is a new fault, and is reported again.
@@ -227,45 +223,65 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
     second = Blocker()
     strand.post(second)
     second.wait_started()
-    look(3)
-    now[0] = 20.0
+    clock.seconds += 14.0
     wait_until(lambda: caplog.text.count("has not returned") == 2)
     second.release.set()
 
 
 def test_the_watchdog_sleeps_while_there_is_nothing_to_do(make_pool):
-    looks = []
-    pool = make_pool(2, clock=lambda: looks.append(1) or float(len(looks)))
+    reads = []
+    pool = make_pool(2, clock=lambda: reads.append(1) or float(len(reads)))
     strand, ran = Strand(pool, "s"), threading.Event()
     strand.post(ran.set)
     wait_for(ran)
     wait_until(lambda: not pool._awake.is_set())
-    before = len(looks)
+    before = len(reads)
     # Three times the watchdog's period, in which it must not look once.
     threading.Event().wait(0.7)
-    assert len(looks) == before
+    assert len(reads) == before
     # And it is there again when it is needed.
-    blocker, went_on = [Blocker(), Blocker()], threading.Event()
-    held = [Strand(pool, "held") for _ in blocker]
-    for one, block in zip(held, blocker):
-        one.post(block)
+    blocker, went_on = Blocker(), threading.Event()
+    held = [Strand(pool, "held") for _ in range(2)]
+    for each in held:
+        each.post(blocker)
     strand.post(went_on.set)
     wait_for(went_on)
-    for block in blocker:
-        block.release.set()
+    blocker.release.set()
 
 
-def test_close_ends_all_threads_that_are_free():
-    pool = WorkerPool(3)
-    with mock.patch.object(pool, "_report"):
-        threads = [worker.thread for worker in pool._workers] + [pool._watchdog]
-        pool.close()
-        join(*filter(None, threads))
-    assert pool.threads == 0
+def test_blocked_callbacks_of_a_growing_pool_hold_up_no_other(make_pool):
+    pool, blocker = make_pool(None), Blocker()
+    strands = [Strand(pool, f"s{number}") for number in range(20)]
+    for strand in strands:
+        strand.post(blocker)
+    blocker.wait_started(20)
+    assert pool.threads == 20
+    blocker.release.set()
+    assert pool.drain(PATIENCE)
 
 
-def test_close_lets_a_running_callback_end_by_itself():
-    pool, blocker = WorkerPool(2), Blocker()
+def test_threads_of_a_growing_pool_are_used_again_and_leave_without_work(make_pool):
+    pool = make_pool(None, stay=0.2)
+    strand, threads = Strand(pool, "s"), set()
+    for _ in range(10):
+        strand.post(lambda: threads.add(threading.current_thread()))
+        assert pool.drain(PATIENCE)
+    assert len(threads) <= 3
+    wait_until(lambda: pool.threads == 0)
+    strand.post(lambda: threads.add(0))
+    assert pool.drain(PATIENCE) and 0 in threads
+
+
+def test_a_closed_pool_runs_nothing(pool):
+    pool.close()
+    seen = []
+    strand = Strand(pool, "s")
+    strand.post(lambda: seen.append(1))
+    assert not pool.drain(0.05) and seen == []
+
+
+def test_close_ends_the_free_threads_at_once_and_a_running_callback_ends_by_itself(pool):
+    blocker = Blocker()
     Strand(pool, "s").post(blocker)
     blocker.wait_started()
     pool.close()

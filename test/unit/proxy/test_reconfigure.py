@@ -155,7 +155,7 @@ STEPS = st.lists(
 )
 
 
-@examples(300)
+@examples(150)
 @given(STEPS)
 def test_nodelets_see_messages_and_reconfigurations_exactly_in_order(steps):
     world = World()

@@ -23,7 +23,7 @@ from dyknow.proxy.proxy import NodeletProxy
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 world = pool_world(3)
 
-SWITCHES = 1000
+SWITCHES = 400
 
 
 class Filter(dyknow.Nodelet):
@@ -170,7 +170,7 @@ def test_the_reconfigure_callback_stands_exactly_between_the_topics(world):
 
 def test_an_unload_amid_switches_from_many_threads_leaves_nothing(world):
     loader = world.loader(filter=Filter)
-    for _ in range(30):
+    for _ in range(12):
         nodelet = loader.load("/n", "filter", {"/in": "/a", "/out": "/b"})
         ended = []
 

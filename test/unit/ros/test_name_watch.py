@@ -11,15 +11,15 @@ from typing import Iterator
 import pytest
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
-from dyknow.ros.nodelets import name_watch
-from dyknow.ros.nodelets.name_watch import end_when_displaced
+from dyknow.ros.nodelets import lease_service
+from dyknow.ros.nodelets.lease_service import end_when_displaced
 
 LONG = 30.0
 
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallMaster]:
-    monkeypatch.setattr(name_watch, "PERIOD", 0.05)
+    monkeypatch.setattr(lease_service, "NAME_PERIOD", 0.05)
     with small_graph() as graph:
         monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
         yield graph

@@ -103,7 +103,7 @@ def test_the_model_is_published_although_something_failed(where: str, closing: L
 def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -> None:
     announcer = Announcer(lambda: ())
     closing.append(announcer)
-    announcer.tell("/a")
+    announcer.announce("/a")
     publish = FakeTopic.made[0].publish
     assert publish.is_done()
     assert "/a" in str(publish.done[0][0])
