@@ -48,8 +48,7 @@ class Ended(Running):
         if not self.has_ended:
             self.stop(signal.SIGCONT)
             self.stop()
-            with contextlib.suppress(AssertionError):
-                self.exit_code(10.0)
+            self.ends_within(10.0)
         super().__exit__()
 
 

@@ -20,7 +20,7 @@ import rosgraph
 import rospy
 import rostest
 from graph import registrations, set_config, topics_of_ports
-from processes import BUSY, DYKNOW, TellingCase, eventually, free_port
+from processes import DYKNOW, TellingCase, eventually, free_port
 from rospy.exceptions import ROSException
 from std_msgs.msg import String
 
@@ -194,7 +194,7 @@ class EndTest(TellingCase):
             self.addCleanup(launch.__exit__)
         for launch in launches:
             act(launch)
-            codes.append(launch.exit_code(20.0 * BUSY))
+            codes.append(launch.exit_code(20.0))
             self.assertIn("[master] killing on exit", launch.output)
             self.assertIn("[stays-2] killing on exit", launch.output)
         return codes
