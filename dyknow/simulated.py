@@ -18,10 +18,9 @@ from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
 from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
-from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
@@ -35,6 +34,7 @@ from dyknow.model.streams import (
     StreamStatus,
 )
 from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
+from dyknow.periodic import STEADY, Clock
 
 T = TypeVar("T")
 
@@ -85,21 +85,18 @@ class SimulatedManagerClient(BaseManagerClient):
     def __init__(
         self,
         host: Optional[FakeHost] = None,
-        core: Optional[Manager] = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = STEADY,
         now: Callable[[], float] = time.time,
     ) -> None:
-        """Make a manager, or take one.
+        """Make a manager without transformations.
 
         Args:
             host: runs the nodelets; by default one that runs every source.
-            core: a manager on that host; by default one without transformations.
-            clock: seconds, steady.
+            clock: steady time.
             now: seconds on the clock of those who read when a lease ends.
         """
         self.manager = "/dyknow_manager"
         self.host = host or SimulatedHost()
-        self.core = core or _manager_on(self.host)
         self.is_up = True
         self.delay = 0.0
         self.calls: List[Tuple[str, str]] = []
@@ -108,9 +105,14 @@ class SimulatedManagerClient(BaseManagerClient):
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
         self._start = time.monotonic()
-        self.reconciler = StreamReconciler(self.core, clock=clock, sleep=self._pass)
+        store = Store(":memory:")
+        self.reconciler = open_reconciler(
+            self.host, store, Library(store), clock=clock, sleep=self._pass
+        )
+        self.core = self.reconciler.manager
+        self.core.start()
         self.reconciler.on_event = self._tell_event
-        self._answers = StreamAnswers(now, clock)
+        self._answers = StreamAnswers(now, clock.now)
         self._claims: Set[str] = set()
         self._altered: Dict[str, Dict[str, object]] = {}
         self.core.on_change = self._tell_model
@@ -287,10 +289,3 @@ class SimulatedManagerClient(BaseManagerClient):
             )
         counts = int(rate * age), int(lost * age)
         return PortStatistics(port.name, port.direction, port.topic, *counts, rate, 0.0, 0.0)
-
-
-def _manager_on(host: FakeHost) -> Manager:
-    store = Store(":memory:")
-    manager = Manager(host, store, Library(store))
-    manager.start()
-    return manager

@@ -37,7 +37,7 @@ from dyknow_demo.processes import (
     forget_parameters,
     start_manager,
 )
-from dyknow_demo.soccer.world import World
+from dyknow_demo.soccer.world import SoccerWorld
 from dyknow_demo.telling import Track, changes, draw, to_dot
 
 TAG = "FieldPosition(ball)"
@@ -158,7 +158,7 @@ class _Story:
             manager=self._client.manager,
         ) as self._stream:
             self._reported = time.monotonic()
-            self._track = Track(self._reported, World().ball_on_field)
+            self._track = Track(self._reported, SoccerWorld().ball_on_field)
             self._topic: str = self._stream.topic
             positions = rospy.Subscriber(self._topic, PointStamped, self._on_position)
             try:

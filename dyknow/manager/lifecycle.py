@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 from dyknow import names
@@ -55,6 +55,26 @@ PATIENCE = 5.0
 _log = logging.getLogger("rosout.dyknow")
 
 
+@dataclass(frozen=True)
+class StreamKeeper:
+    """What the manager asks of, and reports to, those who keep streams for clients.
+
+    Attributes:
+        fitting: returns the connections of a nodelet that can be made when it is brought back.
+        on_death: called with the record of a nodelet of a claim that died.
+        on_crash: called with the label of a nodelet whose code ran when its process crashed, and
+            that was destroyed since.
+    """
+
+    fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
+    on_death: Callable[[Record], None] = lambda record: None
+    on_crash: Callable[[str], None] = lambda label: None
+
+
+NO_STREAMS = StreamKeeper()
+"""No streams are kept: nodelets come back with all their connections."""
+
+
 class Lifecycle:
     """Makes, restores and destroys the nodelets of the graph."""
 
@@ -67,6 +87,7 @@ class Lifecycle:
         suspects: Suspects,
         ontology: Subsumption,
         clock: Clock,
+        keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
         """Prepare.
 
@@ -78,6 +99,7 @@ class Lifecycle:
             suspects: nodelets that get processes of their own.
             ontology: what is a kind of what.
             clock: steady time.
+            keeper: says which connections come back.
         """
         self._host = host
         self._graph = graph
@@ -87,8 +109,7 @@ class Lifecycle:
         self._ontology = ontology
         self._clock = clock
         self._pause = state_condition("ports of nodes that start")
-        #: Returns the connections of a nodelet that can be made when it is brought back.
-        self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
+        self.fitting = keeper.fitting
 
     def spawn(
         self,

@@ -32,7 +32,7 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import PATIENCE, Lifecycle
+from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeeper
 from dyknow.manager.observer import Observer, at_once
 from dyknow.manager.record import Record, topics_of, with_ports
 from dyknow.manager.specifications.specification import Specifications
@@ -80,6 +80,8 @@ class Manager:
         options: ManagerOptions = DEFAULT_OPTIONS,
         run: Callable[[Callable[[], None]], None] = at_once,
         clock: Clock = STEADY,
+        graph: Optional[Graph] = None,
+        keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
         """Put the parts together; ``start`` comes first.
 
@@ -91,13 +93,15 @@ class Manager:
             options: how to behave.
             run: calls what brings a nodelet back, which may take long.
             clock: steady time.
+            graph: the nodelets; by default an empty one on the store.
+            keeper: keeps streams on that graph.
         """
         self.library = library
         self.guards = guards
         self.host = host
         self.store = store
         self._options = options
-        self.graph = Graph(store, clock)
+        self.graph = Graph(store, clock) if graph is None else graph
         self._suspects = Suspects(clock.now)
         self.lifecycle = Lifecycle(
             host,
@@ -107,9 +111,17 @@ class Manager:
             self._suspects,
             library.ontology,
             clock,
+            keeper,
         )
         self.observer = Observer(
-            host, self.graph, self.lifecycle, self._suspects, library.of_node, clock.now, run
+            host,
+            self.graph,
+            self.lifecycle,
+            self._suspects,
+            library.of_node,
+            clock.now,
+            run,
+            keeper,
         )
 
     @property
@@ -171,19 +183,6 @@ class Manager:
         return removed
 
     # Nodelets
-
-    def existing_topics(self) -> List[Transformation]:
-        """Return the transformations of type topic with their topics made global.
-
-        Relative topics resolve in the manager's namespace, as names of nodelets do.
-        """
-        namespace = self._options.namespace
-        return [
-            each
-            if each.source[:1] == "/"
-            else each._replace(source=names.join(namespace, each.source))
-            for each in self.library.topics()
-        ]
 
     def resolve(self, name: str) -> str:
         """Make the name of a nodelet global.

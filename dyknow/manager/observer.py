@@ -22,7 +22,7 @@ from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, HostReport, ManagerState
-from dyknow.manager.lifecycle import Lifecycle
+from dyknow.manager.lifecycle import NO_STREAMS, Lifecycle, StreamKeeper
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
@@ -60,6 +60,7 @@ class Observer:
         described: Callable[[str], Optional[Transformation]] = lambda name: None,
         clock: Callable[[], float] = time.monotonic,
         run: Callable[[Callable[[], None]], None] = at_once,
+        keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
         """Prepare; ``adopt`` comes first, then one ``look`` after the other.
 
@@ -71,6 +72,7 @@ class Observer:
             described: returns what the library says of a node of others.
             clock: steady time, in seconds.
             run: does the work of bringing nodelets back; a look does not wait for it.
+            keeper: learns of deaths and crashes.
         """
         self._host = host
         self._graph = graph
@@ -85,11 +87,7 @@ class Observer:
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         self._returning: Set[str] = set()  # being brought back
         self._to_ask: Set[str] = set()  # ports that could not be asked for
-        #: Called with the record of a nodelet of a claim that died.
-        self.on_death: Callable[[Record], None] = lambda record: None
-        #: Called with the label of a nodelet whose code ran when its process crashed, and that
-        #: was destroyed since.
-        self.on_crash: Callable[[str], None] = lambda label: None
+        self._keeper = keeper
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -148,7 +146,7 @@ class Observer:
         running = crash.running or frozenset()
         gone = running.difference(map(names.mark, hosted))
         for label in {self._suspects.label(mark) for mark in gone} - {""}:
-            self.on_crash(label)
+            self._keeper.on_crash(label)
         at_work = ", ".join(name for name in hosted if names.mark(name) in running)
         _log.error(
             "%s crashed (%s)%s",
@@ -323,7 +321,7 @@ class Observer:
                     self._lifecycle.finish_destroying(record)
                 elif record is not None and record.state is not State.RUNNING:
                     if record.claimed:  # the claim's repair decides what replaces it
-                        self.on_death(record)
+                        self._keeper.on_death(record)
                         self._lifecycle.forget(record)
                         return
                     self._backoff.failed(name)

@@ -26,7 +26,7 @@ from dyknow_demo.soccer.geometry import (
 from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, best_sighting
-from dyknow_demo.soccer.world import BALL_RADIUS, World
+from dyknow_demo.soccer.world import BALL_RADIUS, SoccerWorld
 
 SEEDS = range(5)
 CAMERAS = {"bottom_camera": BOTTOM_CAMERA, "ceiling_camera": CEILING_CAMERA}
@@ -52,7 +52,7 @@ class Accuracy(NamedTuple):
 
 def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
     """Measure the errors of one of ``CAMERAS`` in the world of a seed, at some times (s)."""
-    world, camera = World(seed), CAMERAS[name]
+    world, camera = SoccerWorld(seed), CAMERAS[name]
     view = FieldCamera(camera, seed)
     frame: Pixels = np.empty((camera.height, camera.width, 2), np.uint8)
     believed, place = floor_from_camera(CEILING_HEIGHT, math.pi / 2), CEILING_PLACE

@@ -38,7 +38,7 @@ from dyknow_demo.soccer.geometry import (
 from dyknow_demo.soccer.planes import blank_planes, planes_of, shrink
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, History, Sighting, best_sighting
-from dyknow_demo.soccer.world import BALL_RADIUS, HEADING_ERROR, PLACE_ERROR, World
+from dyknow_demo.soccer.world import BALL_RADIUS, HEADING_ERROR, PLACE_ERROR, SoccerWorld
 
 #: Frame of the field: origin in the middle, x along the longer side, z up.
 FIELD = "field"
@@ -67,7 +67,7 @@ class SimulatedCamera(dyknow.Nodelet):
         seed = int(self.nh.get_param("~seed", 0))
         rate = get_positive(self.nh, "~rate", self.default_rate, "Hz")
         self.frame_id = str(self.nh.get_param("~frame_id", self.name.rpartition("/")[2]))
-        self.world, self.view, self.count = World(seed), FieldCamera(self.camera, seed), 0
+        self.world, self.view, self.count = SoccerWorld(seed), FieldCamera(self.camera, seed), 0
         k = self.camera.matrix
         self.intrinsics = {
             "height": self.camera.height,
@@ -154,7 +154,7 @@ class NaoBody(dyknow.Nodelet):
         """Declare the ports and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         rate = get_positive(self.nh, "~rate", 50.0, "Hz")
-        self.world = World(int(self.nh.get_param("~seed", 0)))
+        self.world = SoccerWorld(int(self.nh.get_param("~seed", 0)))
         self.joints_pub = self.nh.Publisher("joint_states", JointState, queue_size=10)
         self.pose_pub = self.nh.Publisher("pose", PoseWithCovarianceStamped, queue_size=10)
         self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)

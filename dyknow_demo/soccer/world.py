@@ -67,7 +67,7 @@ class RobotState(NamedTuple):
     angles: Tuple[float, ...]
 
 
-class World:
+class SoccerWorld:
     """A ball, a NAO and a camera on the ceiling, with their true states."""
 
     def __init__(self, seed: int = 0) -> None:

@@ -19,7 +19,7 @@ from graph import TIMEOUT, LaunchedManagerCase, service
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
 from dyknow_demo.soccer.planes import planes_of
-from dyknow_demo.soccer.world import BALL_RADIUS, World
+from dyknow_demo.soccer.world import BALL_RADIUS, SoccerWorld
 
 SEED = 4
 CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}
@@ -31,7 +31,7 @@ LARGE_ERROR = 0.3
 class SoccerTest(LaunchedManagerCase):
     def setUp(self):
         self.space = f"/test_{next(self.numbers)}"
-        self.world = World(SEED)
+        self.world = SoccerWorld(SEED)
 
     def load(self, name, nodelet_class, ports=(), **parameters):
         """Load a nodelet with ports connected as in {port: topic}, all in a namespace of ours."""

@@ -3,5 +3,5 @@
 
 """Streams on request: planned, made, repaired, and collected when they are not needed.
 
-Start with ``reconciler``; ``context`` has what its parts share.
+Start with ``reconciler``; ``world`` is what all its parts read.
 """

@@ -31,12 +31,11 @@ from typing import (
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import DyKnowError, HostTimeout, NameTaken, SpawnFailed, StreamTypeMismatch
-from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import Transaction
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import relay
 from dyknow.manager.claims.supplies import Instance, instance_of, with_feeders
-from dyknow.manager.claims.topology import Topology
-from dyknow.manager.claims.transaction import Transaction
+from dyknow.manager.claims.world import World
 from dyknow.manager.host import Count, Host
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
@@ -121,7 +120,7 @@ class PlanContext:
     def __init__(
         self,
         manager: Manager,
-        table: ClaimTable,
+        world: Callable[[], World],
         request: AssemblyRequest,
         spawned: Sequence[str],
     ) -> None:
@@ -129,13 +128,12 @@ class PlanContext:
 
         Args:
             manager: knows the nodelets.
-            table: knows where clients listen.
+            world: returns the world of the moment.
             request: what has to be made.
             spawned: names of the nodelets that were made for it; grows.
         """
         self._manager = manager
-        self._graph = manager.graph
-        self._table = table
+        self._world = world
         self._request = request
         self.spawned = spawned
         #: Nodelets for the steps of the plan; grows.
@@ -158,22 +156,22 @@ class PlanContext:
         if not name:
             assert isinstance(source, Live)
             return source.datatype
-        record = self._graph.get(name)
+        record = self._world().get(name)
         declared = record.transformation.ports if record.transformation is not None else ()
         known = [(port.name, port.datatype) for port in record.ports]
         known += [(port.name, port.datatype) for port in declared]
         return next((each for name, each in known if name == source.port and each not in ANY), "")
 
-    def tags_of(self, source: Source, topology: Topology) -> Tuple[Term, ...]:
+    def tags_of(self, source: Source) -> Tuple[Term, ...]:
         """Tags of a supplier's stream, without those whose variables are not bound."""
         name = self.name_of(source)
         if name:
-            transformation = self._graph.get(name).transformation
+            transformation = self._world().get(name).transformation
         else:
             transformation = self._manager.library.get(source.label)
         ports = transformation.ports if transformation is not None else ()
         tags = next((port.tags for port in ports if port.name == source.port or not name), ())
-        possible = topology.dependent.supplies().get((name, source.port))
+        possible = self._world().topology.dependent.supplies().get((name, source.port))
         if possible is None:
             return tuple(term for term in read_tags(tags) if term.is_ground)
         return next(iter(possible)).tags if len(possible) == 1 else ()
@@ -193,14 +191,14 @@ class PlanContext:
 
     def taken_topics(self) -> Set[str]:
         """Topics on which the clients of other claims listen."""
-        return self._table.taken_topics(but=self._request.claim_id)
+        return self._world().taken_topics(but=self._request.claim_id)
 
     def free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port, but none that a successor has taken over."""
         taken = self.taken_topics() | {self._request.topic}
         taken |= {
             each.topic
-            for record in self._graph.all()
+            for record in self._world().records.values()
             for each in record.ports
             if each.direction == OUT and record.name != name
         }
@@ -215,7 +213,7 @@ class PlanContext:
         """Whether a healthy nodelet publishes on a topic."""
         return any(
             ports_on(record, OUT, topic)
-            for record in self._graph.all()
+            for record in self._world().records.values()
             if record.state is State.RUNNING and record.name not in self._request.unhealthy
         )
 
@@ -223,24 +221,25 @@ class PlanContext:
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
         if name in self.spawned or not topic:
             return True
-        if not self._graph.get(name).claimed or topic in self.taken_topics():
+        records = self._world().records
+        if not self._world().get(name).claimed or topic in self.taken_topics():
             return False
         own = {*self._request.movable, *self.spawned}
         return not any(
             ports_on(record, IN, topic)
-            for record in self._graph.all()
+            for record in records.values()
             if record.name not in own and record.state is State.RUNNING
         )
 
     def free_names(self, label: str) -> Iterator[str]:
         """Yield global names for a new nodelet of a transformation."""
-        records = self._graph.all()
+        records = self._world().records.values()
         taken = {topic for record in records for topic in record.topics.values()}
         taken |= self.taken_topics() | {self._request.topic}
         for relative in _names(label):
             name = self._manager.resolve(relative)
             has_left_topics = any(topic.startswith(name + "/") for topic in taken)
-            if not has_left_topics and not self._graph.is_busy(name):
+            if not has_left_topics and not self._manager.graph.is_busy(name):
                 yield name
 
 
@@ -338,16 +337,12 @@ class Assembly:
             handover: waits for replacements.
         """
         self._manager = context.manager
-        self._graph = context.manager.graph
-        self._table = context.table
+        self._world = context.connector.world
         self._lock = context.lock
-        self._connector = context.connector
         self._request = request
         self._handover = handover
         self._transaction = Transaction(context.manager, context.connector, request.unresponsive)
-        self._plan = PlanContext(
-            context.manager, context.table, request, self._transaction.spawned
-        )
+        self._plan = PlanContext(context.manager, self._world, request, self._transaction.spawned)
         self._result = AssemblyResult()
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
         self.culprit = ""
@@ -362,7 +357,7 @@ class Assembly:
         try:
             return self._carry_out()
         except BaseException:
-            self._transaction.undo(self._table.needed())
+            self._transaction.undo(self._world().needed)
             raise
 
     def _carry_out(self) -> AssemblyResult:
@@ -371,7 +366,7 @@ class Assembly:
         for step in request.plan.steps:
             self._take(step)
         self._publish(request.plan.goal)
-        records = self._graph.all()
+        records = self._world().records
         with_feeders(records, request.ordinary, result.wiring, result.sources, result.reused)
         result.spawned = list(self._transaction.spawned)
         result.reused -= set(result.spawned)
@@ -383,7 +378,7 @@ class Assembly:
         """Keep the nodelets that the plan counts on, and their feeders, from being destroyed."""
         used = {live.nodelet for live in self._request.plan.live if live.nodelet}
         fed: Dict[str, Dict[str, str]] = {name: {} for name in used}
-        with_feeders(self._graph.all(), self._request.ordinary, fed, set(), used)
+        with_feeders(self._world().records, self._request.ordinary, fed, set(), used)
         self._lock.reserve([*self._request.movable, *fed])
 
     # Steps
@@ -394,14 +389,14 @@ class Assembly:
         name = self._request.own.get(instance, "")
         if name:
             self._result.reused.add(name)
-            self._plan.check_types(self._graph.get(name), step)
+            self._plan.check_types(self._world().get(name), step)
             for port, source in step.inputs:
-                self._await(source, self._graph.get(name).topics.get(port, ""), inputs[port])
+                self._await(source, self._world().get(name).topics.get(port, ""), inputs[port])
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
             name = self._spawn(transformation, inputs, self._plan.outputs(instance), given)
-            self._plan.check_types(self._graph.get(name), step)
+            self._plan.check_types(self._world().get(name), step)
         self._plan.made[instance] = name
         self._connect(name, self._inputs(step))
 
@@ -425,7 +420,7 @@ class Assembly:
         if not place and present in self._plan.taken_topics() and datatype not in ANY:
             # The clients there want something else, and what they receive may change.
             name, port = self._relay(goal, present), "out"
-            result.topic = self._graph.get(name).topics[port]
+            result.topic = self._world().get(name).topics[port]
         elif present != result.topic:
             if not name or not self._plan.may_move(name, present):
                 name, port = self._relay(goal, present, result.topic), "out"
@@ -442,9 +437,8 @@ class Assembly:
         Returns:
             Name of the relay.
         """
-        topology = self._connector.topology()
         # What is true of all that is sent there.
-        tags = topology.common_tags(present, self._plan.tags_of(goal, topology))
+        tags = self._world().topology.common_tags(present, self._plan.tags_of(goal))
         made = relay(present, self._plan.type_of(goal), tuple(map(str, tags)))
         name = self._spawn(made, {"in": present}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
@@ -457,14 +451,13 @@ class Assembly:
 
         Else it goes afterwards, so that there is no gap.
         """
-        topology = self._connector.topology()
-        tags = set(self._plan.tags_of(goal, topology))
-        if any(set(each.tags) != tags for each in topology.producers(topic)):
+        tags, producers = set(self._plan.tags_of(goal)), self._world().topology.producers(topic)
+        if any(set(each.tags) != tags for each in producers):
             self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Disconnect every other publisher of the client's topic: it was replaced."""
-        for record in self._graph.all():
+        for record in self._world().records.values():
             if record.name == publisher or record.transformation is None:
                 continue
             ports = dict.fromkeys(ports_on(record, OUT, topic), "")
@@ -479,7 +472,7 @@ class Assembly:
         name = self._plan.name_of(source)
         is_new = name in self._transaction.spawned
         if is_new and old not in ("", new) and self._plan.flows(old):
-            self._handover.wait(self._graph.get(name), source.port)
+            self._handover.wait(self._world().get(name), source.port)
 
     def _topic_of(self, source: Source) -> str:
         """Return the topic of a supplier; an out-port that has none is connected to one."""
@@ -490,7 +483,7 @@ class Assembly:
             return source.topic
         if isinstance(source, Live):
             self._result.reused.add(name)
-        topic = self._graph.get(name).topics.get(source.port, "")
+        topic = self._world().get(name).topics.get(source.port, "")
         if topic in self._request.ordinary:
             self._result.sources.add(topic)
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
@@ -500,9 +493,8 @@ class Assembly:
 
     def _is_mixed(self, source: New, topic: str) -> bool:
         """Whether something else may be sent on a supplier's topic as well."""
-        topology = self._connector.topology()
-        tags = self._plan.tags_of(source, topology)
-        return topology.common_tags(topic, tags) != tags
+        tags = self._plan.tags_of(source)
+        return self._world().topology.common_tags(topic, tags) != tags
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self._transaction.connect(name, config)

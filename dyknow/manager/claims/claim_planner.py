@@ -25,7 +25,6 @@ from typing import (
     Tuple,
 )
 
-from dyknow.backoff import Backoff
 from dyknow.datatypes import ANY
 from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claim import Claim
@@ -59,9 +58,6 @@ from dyknow.model.transformation import Transformation
 
 #: Outdated terms that the planner may keep, if the library has fewer transformations.
 _WASTE = 1_000
-#: Seconds of the first pause of a transformation that failed: longer than a round of the
-#: reconciler, so that another way is tried in between.
-_FIRST_PAUSE = 1.0
 
 
 class Situation(NamedTuple):
@@ -121,14 +117,14 @@ class ClaimPlanner:
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
+        self._world = context.connector.world
         self._monitor = context.monitor
         self._ontology = ontology
         self._planner = KeptPlanner(ontology)
         self._known: Mapping[str, Transformation] = {}
         #: What exists.
         self.supplies = Supplies(context, ontology)
-        #: Failures of transformations, by label.
-        self.failures = Backoff(context.clock, _FIRST_PAUSE)
+        self._failures = context.failures
 
     def signature(self) -> Hashable:
         """Return a value that differs when a plan may have become possible."""
@@ -137,7 +133,7 @@ class ClaimPlanner:
             manager.library.revision,
             manager.graph.revision,
             self.supplies.published,
-            self.failures.paused,
+            self._failures.paused,
             self._monitor.unhealthy,
             self._monitor.quality.signature,
         )
@@ -315,7 +311,7 @@ class ClaimPlanner:
 
     def _paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
         """Labels of which no nodelet is to be made for these claims now."""
-        return self.failures.paused | self._monitor.quality.paused(claims)
+        return self._failures.paused | self._monitor.quality.paused(claims)
 
     def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> Dict[str, str]:
         """Those of its own that nothing would need if these clients needed no stream: labels."""
@@ -326,7 +322,7 @@ class ClaimPlanner:
             if each.claim_id not in together
             for name in each.nodelets
         }
-        kept.update(each.name for each in self._manager.graph.all() if each.is_protected)
+        kept.update(each.name for each in self._world().records.values() if each.is_protected)
         return {
             each.name: each.label
             for each in own

@@ -10,7 +10,7 @@ a lease that was renewed meanwhile stays renewed. Events come in the order of th
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Callable, Dict, List, Optional, Set
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from dyknow.errors import UnknownClaim
 from dyknow.event_queue import EventQueue
@@ -52,6 +52,8 @@ class ClaimTable:
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
         self._claims: Dict[str, Claim] = self._stored()
+        self._living: Tuple[Claim, ...] = ()
+        self._sort()
         self._events: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
 
     @property
@@ -68,9 +70,9 @@ class ClaimTable:
         with self._state_lock:
             return [self._claims[claim_id] for claim_id in sorted(self._claims)]
 
-    def living(self) -> List[Claim]:
-        """Return the claims that have not ended, by id."""
-        return [claim for claim in self.all() if not claim.state.ended]
+    def living(self) -> Tuple[Claim, ...]:
+        """Return the claims that have not ended, by id: the same tuple until one changes."""
+        return self._living
 
     def together(self, claim: Claim) -> List[Claim]:
         """Return the claims whose clients listen where this one's does; this one first."""
@@ -104,18 +106,6 @@ class ClaimTable:
             if (claim.request.client_id, claim.request.request_id) == wanted:
                 return claim
         return None
-
-    def needed(self, but: str = "") -> Set[str]:
-        """Nodelets that living claims, ``but`` one, are made of."""
-        names: Set[str] = set()
-        for claim in self.living():
-            if claim.claim_id != but:
-                names.update(claim.nodelets)
-        return names
-
-    def taken_topics(self, but: str = "") -> Set[str]:
-        """Topics on which clients of living claims, ``but`` one, listen."""
-        return {claim.topic for claim in self.living() if claim.topic and claim.claim_id != but}
 
     def add(self, claim: Claim, reason: str) -> Claim:
         """Keep a new claim; its lease begins."""
@@ -174,6 +164,7 @@ class ClaimTable:
                 ended = [key for key, claim in self._claims.items() if claim.state.ended]
                 for key in ended[: max(0, len(ended) - self._ended_kept)]:
                     del self._claims[key]
+                self._sort()
             self._events.add(ClaimEvent(before, after, reason))
         self._events.deliver()
 
@@ -218,3 +209,9 @@ class ClaimTable:
         self._store.put_claim(claim.claim_id, claim.body(Moment.now(self._clock)))
         with self._state_lock:
             self._claims[claim.claim_id] = claim
+            self._sort()
+
+    def _sort(self) -> None:
+        """Find the claims that have not ended; with the lock of the state held."""
+        claims = (self._claims[claim_id] for claim_id in sorted(self._claims))
+        self._living = tuple(claim for claim in claims if not claim.state.ended)

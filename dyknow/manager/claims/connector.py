@@ -1,14 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Connects ports for claims, so that no consumer receives what it does not demand.
-
-Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.
-A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
-cannot be asked counts on each topic on which it may be.
-
-A nodelet may remember what it has received. Before it receives the same variable from another
-individual, all its in-ports that share the variable are disconnected, and connected again as one.
+"""Connects ports, one nodelet at a time or several changes as one.
 
 A connection that was not answered in time may be made later. Its nodelet is asked until it
 answers, and for a while after that its ports count on the topics that they were sent to.
@@ -17,25 +10,29 @@ answers, and for a while after that its ports count on the topics that they were
 from __future__ import annotations
 
 import contextlib
+import logging
 from dataclasses import replace
-from typing import Callable, Dict, FrozenSet, Iterator, List, Mapping, Optional, Set, Tuple
-
-from dyknow.errors import (
-    Busy,
-    DyKnowError,
-    FixedTopics,
-    HostError,
-    HostTimeout,
-    WrongStream,
+from functools import partial
+from typing import (
+    AbstractSet,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Set,
+    Tuple,
 )
-from dyknow.manager.claim import Claim
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
-from dyknow.manager.claims.topology import Topology
+
+from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
+from dyknow.manager.claims.ends import ends_of
+from dyknow.manager.claims.world import Config, World, WorldReader
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of, with_ports
-from dyknow.manager.specifications.tags import Subsumption
-from dyknow.model.graph import State
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.transformation import Transformation
 
 #: Seconds to wait for a look to be done with a nodelet.
 _PATIENCE = 1.0
@@ -44,160 +41,38 @@ _LATE = 30.0
 #: Seconds until a nodelet that did not answer is asked again.
 _PAUSE = 1.0
 
-Config = Mapping[str, str]
-"""Topics by port; an empty topic disconnects."""
+_log = logging.getLogger("rosout.dyknow")
 
 
 class Connector:
-    """Connects ports, and knows the topology that results."""
+    """Connects ports, and asks the nodelets whose connections are not known."""
 
-    def __init__(
-        self,
-        manager: Manager,
-        table: ClaimTable,
-        ontology: Subsumption,
-        clock: Callable[[], float],
-    ) -> None:
-        """Decide from now on how nodelets that are brought back are connected.
+    def __init__(self, manager: Manager, worlds: WorldReader, clock: Callable[[], float]) -> None:
+        """Start with all connections known.
 
         Args:
-            manager: knows the nodelets.
-            table: knows the clients.
-            ontology: what is a kind of what.
+            manager: reaches the nodelets.
+            worlds: reads the world; learns where late connections may put ports.
             clock: steady time, in seconds.
         """
         self._manager = manager
         self._graph = manager.graph
-        self._table = table
-        self._ontology = ontology
+        self._worlds = worlds
         self._clock = clock
-        self._read: Dict[str, Tuple[Record, NodeletEnds]] = {}
-        self._known: Optional[Tuple[object, Topology]] = None
         #: Topics that a port was sent to without an answer, and until when it may arrive there.
         self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
         self._unknown: Dict[str, float] = {}
-        manager.lifecycle.fitting = self.fitting
 
-    # The topology
-
-    def topology(
-        self,
-        changed: Optional[Record] = None,
-        is_replaced: bool = False,
-        is_forgetful: bool = False,
-    ) -> Topology:
-        """Return the topology of this moment.
-
-        Args:
-            changed: a nodelet as it would be; it counts besides what it is.
-            is_replaced: whether it counts instead of what it is.
-            is_forgetful: whether nodelets count as if they remembered nothing.
-        """
-        if changed is None and not is_forgetful:
-            return self._present()
-        nodelets = self._nodelets(changed.name if changed is not None and is_replaced else "")
-        if changed is not None:
-            ports = (
-                replace(port, topic=changed.topics.get(port.name, port.topic))
-                for port in changed.ports
-            )
-            nodelets.append(ends_of(replace(changed, ports=tuple(ports))))
-        if is_forgetful:
-            nodelets = [ends._replace(heard=()) for ends in nodelets]
-        return self._topology(nodelets, self._claims())
-
-    def fitting(self, record: Record) -> Dict[str, str]:
-        """Return a nodelet's connections, without those that must not be made at present."""
-        topics = dict(record.topics)
-        made = {each.name for each in self._graph.all() if each.claimed}
-        topology = self.topology(record)
-        for topic, producer, consumer in topology.mismatches(set(topics.values()) - {""}):
-            for end, other in ((producer, consumer), (consumer, producer)):
-                # What people spawned and connected with each other is their own affair.
-                is_client = other is consumer and not consumer.nodelet
-                concerns_claims = record.claimed or is_client or other.nodelet in made
-                if concerns_claims and _is_at(end, record.name, record.topics, topic):
-                    topics[end.port] = ""
-        if topology.dependent and self._misleads(replace(record, topics=topics), made):
-            topics.update(dict.fromkeys(topology.listened_to(topics), ""))
-        return topics
-
-    def _misleads(self, record: Record, made: Set[str]) -> bool:
-        """Whether others, of claims, would send what is not demanded because of a nodelet."""
-        absent = replace(record, topics={}, ports=())
-        before = set(self.topology(absent, is_replaced=True).mismatches())
-        return any(
-            record.name not in (producer.nodelet, consumer.nodelet)
-            and (not consumer.nodelet or {producer.nodelet, consumer.nodelet} & made)
-            for topic, producer, consumer in self.topology(record, is_replaced=True).mismatches()
-            if (topic, producer, consumer) not in before
-        )
-
-    def in_the_way(
-        self, record: Record, config: Config, is_forgetful: bool = False
-    ) -> Dict[str, Dict[str, str]]:
-        """List what has to be disconnected before a nodelet's ports may be connected so.
-
-        Once that is done there may be more: it depends on what is left then.
-
-        Args:
-            record: the nodelet.
-            config: topics by port.
-            is_forgetful: whether nodelets count as if they remembered nothing.
-
-        Returns:
-            For each nodelet its ports, each with an empty topic.
-
-        Raises:
-            WrongStream: it must not be connected so, whatever is disconnected before.
-        """
-        changed = replace(record, topics={**record.topics, **config})
-        cut: Dict[str, Dict[str, str]] = {}
-        topics = set(config.values()) - {""}
-        topology = self.topology(changed, is_forgetful=is_forgetful)
-        for topic, producer, consumer in topology.mismatches(topics):
-            if _is_at(consumer, record.name, config, topic) or (
-                not consumer.nodelet and _is_at(producer, record.name, config, topic)
-            ):
-                raise WrongStream(topic, producer.nodelet, consumer.nodelet)
-            if _is_at(producer, record.name, config, topic):
-                ports = dict.fromkeys(topology.ports_of(consumer), "")
-                cut.setdefault(consumer.nodelet, {}).update(ports)
-        if cut:
-            return cut
-        feeding = self._first(changed, is_forgetful) if topology.dependent else ()
-        for topic, producer, consumer in feeding:
-            if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
-                raise WrongStream(topic, producer.nodelet, consumer.nodelet)
-            ports = dict.fromkeys(topology.ports_of(consumer), "")
-            cut.setdefault(consumer.nodelet, {}).update(ports)
-        return cut
-
-    def stale(self) -> Dict[str, Dict[str, str]]:
-        """List the nodelets that receive another individual than they remember.
-
-        Returns:
-            For each nodelet its ports that share the variables, with their topics.
-        """
-        found: Dict[str, Dict[str, str]] = {}
-        topology = self.topology()
-        wrong = [each for each in topology.mismatches() if each[2].ends >= 0]
-        if not wrong:
-            return found
-        forgetful = self.topology(is_forgetful=True)
-        lasting = {(topic, *consumer[:2]) for topic, _, consumer in forgetful.mismatches()}
-        for topic, _, consumer in wrong:
-            if (topic, *consumer[:2]) not in lasting:
-                topics = self._graph.get(consumer.nodelet).topics
-                ports = {each: topics.get(each, "") for each in topology.ports_of(consumer)}
-                found.setdefault(consumer.nodelet, {}).update(ports)
-        return found
+    def world(self) -> World:
+        """Return the world of this moment."""
+        return self._worlds.now()
 
     def remember(self) -> None:
         """Note what nodelets with variables receive now."""
-        for name, heard in self.topology().dependent.heard().items():
-            known = self._graph.find(name)
+        world = self.world()
+        for name, heard in world.topology.dependent.heard().items():
+            known = world.records.get(name)
             if known is None or known.heard == heard or known.state is not State.RUNNING:
                 continue
             with contextlib.suppress(Busy), self._graph.changing(
@@ -205,41 +80,6 @@ class Connector:
             ) as record:
                 if record is not None and heard.topics in ((), ends_of(record).listening):
                     self._graph.put(replace(record, heard=heard))
-
-    def _first(self, changed: Record, is_forgetful: bool) -> List[Tuple[str, Producer, Consumer]]:
-        """Return what ``_changed`` yields, without what the others of it feed; a circle entire."""
-        found = list(self._changed(changed, is_forgetful))
-        fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
-        return [each for each in found if each[1].nodelet not in fed] or found
-
-    def _changed(
-        self, changed: Record, is_forgetful: bool
-    ) -> Iterator[Tuple[str, Producer, Consumer]]:
-        """Yield each consumer of what would send something else from now on.
-
-        Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
-
-        Args:
-            changed: a nodelet as it would be.
-            is_forgetful: whether nodelets count as if they remembered nothing.
-        """
-        before = self.topology(is_forgetful=is_forgetful)
-        after = self.topology(changed, is_replaced=True, is_forgetful=is_forgetful)
-        elsewhere = before.dependent.supplies()
-        for place, possible in sorted(after.dependent.supplies().items()):
-            known = elsewhere.get(place, possible)
-            if possible == known or all(each.is_unbound for each in possible):
-                continue
-            was_silent = all(each.is_unbound for each in known)
-            stays = {*before.dependent.topics_of(place)} & {*after.dependent.topics_of(place)}
-            for topic in sorted(stays):
-                for consumer in after.consumers(topic):
-                    may_stay = was_silent or consumer.nodelet in ("", changed.name)
-                    for producer in sorted(possible):
-                        if not may_stay or not after.fits(producer, consumer):
-                            yield topic, producer, consumer
-
-    # Connecting
 
     def connect(self, name: str, config: Config) -> None:
         """Connect ports of a nodelet, and show it in the graph at once.
@@ -257,6 +97,7 @@ class Connector:
         except HostTimeout:
             for port, topic in config.items():
                 self._late.setdefault((name, port), {})[topic] = self._clock() + _LATE
+            self._worlds.expect(self._late)
             self._unknown[name] = self._clock()
             raise
         except HostError:
@@ -299,46 +140,6 @@ class Connector:
 
     # Inside
 
-    def _claims(self) -> List[Claim]:
-        return [claim for claim in self._table.living() if claim.topic]
-
-    def _topology(self, nodelets: List[NodeletEnds], claims: List[Claim]) -> Topology:
-        described = self._manager.existing_topics()
-        return Topology(nodelets, described, claims, dict(self._late), self._ontology)
-
-    def _present(self) -> Topology:
-        """Return the topology as everything is, made once for each state of it."""
-        library, claims = self._manager.library.revision, self._claims()
-        nodelets, late = self._nodelets(), dict(self._late)
-        key = (library, claims, nodelets, late)
-        if self._known is None or self._known[0] != key:
-            self._known = (key, self._topology(nodelets, claims))
-        return self._known[1]
-
-    def _nodelets(self, but: str = "") -> List[NodeletEnds]:
-        """Read the nodelets that may send or receive; a record is read again when it changed."""
-        read: Dict[str, Tuple[Record, NodeletEnds]] = {}
-        for record in self._acting():
-            known = self._read.get(record.name)
-            if known is None or known[0] is not record:
-                known = (record, ends_of(record))
-            read[record.name] = known
-        self._read = read
-        return [ends for name, (_, ends) in read.items() if name != but]
-
-    def _acting(self) -> List[Record]:
-        """Nodelets that run, and those that may run without having been seen."""
-        records = [each for each in self._graph.all() if each.state is not State.FAILED]
-        if any(record.state is State.LOST for record in records):
-            incarnations = {each.name: each.incarnation for each in self._manager.host.managers()}
-            return [
-                record
-                for record in records
-                if record.state is not State.LOST
-                or incarnations.get(record.manager) == record.incarnation
-            ]
-        return records
-
     def _show(self, name: str, config: Config) -> None:
         try:
             with self._graph.changing(name, patience=_PATIENCE) as record:
@@ -371,14 +172,165 @@ class Connector:
             self._late[place] = left
             if not left:
                 del self._late[place]
+        self._worlds.expect(self._late)
         if not any(place[0] == name for place in self._late):
             self._forget(name)
 
     def _forget(self, name: str) -> None:
         self._unknown.pop(name, None)
-        for place in [place for place in self._late if place[0] == name]:
-            del self._late[place]
+        self._late = {place: each for place, each in self._late.items() if place[0] != name}
+        self._worlds.expect(self._late)
 
 
-def _is_at(end: Producer | Consumer, name: str, config: Config, topic: str) -> bool:
-    return end.nodelet == name and config.get(end.port) == topic
+class Transaction:
+    """Spawns and connects nodelets; everything that it did can be undone."""
+
+    def __init__(
+        self, manager: Manager, connector: Connector, unresponsive: AbstractSet[str]
+    ) -> None:
+        """Begin.
+
+        Args:
+            manager: makes nodelets.
+            connector: connects them.
+            unresponsive: nodelets that do not answer.
+        """
+        self._manager = manager
+        self._connector = connector
+        self._unresponsive = unresponsive
+        #: Names of the nodelets that were made.
+        self.spawned: List[str] = []
+        #: Nodelets and how they were connected before; None for those that did not exist.
+        self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
+
+    def spawn(
+        self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
+    ) -> None:
+        """Make a nodelet.
+
+        Args:
+            transformation: what to make.
+            request: how.
+            near: topics whose publishers it is to run close to.
+
+        Raises:
+            DyKnowError: it did not work.
+        """
+        planned = Record(
+            request.name,
+            transformation,
+            "",
+            topics=request.config,
+            parameters=request.parameters,
+        )
+        cut = self._make_way(planned, request.config)
+        record = self._manager.lifecycle.spawn(transformation, request, True, near)
+        self.spawned.append(record.name)
+        self._before.append((record.name, None))
+        self._connector.remember()
+        self._connect_again(cut)
+
+    def connect(self, name: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet that are not connected so already.
+
+        Consumers that would receive what they do not demand are disconnected first.
+
+        Raises:
+            DyKnowError: the nodelet refused, or did not answer.
+        """
+        record = self._manager.graph.get(name)
+        before = {port: record.topics.get(port, "") for port in config}
+        if before == dict(config) and self._connector.is_known(name):
+            return
+        cut = self._make_way(record, config)
+        self._before.append((name, before))  # what was not answered may have been done, too
+        self._connector.connect(name, config)
+        self._connect_again(cut)
+
+    def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
+        """Disconnect ports of a nodelet and connect them again: it forgets what it received.
+
+        They stay disconnected if they do not fit together by then.
+
+        Args:
+            name: of the nodelet.
+            ports: those that share variables, with their topics.
+
+        Raises:
+            DyKnowError: the nodelet refused, or did not answer.
+        """
+        self.connect(name, dict.fromkeys(ports, ""))
+        self._connect_if_fitting(self._manager.graph.get(name), ports)
+
+    def undo(self, needed: AbstractSet[str]) -> None:
+        """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
+        for name, before in reversed(self._before):
+            if before is None:
+                if name not in needed:
+                    _attempt(partial(self._manager.lifecycle.destroy, name))
+            elif name not in self.spawned or name not in needed:
+                _attempt(partial(self._reconnect, name, before))
+
+    def _make_way(self, record: Record, config: Mapping[str, str]) -> Dict[str, Mapping[str, str]]:
+        """Disconnect what is in the way of a connection.
+
+        Returns:
+            By nodelet the ports that were disconnected, with the topics that they had.
+        """
+        cut: Dict[str, Dict[str, str]] = {}
+        is_forgetful = False
+        while True:
+            found = self._connector.world().in_the_way(record, config, is_forgetful)
+            more = {
+                name: ports
+                for name, ports in found.items()
+                if ports.keys() - cut.get(name, {}).keys()
+            }
+            if not more:
+                return dict(sorted(cut.items()))
+            reached = {name: ports for name, ports in more.items() if self._is_reachable(name)}
+            if not reached:
+                if is_forgetful or self._connector.world().in_the_way(record, config, True):
+                    first = self._manager.graph.get(min(more))
+                    why = "has fixed topics" if first.is_fixed else "does not answer"
+                    raise HostError(f"{first.name} has to be disconnected first, and {why}")
+                is_forgetful = True  # they are reconfigured as soon as they answer
+            for name, ports in sorted(reached.items()):
+                topics = self._manager.graph.get(name).topics
+                self.connect(name, ports)
+                before = {port: topics.get(port, "") for port in ports}
+                cut.setdefault(name, {}).update(before)
+
+    def _is_reachable(self, name: str) -> bool:
+        record = self._manager.graph.get(name)
+        is_movable = record.state is State.RUNNING and not record.is_fixed
+        return is_movable and name not in self._unresponsive
+
+    def _connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
+        """Connect those that people connected, and that fit together again, as one.
+
+        What claims need is connected by their repair, with all that changes there.
+        """
+        for name, ports in cut.items():
+            record = self._manager.graph.find(name)
+            if record is not None and not record.claimed:
+                self._connect_if_fitting(record, ports)
+
+    def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
+        fits = self._connector.world().fitting(replace(record, topics={**record.topics, **ports}))
+        if all(fits.get(port) == topic for port, topic in ports.items()):
+            self.connect(record.name, ports)
+
+    def _reconnect(self, name: str, before: Dict[str, str]) -> None:
+        record = self._manager.graph.find(name)
+        if record is None or not self._connector.is_known(name):
+            return  # it is asked how it is connected, and connected as it should be then
+        fits = self._connector.world().fitting(replace(record, topics=before))
+        self._connector.connect(name, fits)
+
+
+def _attempt(step: Callable[[], None]) -> None:
+    try:
+        step()
+    except DyKnowError as error:
+        _log.warning("undoing a plan: %s", error)

@@ -12,7 +12,7 @@ from typing import Callable, Iterable, Iterator, Set
 from dyknow.locks import turn_lock
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.monitors import Failures, StreamMonitor
 from dyknow.manager.manager import Manager
 
 
@@ -103,6 +103,7 @@ class ClaimContext:
         lock: held while claims are changed.
         connector: connects ports.
         monitor: knows which parts of streams send messages.
+        failures: knows which transformations failed lately.
         clock: steady time, in seconds.
     """
 
@@ -111,4 +112,5 @@ class ClaimContext:
     lock: ClaimLock
     connector: Connector
     monitor: StreamMonitor
+    failures: Failures
     clock: Callable[[], float]

@@ -170,6 +170,7 @@ class NodeletEnds(NamedTuple):
     The tags are those that the nodelet was made with, whatever the library says now.
 
     Attributes:
+        name: of the nodelet.
         is_relay: whether it sends what it receives.
         producers: its out-ports.
         consumers: its tagged in-ports.
@@ -180,6 +181,7 @@ class NodeletEnds(NamedTuple):
         is_by_hand: whether it was not made for claims: anybody may have connected it to anything.
     """
 
+    name: str
     is_relay: bool
     producers: Tuple[Tuple[Producer, Tuple[str, ...]], ...]
     consumers: Tuple[Tuple[Consumer, Tuple[str, ...]], ...]
@@ -214,6 +216,7 @@ def ends_of(record: Record) -> NodeletEnds:
     listening = tuple((each.port, where) for each, where in consumers if each.variables)
     is_as_then = record.heard.topics == listening
     return NodeletEnds(
+        record.name,
         is_relay(record.transformation),
         tuple(producers),
         tuple(consumers),

@@ -12,9 +12,9 @@ from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.connector import Transaction
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import Consumer, Producer
-from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -58,7 +58,7 @@ class GarbageCollector:
 
         They are disconnected from the claim's topic when they are back.
         """
-        for record in self._graph.all():
+        for record in self._connector.world().records.values():
             if record.name != claim.goal[0] and record.state is not State.RUNNING:
                 for port, topic in record.topics.items():
                     if topic == claim.topic:
@@ -66,12 +66,11 @@ class GarbageCollector:
 
     def disconnect(self) -> None:
         """Disconnect ports that no claim needs connected, and those that do not fit together."""
-        claims = self._table.living()
-        needed, wires = self._table.needed(), _wires(claims)
-        topology = self._connector.topology()
+        world = self._connector.world()
+        claims, wires = world.claims, _wires(world.claims)
         sources = {topic for claim in claims for topic in claim.sources}
-        undescribed = {topic for topic in sources if not topology.is_described(topic)}
-        for record in self._graph.all():
+        undescribed = {topic for topic in sources if topic not in world.described}
+        for record in world.records.values():
             if not record.claimed:
                 continue
             own = movable_ports(record)
@@ -80,17 +79,17 @@ class GarbageCollector:
             if record.name not in self._lock.reserved:
                 ports.update(
                     port.name
-                    for port in (tagged if record.name in needed else own)
+                    for port in (tagged if record.name in world.needed else own)
                     if (record.name, port.name, port.topic) not in wires
                 )
             self._disconnect(record, ports)
         self._reconfigure()
-        for topic, producer, consumer in self._connector.topology().mismatches():
+        for topic, producer, consumer in self._connector.world().topology.mismatches():
             self._separate(topic, producer, consumer, wires)
 
     def _reconfigure(self) -> None:
         """Reconfigure nodelets where people have put another individual on a topic."""
-        for name, ports in sorted(self._connector.stale().items()):
+        for name, ports in sorted(self._connector.world().stale().items()):
             record = self._graph.find(name)
             if record is not None and self._is_reachable(record):
                 transaction = Transaction(
@@ -147,7 +146,7 @@ class GarbageCollector:
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
         )
         self._replaced = {each for each in self._replaced if each[2] in goals}
-        for record in self._graph.all():
+        for record in self._connector.world().records.values():
             ports = [
                 port.name
                 for port in record.ports
@@ -164,8 +163,9 @@ class GarbageCollector:
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
         now = self._clock()
-        needed = self._table.needed() | self._lock.reserved
-        for record in reversed(self._graph.all()):
+        world = self._connector.world()
+        needed = world.needed | self._lock.reserved
+        for record in reversed([*world.records.values()]):
             if not record.claimed or record.is_protected or record.name in needed:
                 self._idle_since.pop(record.name, None)
                 continue
@@ -173,7 +173,7 @@ class GarbageCollector:
             linger = 0.0 if record.name in self._monitor.unhealthy else self._linger
             if now - since >= linger and record.state in (State.RUNNING, State.FAILED):
                 self._try(record, partial(self._lifecycle.destroy, record.name))
-        present = {record.name for record in self._graph.all()}
+        present = self._connector.world().records
         for name in [name for name in self._idle_since if name not in present]:
             del self._idle_since[name]
 

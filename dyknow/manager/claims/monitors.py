@@ -26,7 +26,8 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.flows import FlowMeter, Place, StreamParts, described, goal_of, name_of
 from dyknow.manager.claims.judges import AgeJudge, Judge, Judgement, RateJudge
 from dyknow.manager.graph import Graph
-from dyknow.manager.manager import Manager
+from dyknow.manager.host import Host
+from dyknow.manager.record import Record
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
 from dyknow.model.transformation import Transformation
 
@@ -34,6 +35,9 @@ from dyknow.model.transformation import Transformation
 _PERIOD = 0.5
 #: Windows for which a part has to deliver what is demanded before it is trusted again.
 _WINDOWS = 2
+#: Seconds of the first pause of a transformation that failed: longer than a round of the
+#: reconciler, so that another way is tried in between.
+_FIRST_PAUSE_OF_ALL = 1.0
 #: Seconds of the first and of the longest pause of a transformation, for one claim. The first is
 #: longer than it takes to judge another one.
 _FIRST_PAUSE = 15.0
@@ -221,25 +225,29 @@ class StreamMonitor:
 
     def __init__(
         self,
-        manager: Manager,
+        host: Host,
+        graph: Graph,
         table: ClaimTable,
+        topics: Callable[[], Iterable[Transformation]],
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
-        """Begin without any stream.
+        """Start without any stream.
 
         Args:
-            manager: knows the nodelets, and reaches their host.
+            host: counts messages.
+            graph: the nodelets.
             table: the claims.
+            topics: returns what the library says about ordinary topics.
             clock: steady time, in seconds.
             running: time for which this process has run, in seconds.
         """
         self._table = table
-        self._meter = FlowMeter(manager.host, manager.graph, clock, running)
-        self._silence = SilenceMonitor(self._meter, manager.graph)
-        self._first_messages = FirstMessageMonitor(table, self._meter, manager.graph, clock)
+        self._meter = FlowMeter(host, graph, clock, running)
+        self._silence = SilenceMonitor(self._meter, graph)
+        self._first_messages = FirstMessageMonitor(table, self._meter, graph, clock)
         #: Which claims get less than they demand, and what is to blame.
-        self.quality = QualityMonitor(self._meter, manager.graph, clock, manager.existing_topics)
+        self.quality = QualityMonitor(self._meter, graph, clock, topics)
 
     @property
     def silent(self) -> Mapping[str, str]:
@@ -303,6 +311,37 @@ class StreamMonitor:
                 elif claim.detail == UNKNOWN_AGE and not is_unknown:
                     reason = "it is known how old its messages are"
                     self._table.change(claim.claim_id, reason, detail="")
+
+
+class Failures:
+    """Transformations that failed lately: nothing is made of them for a while."""
+
+    def __init__(self, graph: Graph, monitor: StreamMonitor, clock: Callable[[], float]) -> None:
+        """Start without a failure.
+
+        Args:
+            graph: the nodelets, and how long they lived.
+            monitor: knows for how long they sent messages.
+            clock: steady time, in seconds.
+        """
+        self._graph = graph
+        self._monitor = monitor
+        self._backoff = Backoff(clock, _FIRST_PAUSE_OF_ALL)
+
+    @property
+    def paused(self) -> FrozenSet[str]:
+        """Labels of which nothing is to be made now."""
+        return self._backoff.paused
+
+    def failed(self, label: str) -> None:
+        """Count a nodelet that could not be made, or whose code crashed after its end."""
+        self._backoff.failed(label)
+
+    def fell(self, record: Record) -> None:
+        """Count a nodelet's death, or silence, against its transformation."""
+        lifetime = self._graph.lifetime(record.name)
+        self._backoff.served(record.label, lifetime)
+        self._backoff.failed(record.label, self._monitor.service(record.name, lifetime))
 
 
 class SilenceMonitor:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Callable, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.answers import Acquired, CheaperPlans, refusal
 from dyknow.manager.claims.assembly import STAMPED, AssemblyResult, Handover
@@ -29,14 +30,22 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.monitors import Failures, StreamMonitor
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.supplies import instance_of
 from dyknow.manager.claims.topology import demand_of
-from dyknow.manager.manager import Manager
+from dyknow.manager.claims.world import WorldReader
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import StreamKeeper
+from dyknow.manager.manager import DEFAULT_OPTIONS, Manager, ManagerOptions
+from dyknow.manager.observer import at_once
 from dyknow.manager.planning.problem import Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
+from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.periodic import STEADY, Clock
 
 #: Times that a request is planned because what its plan uses went meanwhile.
 _ATTEMPTS = 3
@@ -68,31 +77,27 @@ class StreamReconciler:
 
     def __init__(
         self,
-        manager: Manager,
+        context: ClaimContext,
         settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
-        clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
-        running: Optional[Callable[[], float]] = None,
     ) -> None:
-        """Take over the claims in the store; ``reconcile`` works on them.
+        """Take over the claims in the table; ``reconcile`` works on them.
 
         Args:
-            manager: makes and destroys nodelets.
+            context: what its parts share; ``open_reconciler`` makes it.
             settings: how to behave.
-            clock: steady time, in seconds.
             sleep: waits that many seconds, while a replacement comes up.
-            running: time for which this process has run, in seconds; by default ``clock``.
         """
-        self._manager = manager
-        ontology = manager.library.ontology
+        #: Makes and destroys nodelets.
+        self.manager = context.manager
         self._ended = False
-        table = self._table = ClaimTable(manager.store, clock, settings.ended_kept, running)
-        self._lock = ClaimLock()
-        self._connector = Connector(manager, table, ontology, clock)
-        self._monitor = StreamMonitor(manager, table, clock, running or clock)
-        context = ClaimContext(manager, table, self._lock, self._connector, self._monitor, clock)
-        self._planner = ClaimPlanner(context, ontology)
-        self._cheaper_plans = CheaperPlans(table, self._planner, clock)
+        self._table = context.table
+        self._lock = context.lock
+        self._connector = context.connector
+        self._monitor = context.monitor
+        self._failures = context.failures
+        self._planner = ClaimPlanner(context, self.manager.library.ontology)
+        self._cheaper_plans = CheaperPlans(self._table, self._planner, context.clock)
         self._collector = GarbageCollector(context, settings.linger)
 
         def wait(seconds: float) -> None:
@@ -100,7 +105,7 @@ class StreamReconciler:
                 sleep(seconds)
 
         def handover() -> Handover:
-            return Handover(manager.host, settings.handover, clock, wait)
+            return Handover(self.manager.host, settings.handover, context.clock, wait)
 
         self._repair = Repair(context, self._planner, self._collector, handover)
 
@@ -135,10 +140,10 @@ class StreamReconciler:
         check_request(request)
         claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
         demand_of([claim])
-        if request.max_age and self._manager.host.is_stamped(request.datatype) is False:
+        if request.max_age and self.manager.host.is_stamped(request.datatype) is False:
             raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
-            self._manager.guards.check_writable(f"acquiring '{request.tag}'")
+            self.manager.guards.check_writable(f"acquiring '{request.tag}'")
         self._planner.supplies.look(at_once=True)
         if dry_run:
             return self._explained(*self._drafted(claim))
@@ -164,7 +169,7 @@ class StreamReconciler:
                 plan, done = self._repair.make(claim, answer, lenient=True)
                 claim = self._table.add(replace(claim, **outcome(done)), "requested")
                 return _made(claim, plan, done)
-        raise NoPlanFound(refusal(self._manager, missing, request.exclude), claim.claim_id)
+        raise NoPlanFound(refusal(self.manager, missing, request.exclude), claim.claim_id)
 
     def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
         """Use the cheapest plan of today, if it is cheaper than the stream or that is broken.
@@ -179,7 +184,7 @@ class StreamReconciler:
             DyKnowError: it could not be made; the stream is as it was.
         """
         if not dry_run:
-            self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
+            self.manager.guards.check_writable(f"replanning claim '{claim_id}'")
         for attempt in itertools.count(1):
             self._planner.supplies.look(at_once=True)
             claim, proposal = self._redrafted(claim_id)
@@ -199,7 +204,7 @@ class StreamReconciler:
                 )
                 self._collector.clear_topics()
                 return _made(changed or claim, plan, done)
-        raise NoPlanFound(refusal(self._manager, missing, claim.request.exclude), claim_id)
+        raise NoPlanFound(refusal(self.manager, missing, claim.request.exclude), claim_id)
 
     def release(self, claim_id: str) -> None:
         """End a claim; one that has ended, or is unknown, is no error."""
@@ -273,7 +278,7 @@ class StreamReconciler:
         """
         plan = proposal.answer
         if isinstance(plan, NoPlan):
-            raise NoPlanFound(refusal(self._manager, plan, claim.request.exclude), claim.claim_id)
+            raise NoPlanFound(refusal(self.manager, plan, claim.request.exclude), claim.claim_id)
         self._planner.check_stamped(claim, plan)
         with self._lock.reading():
             return self._intended(claim, plan)
@@ -300,9 +305,9 @@ class StreamReconciler:
             self._collector.disconnect()
             self._repair.forget_ended()
             for name in self._monitor.read():
-                record = self._manager.graph.find(name)
+                record = self.manager.graph.find(name)
                 if record is not None:
-                    self._repair.blame(record)
+                    self._failures.fell(record)
             for claim in sorted(self._table.living(), key=_consumers_last):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
@@ -323,6 +328,47 @@ class StreamReconciler:
             self._ended = True
         for claim in self._table.living():
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
+
+
+def open_reconciler(
+    host: Host,
+    store: Store,
+    library: Library,
+    guards: Guards = NO_GUARDS,
+    options: ManagerOptions = DEFAULT_OPTIONS,
+    run: Callable[[Callable[[], None]], None] = at_once,
+    clock: Clock = STEADY,
+    settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
+    sleep: Callable[[float], None] = time.sleep,
+    running: Optional[Callable[[], float]] = None,
+) -> StreamReconciler:
+    """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
+
+    Args:
+        host: reaches the nodelet managers.
+        store: durable state.
+        library: transformations.
+        guards: what is forbidden.
+        options: how the manager behaves.
+        run: calls what brings a nodelet back, which may take long.
+        clock: steady time.
+        settings: how the reconciler behaves.
+        sleep: waits that many seconds, while a replacement comes up.
+        running: time for which this process has run, in seconds; by default ``clock``.
+    """
+    now = clock.now
+    graph = Graph(store, clock)
+    table = ClaimTable(store, now, settings.ended_kept, running)
+    worlds = WorldReader(graph, table, library, host, options.namespace)
+    monitor = StreamMonitor(
+        host, graph, table, lambda: worlds.now().descriptions, now, running or now
+    )
+    failures = Failures(graph, monitor, now)
+    keeper = StreamKeeper(worlds.fitting, failures.fell, failures.failed)
+    manager = Manager(host, store, library, guards, options, run, clock, graph, keeper)
+    connector = Connector(manager, worlds, now)
+    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, failures, now)
+    return StreamReconciler(context, settings, sleep)
 
 
 def _consumers_last(claim: Claim) -> int:

@@ -58,7 +58,7 @@ class Repair:
         collector: GarbageCollector,
         handover: Callable[[], Handover],
     ) -> None:
-        """Count from now on the nodelets that die against their transformations.
+        """Start without a claim that cannot be repaired.
 
         Args:
             context: what the parts of the reconciler share.
@@ -78,8 +78,6 @@ class Repair:
         self._culprit = ""
         #: Claims without a plan: what existed when they were planned, and what was wrong.
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
-        context.manager.observer.on_death = self.blame
-        context.manager.observer.on_crash = planner.failures.failed
 
     # What is wrong
 
@@ -112,7 +110,7 @@ class Repair:
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as what the claim needs."""
-        topology = self._context.connector.topology()
+        topology = self._context.connector.world().topology
         consumers = [
             consumer
             for consumer in topology.consumers(topic)
@@ -214,7 +212,7 @@ class Repair:
         except DyKnowError:
             if assembly.culprit:
                 self._culprit = assembly.culprit
-                self._planner.failures.failed(assembly.culprit)
+                self._context.failures.failed(assembly.culprit)
             raise
         done.detail = self._monitor.restart(claim, done.goal, done.topic, done.wiring)
         self._collector.note_replaced(replace(claim, **outcome(done)))
@@ -279,7 +277,7 @@ class Repair:
         ]
         if not claims:
             return
-        topology = self._context.connector.topology()  # takes long, so once for all
+        topology = self._context.connector.world().topology
         for claim in claims:
             for producer in topology.producers(claim.topic):
                 found = topology.ways_to_serve(producer, claim)
@@ -314,15 +312,6 @@ class Repair:
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
                 self._hopeless.pop(claim.claim_id, None)  # it is tried again
         self._table.change(claim.claim_id, fault.what, **changes)
-
-    # Failures
-
-    def blame(self, record: Record) -> None:
-        """Count a nodelet's death, or silence, against its transformation."""
-        failures = self._planner.failures
-        lifetime = self._graph.lifetime(record.name)
-        failures.served(record.label, lifetime)
-        failures.failed(record.label, self._monitor.service(record.name, lifetime))
 
     def forget_ended(self) -> None:
         """Forget claims that have ended."""

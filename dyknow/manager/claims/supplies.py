@@ -215,7 +215,7 @@ def _outputs(record: Record) -> List[TaggedStream]:
 
 
 def with_feeders(
-    records: Sequence[Record],
+    records: Mapping[str, Record],
     ordinary: AbstractSet[str],
     wiring: Dict[str, Dict[str, str]],
     sources: Set[str],
@@ -224,17 +224,16 @@ def with_feeders(
     """Add everything that feeds the nodelets which are used as they are: the stream needs it too.
 
     Args:
-        records: the nodelets of the graph.
+        records: the nodelets by name.
         ordinary: topics on which ordinary nodes publish, perhaps besides nodelets.
         wiring: for each nodelet of the stream the topics that its ports need; added to.
         sources: topics of ordinary nodes; added to.
         reused: names of nodelets that existed before; added to.
     """
-    by_name = {record.name: record for record in records}
     waiting = sorted(name for name in reused if name in wiring)
     while waiting:
         name = waiting.pop()
-        record = by_name.get(name)
+        record = records.get(name)
         if record is None or record.transformation is None:
             continue
         for port in record.transformation.ports:
@@ -252,10 +251,10 @@ def with_feeders(
                 wiring.setdefault(publisher, {})[out_port] = topic
 
 
-def _publishers(records: Sequence[Record], topic: str) -> List[Tuple[str, str]]:
+def _publishers(records: Mapping[str, Record], topic: str) -> List[Tuple[str, str]]:
     return [
         (record.name, port)
-        for record in records
+        for record in records.values()
         if record.state is State.RUNNING and record.transformation is not None
         for port in ports_on(record, OUT, topic)
     ]
@@ -274,13 +273,12 @@ class Supplies:
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
-        self._connector = context.connector
+        self._world = context.connector.world
         self._monitor = context.monitor
         self._clock = context.clock
         self._ontology = ontology
         self._transformations: Dict[str, Transformation] = {}
         self._transformations_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
-        self._nodes_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
         #: Topics of ordinary nodes that had a publisher at the last look.
         self.published: FrozenSet[str] = frozenset()
@@ -294,7 +292,7 @@ class Supplies:
         if now - self._looked < _FRESH and not at_once:
             return
         self._looked = now
-        wanted = {each.source for each in self._manager.existing_topics()}
+        wanted = set(self._world().described)
         wanted.update(topic for claim in self._table.living() for topic in claim.sources)
         try:
             self.published = self._manager.host.published(sorted(wanted))
@@ -303,14 +301,14 @@ class Supplies:
 
     def ordinary(self) -> FrozenSet[str]:
         """Topics on which ordinary nodes publish what the library describes."""
-        return self.published & {each.source for each in self._manager.existing_topics()}
+        return self.published & self._world().described.keys()
 
     def transformations(self) -> Mapping[str, Transformation]:
         """Return by label what plans may have steps of; another mapping after each change.
 
         A node of others is among them while it runs.
         """
-        library, nodes = self._manager.library, self._described_nodes()
+        library, nodes = self._manager.library, self._world().described_nodes
         if self._transformations_at != (library.revision, nodes):
             self._transformations_at = library.revision, nodes
             self._transformations = {
@@ -322,7 +320,7 @@ class Supplies:
         """Return a value that differs when a plan may have become cheaper."""
         others = frozenset(
             record.name
-            for record in self._manager.graph.all()
+            for record in self._world().records.values()
             if not record.claimed and record.state is State.RUNNING
         )
         return self._manager.library.revision, self.published, others
@@ -336,11 +334,10 @@ class Supplies:
         same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
-        needed = self._table.needed() | self._lock.reserved
-        records = {record.name: record for record in self._manager.graph.all()}
+        world = self._world()
+        needed, records = world.needed | self._lock.reserved, world.records
         idle = [name for name in records if name not in needed]
         unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
-        topology = self._connector.topology()
         found: List[OwnNodelet] = []
         for name in reversed((*idle, *claim.nodelets)):
             record = records.get(name)
@@ -352,7 +349,7 @@ class Supplies:
                 and all(_may_lend(each, claim) for each in users)
             ):
                 exposed = exposed_variables(transformations[record.label])
-                ways = topology.dependent.ways(name) if exposed else None
+                ways = world.topology.dependent.ways(name) if exposed else None
                 present = {_restricted(way, exposed) for way in ways or ()}
                 bound = min(present) if len(present) == 1 else ()
                 is_certain = {variable for variable, _ in bound} == exposed
@@ -370,31 +367,29 @@ class Supplies:
             exclude: labels that must have no part in them, directly or further up.
             without: nodelets and topics that must have no part in them.
         """
-        manager = self._manager
+        world, library = self._world(), self._manager.library
         published = [
             each
-            for each in manager.existing_topics()
+            for each in world.descriptions
             if each.label not in exclude
             and each.source in self.published
             and each.source not in self._monitor.silent
             and each.source not in without
         ]
-        records = manager.graph.all()
         excluded = {
             record.name
-            for record in records
-            if record.label in exclude
-            or (record.claimed and not is_current(manager.library, record))
+            for record in world.records.values()
+            if record.label in exclude or (record.claimed and not is_current(library, record))
         }
         unfit = without | excluded | self._monitor.unhealthy
-        topology = self._connector.topology()
-        return live_streams(records, published, topology, self._ontology, unfit)
+        records = world.records.values()
+        return live_streams(records, published, world.topology, self._ontology, unfit)
 
     def feeders(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
         """Labels of what feeds each nodelet of streams, where the claim has wishes about it."""
         if wishes_of(claim) == NO_WISHES:
             return {}
-        records, ordinary = self._manager.graph.all(), self.ordinary()
+        records, ordinary = self._world().records, self.ordinary()
         found = {}
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
             fed: Dict[str, Dict[str, str]] = {name: {}}
@@ -405,39 +400,19 @@ class Supplies:
 
     def labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> List[str]:
         """Labels of nodelets that run, and of ordinary topics."""
-        found = [self._manager.graph.find(name) for name in nodelets]
-        wanted = set(topics)
-        described = [
-            each.label for each in self._manager.existing_topics() if each.source in wanted
-        ]
+        world, wanted = self._world(), set(topics)
+        found = [world.records.get(name) for name in nodelets]
+        described = [each.label for each in world.descriptions if each.source in wanted]
         return [record.label for record in found if record is not None] + described
 
     def without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
         """Leave out what relays publish: a plan takes it from where they receive it."""
-        relays = {
-            record.name for record in self._manager.graph.all() if is_relay(record.transformation)
-        }
+        relays = self._world().relays
         return [each for each in streams if each[0].nodelet not in relays]
 
     def engaged(self, own: Iterable[OwnNodelet]) -> FrozenSet[str]:
         """Labels of the nodes of others that run, but can be connected as they are alone."""
-        return self._described_nodes() - {each.label for each in own}
-
-    # Inside
-
-    def _described_nodes(self) -> FrozenSet[str]:
-        """Labels of the nodes of others that run, found once for each revision of the graph."""
-        graph = self._manager.graph
-        revision, nodes = self._nodes_at
-        if revision != graph.revision:
-            revision = graph.revision  # first: what comes meanwhile is found the next time
-            nodes = frozenset(
-                each.label
-                for each in graph.all()
-                if each.is_described and each.state is State.RUNNING
-            )
-            self._nodes_at = revision, nodes
-        return nodes
+        return self._world().described_nodes - {each.label for each in own}
 
 
 def wishes_of(claim: Claim) -> Wishes:

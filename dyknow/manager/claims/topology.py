@@ -15,6 +15,7 @@ may receive anything there.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from typing import (
@@ -30,6 +31,7 @@ from typing import (
     Optional,
     Sequence,
     Tuple,
+    Union,
 )
 
 from dyknow.datatypes import same_type
@@ -282,7 +284,7 @@ class Topology:
     def __init__(
         self,
         nodelets: Iterable[NodeletEnds],
-        described: Iterable[Transformation],
+        described: Mapping[str, Sequence[Transformation]],
         claims: Iterable[Claim],
         perhaps: Mapping[Tuple[str, str], Collection[str]],
         ontology: Subsumption,
@@ -291,57 +293,95 @@ class Topology:
 
         Args:
             nodelets: those that may send or receive.
-            described: transformations of type topic.
+            described: transformations of type topic, by topic.
             claims: those whose clients listen.
             perhaps: further topics on which ports may be, by nodelet and port.
             ontology: what is a kind of what.
         """
+        self._described = described
+        self._perhaps = perhaps
         self._ontology = ontology
+        self._nodelets = tuple(nodelets)
+        self._claims = tuple(claims)
         self._producers: Dict[str, List[Producer]] = {}
         self._consumers: Dict[str, List[Consumer]] = {}
-        for claim in claims:
+        for claim in self._claims:
             client = Consumer("", claim.claim_id, demand_of([claim]))
             self._consumers.setdefault(claim.topic, []).append(client)
-        relays = set()
-        places: List[Tuple[str, Producer]] = []
         #: Nodelets of which what they receive says what they send, or may receive elsewhere.
         self.dependent = DependentNodelets(self.producers, ontology)
-        for ends in nodelets:
-            number = self.dependent.add(ends) if ends.has_variables else -1
-            for consumer, topics in ends.consumers:
-                everywhere = tuple(_all(topics, perhaps, consumer))
-                if ends.has_variables:
-                    consumer = consumer._replace(ends=number)
-                    self.dependent.place_consumer(consumer, everywhere)
-                for topic in everywhere:
-                    self._consumers.setdefault(topic, []).append(consumer)
-            for producer, topics in ends.producers:
-                is_open = any(not tag.is_ground for tag in producer.tags)
-                for topic in _all(topics, perhaps, producer):
-                    if is_open:
-                        self.dependent.place_producer(number, producer.port, topic)
-                    else:
-                        places.append((topic, producer))
-                if ends.is_relay:
-                    relays.add(producer.nodelet)
-        used = self._consumers.keys() | {topic for topic, _ in places} | self.dependent.topics
-        self._describe(each for each in described if each.source in used)
-        said = set(self._producers)
-        for topic, producer in places:
-            if producer.tags or topic not in said:
-                self._producers.setdefault(topic, []).append(producer)
+        for ends in self._nodelets:
+            self._enter(ends)
+        self._relays = {each.name for each in self._nodelets if each.is_relay}
         self.dependent.bind()
-        self._distrust(relays)
+        self._distrust(self._relays)
 
-    def _describe(self, described: Iterable[Transformation]) -> None:
-        """Enter the ordinary nodes that the library describes, one producer for each topic."""
-        for each in described:
-            port = each.ports[0]
-            known = self._producers.get(each.source, [Producer("", "")])[0]
-            tags = known.tags + read_tags(port.tags)
-            self._producers[each.source] = [
-                Producer("", "", tags, known.datatype or port.datatype)
-            ]
+    def _enter(self, ends: NodeletEnds) -> None:
+        number = self.dependent.add(ends) if ends.has_variables else -1
+        for consumer, topics in ends.consumers:
+            everywhere = tuple(self._all(topics, consumer))
+            if ends.has_variables:
+                consumer = consumer._replace(ends=number)
+                self.dependent.place_consumer(consumer, everywhere)
+            for topic in everywhere:
+                self._consumers.setdefault(topic, []).append(consumer)
+        for producer, topics in ends.producers:
+            is_open = any(not tag.is_ground for tag in producer.tags)
+            for topic in self._all(topics, producer):
+                if is_open:
+                    self.dependent.place_producer(number, producer.port, topic)
+                elif producer.tags or topic not in self._described:
+                    self._producers.setdefault(topic, []).append(producer)
+
+    def changed(
+        self,
+        gone: Sequence[NodeletEnds],
+        new: Sequence[NodeletEnds],
+        nodelets: Iterable[NodeletEnds] = (),
+    ) -> Topology:
+        """Return a topology with other nodelets, which shares with this one what stays.
+
+        Where what one nodelet receives says what another one sends, nothing can be shared.
+
+        Args:
+            gone: nodelets that it has no longer.
+            new: nodelets that it has besides.
+            nodelets: all that it has, if their order matters.
+        """
+        nodelets = [*nodelets] or [each for each in self._nodelets if each not in gone] + [*new]
+        if (
+            self._relays
+            or self.dependent
+            or any(each.has_variables or each.is_relay for each in new)
+        ):
+            return Topology(nodelets, self._described, self._claims, self._perhaps, self._ontology)
+        found = copy.copy(self)
+        found._nodelets = tuple(nodelets)
+        found._producers = {topic: list(each) for topic, each in self._producers.items()}
+        found._consumers = {topic: list(each) for topic, each in self._consumers.items()}
+        for ends in gone:
+            for producer, topics in ends.producers:
+                for topic in self._all(topics, producer):
+                    if producer in found._producers.get(topic, ()):
+                        found._producers[topic].remove(producer)
+            for consumer, topics in ends.consumers:
+                for topic in self._all(topics, consumer):
+                    found._consumers[topic].remove(consumer)
+        for ends in new:
+            found._enter(ends)
+        return found
+
+    def _all(self, topics: Tuple[str, ...], end: Union[Producer, Consumer]) -> Iterable[str]:
+        """Return the topics on which a port may be."""
+        further = self._perhaps.get((end.nodelet, end.port), ())
+        return sorted({*topics, *further} - {""}) if further else topics
+
+    def _described_on(self, topic: str) -> List[Producer]:
+        """Return the ordinary nodes that the library describes, as one producer."""
+        ports = [each.ports[0] for each in self._described.get(topic, ())]
+        tags = tuple(term for port in ports for term in read_tags(port.tags))
+        datatype = next((port.datatype for port in ports if port.datatype), "")
+        return [Producer("", "", tags, datatype)] if ports else []
 
     def _distrust(self, relays: AbstractSet[str]) -> None:
         """Take away the tags of relays that may receive something else than these say."""
@@ -367,11 +407,15 @@ class Topology:
 
     def producers(self, topic: str) -> List[Producer]:
         """Return the producers of a topic; its description stands for nodelets without tags."""
-        return [*self._producers.get(topic, ()), *self.dependent.on(topic)]
+        return [
+            *self._described_on(topic),
+            *self._producers.get(topic, ()),
+            *self.dependent.on(topic),
+        ]
 
     def is_described(self, topic: str) -> bool:
         """Whether the library describes what ordinary nodes send on a topic."""
-        return any(not producer.nodelet for producer in self.producers(topic))
+        return topic in self._described
 
     def ports_of(self, consumer: Consumer) -> List[str]:
         """Return the in-ports of a nodelet that are connected elsewhere together with one."""
@@ -421,12 +465,3 @@ class Topology:
             for tag in tags
             if all(self.serves(each, Demand(frozenset((tag,)))) for each in producers)
         )
-
-
-def _all(
-    topics: Tuple[str, ...],
-    perhaps: Mapping[Tuple[str, str], Collection[str]],
-    end: Producer | Consumer,
-) -> Iterable[str]:
-    further = perhaps.get((end.nodelet, end.port), ()) if perhaps else ()
-    return sorted({*topics, *further} - {""}) if further else topics

@@ -24,9 +24,9 @@ import rospy
 import dyknow
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, PeerTimeout, StoreError
-from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager, ManagerOptions
+from dyknow.manager.manager import ManagerOptions
 from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
@@ -109,14 +109,16 @@ class ManagerNode(Closable):
         ontology = _ontology(settings)
         for warning in ontology.warnings if ontology is not None else ():
             rospy.logwarn("%s", warning)
-        self.manager = Manager(
+        self._reconciler = open_reconciler(
             self._host,
             self._store,
             Library(self._store, ontology, settings.limits),
             settings.guards,
             ManagerOptions(names.parent(node), settings.spawn_timeout),
             self._workers.run,
+            running=running,
         )
+        self.manager = self._reconciler.manager
         self._messages = ModelMessages()
         self._fixed = FixedNodelets(self.manager)
         self._watch = Watch(self.manager, self._after_look)
@@ -136,11 +138,11 @@ class ManagerNode(Closable):
         )
         self.manager.on_change = self._publisher.note_change
         self._introduce()
-        # Made before the start, since it decides how nodelets that come back are connected.
-        reconciler = self._reconciler = StreamReconciler(self.manager, running=self._running)
         self.manager.start()
         self._after_change()
-        self._streams = StreamNode(self.manager, reconciler, self._after_change, self._running)
+        self._streams = StreamNode(
+            self.manager, self._reconciler, self._after_change, self._running
+        )
         self.manager.on_change = self._on_change
         self._services = ManagerServices(
             self.manager, self._messages, self._after_change, self._publisher.publish

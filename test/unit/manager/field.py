@@ -14,10 +14,9 @@ from unit.manager.hand_clock import HandClock
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.answers import Acquired
-from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
@@ -140,8 +139,10 @@ class Field:
         """Start a manager on what the store has."""
         self.store = Store(self.path)
         library = Library(self.store, self.ontology)
-        self.manager = Manager(self.host, self.store, library, clock=self.clock)
-        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
+        self.reconciler = open_reconciler(
+            self.host, self.store, library, clock=self.clock, sleep=self.sleep
+        )
+        self.manager = self.reconciler.manager
         self.manager.start()
         self.events: List[ClaimEvent] = []
         self.reconciler.on_event = self.events.append

@@ -21,9 +21,8 @@ from unit.manager.field import LIBRARY, SOURCES, Field
 from unit.manager.mortal import ON_DISK, ON_HOST, Killed, Life, Mortal
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
@@ -82,8 +81,10 @@ class Lives(Field):
         mortal = cast(Store, Mortal(store, self.life, ON_DISK))
         host: Any = Mortal(self.host, self.life, ON_HOST)
         library = Library(mortal, self.ontology)
-        self.manager = Manager(host, mortal, library, clock=self.clock)
-        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
+        self.reconciler = open_reconciler(
+            host, mortal, library, clock=self.clock, sleep=self.sleep
+        )
+        self.manager = self.reconciler.manager
         self.manager.start()
 
     def start_again(self, end: Optional[int] = None) -> None:

@@ -137,7 +137,7 @@ def viewer(tag: str) -> Record:
 
 
 def topology(*records: Record) -> Topology:
-    return Topology(map(ends_of, records), (), (), {}, NO_ONTOLOGY)
+    return Topology(map(ends_of, records), {}, (), {}, NO_ONTOLOGY)
 
 
 def mismatches(*records: Record) -> List[str]:

@@ -10,7 +10,7 @@ from typing import Dict, List
 import pytest
 from unit.manager.field import Field
 
-from dyknow.manager.claims import connector
+from dyknow.manager.claims import world
 from dyknow.manager.claims.ends import NodeletEnds, ends_of, relay
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.record import Record
@@ -39,7 +39,7 @@ def relay_between(name: str, topics: Dict[str, str]) -> Record:
 
 
 def mismatches(*records: Record) -> List[str]:
-    found = Topology(map(ends_of, records), (), (), {}, NO_ONTOLOGY).mismatches()
+    found = Topology(map(ends_of, records), {}, (), {}, NO_ONTOLOGY).mismatches()
     return sorted(f"{producer.nodelet} {consumer.nodelet}" for _, producer, consumer in found)
 
 
@@ -66,10 +66,14 @@ def test_a_record_is_read_again_only_when_it_changed(monkeypatch: pytest.MonkeyP
         read.append(record.name)
         return ends_of(record)
 
-    monkeypatch.setattr(connector, "ends_of", counted)
+    monkeypatch.setattr(world, "ends_of", counted)
     field = Field()
     claim = field.acquire("YUV(field)").claim
-    look = field.reconciler._connector.topology
+    world_now = field.reconciler._connector.world
+
+    def look() -> Topology:
+        return world_now().topology
+
     look()
     del read[:]
     assert [each.nodelet for each in look().producers(claim.topic)] == [claim.goal[0]]

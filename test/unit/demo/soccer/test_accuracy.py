@@ -29,7 +29,7 @@ from dyknow_demo.soccer.world import (
     HEADING_ERROR,
     MOUNTING_ERROR,
     PLACE_ERROR,
-    World,
+    SoccerWorld,
 )
 
 TIMES = [1.6e9 + 4.8 * number for number in range(20)]
@@ -48,7 +48,7 @@ def standard_deviation(name, seed):
         pixel = 2 * PIXEL / CEILING_CAMERA.fx
         angle = math.hypot(MOUNTING_ERROR, pixel)
         return stray(3.0, CEILING_HEIGHT - BALL_RADIUS, angle, 0.0, 0.0)
-    world = World(seed)
+    world = SoccerWorld(seed)
     distances = [
         np.hypot(*(world.ball_on_field(time)[:2] - world.robot(time).place[:2])) for time in TIMES
     ]

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from unit.manager.hand_clock import HandClock
 
-from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.store import Store
@@ -43,9 +42,11 @@ class Field:
         )
         store = Store(":memory:")
         library = Library(store, self.ontology)
-        self.manager = Manager(self.host, store, library, clock=self.clock)
+        self.reconciler = open_reconciler(
+            self.host, store, library, clock=self.clock, sleep=self.sleep
+        )
+        self.manager = self.reconciler.manager
         self.manager.start()
-        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
         self.reasons: list[str] = []
         self.reconciler.on_event = lambda event: self.reasons.append(event.reason)
         self.manager.add_transformation(SOCCER.read_text())

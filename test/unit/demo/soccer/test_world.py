@@ -29,7 +29,7 @@ from dyknow_demo.soccer.world import (
     INTERVAL,
     KICKS,
     ROLLING,
-    World,
+    SoccerWorld,
 )
 
 ROUND = KICKS * INTERVAL
@@ -37,7 +37,7 @@ FASTEST_WALK = 0.25  # m/s
 
 
 def frame_of(seed, time, number=0):
-    world, view = World(seed), FieldCamera(BOTTOM_CAMERA, seed)
+    world, view = SoccerWorld(seed), FieldCamera(BOTTOM_CAMERA, seed)
     frame = np.empty((480, 640, 2), np.uint8)
     view.render(world.field_from_bottom_camera(time), world.ball_on_field(time), number, frame)
     return frame
@@ -47,13 +47,13 @@ def test_seed_and_time_tell_everything():
     assert np.array_equal(frame_of(3, 12.5), frame_of(3, 12.5))
     assert not np.array_equal(frame_of(3, 12.5), frame_of(4, 12.5))
     assert not np.array_equal(frame_of(3, 12.5), frame_of(3, 12.6))
-    one, other = World(5), World(5)
+    one, other = SoccerWorld(5), SoccerWorld(5)
     assert one.encoders(7.0) == other.encoders(7.0)
     assert one.believed_place(7.0) == other.believed_place(7.0)
 
 
 def test_the_ball_rolls_slows_down_and_rests():
-    ball = World(0).ball_on_field
+    ball = SoccerWorld(0).ball_on_field
     start, soon, late, rest, end = ball(
         np.array([0.0, 0.1, ROLLING - 0.1, ROLLING, INTERVAL - 1e-9])
     )
@@ -63,7 +63,7 @@ def test_the_ball_rolls_slows_down_and_rests():
 
 
 def test_the_ball_stays_on_the_field_and_comes_round():
-    ball = World(1).ball_on_field
+    ball = SoccerWorld(1).ball_on_field
     times = np.arange(0.0, ROUND, 0.1)
     way = ball(times)
     assert (np.abs(way[:, :2]) < (FIELD_LENGTH / 2, FIELD_WIDTH / 2)).all()
@@ -73,7 +73,7 @@ def test_the_ball_stays_on_the_field_and_comes_round():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_robot_walks_as_a_nao_can_and_keeps_the_ball_in_view(seed):
-    world = World(seed)
+    world = SoccerWorld(seed)
     times = np.arange(0.0, ROUND, 0.25)
     places = np.array([world.robot(time).place for time in times])
     speeds = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1) / 0.25
@@ -90,7 +90,7 @@ def test_the_robot_walks_as_a_nao_can_and_keeps_the_ball_in_view(seed):
 
 
 def test_beliefs_are_a_little_wrong():
-    world = World(0)
+    world = SoccerWorld(0)
     off = np.array([np.subtract(world.believed_place(t), world.robot(t).place) for t in range(96)])
     assert 0.01 < np.abs(off[:, 0]).mean() < 0.05  # m
     assert 0.002 < np.abs(off[:, 2]).mean() < 0.02  # rad
@@ -120,7 +120,7 @@ def test_a_ball_behind_or_beside_the_camera_is_not_drawn():
 
 
 def test_lines_are_where_the_field_has_them():
-    world = World(0)
+    world = SoccerWorld(0)
     view = FieldCamera(CEILING_CAMERA, 0)
     frame = np.empty((960, 1280, 2), np.uint8)
     pose = world.field_from_ceiling_camera()
