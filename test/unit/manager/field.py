@@ -15,12 +15,12 @@ from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.answers import Acquired
 from dyknow.manager.claims.reconciler import open_reconciler
-from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.simulated.host import FakeHost
 
 IMAGE, POINT = "sensor_msgs/Image", "geometry_msgs/PointStamped"
 SOURCES = {

@@ -14,8 +14,8 @@ import re
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, Set, Tuple
 
 from dyknow.manager.claim import Claim
-from dyknow.manager.fake_host import FakeHost
 from dyknow.model.streams import ClaimState
+from dyknow.simulated.host import FakeHost
 
 Wrong = Tuple[str, str, str, str]
 """Who receives, at which port, on which topic, from whom."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 from typing import Any
 
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest
 from dyknow.periodic import STEADY, Clock
+from dyknow.simulated.host import FakeHost
 
 SOURCES = {
     "pkg/Camera": [("image", "out", "sensor_msgs/Image")],

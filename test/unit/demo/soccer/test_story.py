@@ -11,12 +11,12 @@ import pytest
 from unit.manager.hand_clock import HandClock
 
 from dyknow.manager.claims.reconciler import open_reconciler
-from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.simulated.host import FakeHost
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 SOCCER = EXAMPLES / "transformations" / "soccer.xml"

@@ -19,7 +19,6 @@ from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
 from dyknow.manager.claims.reconciler import open_reconciler
-from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
@@ -35,6 +34,7 @@ from dyknow.model.streams import (
 )
 from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
 from dyknow.periodic import STEADY, Clock
+from dyknow.simulated.host import FakeHost
 
 T = TypeVar("T")
 

@@ -84,12 +84,10 @@ class FakeListening(Listening):
         self._host = host
 
     def count(self) -> Optional[Count]:
-        """Return the messages since the listening began."""
         now = self._host.clock()
         return Count(self.messages, now, now, age=self._host.age_on(self.topic))
 
     def close(self) -> None:
-        """End the listening."""
         self._host.listeners.remove(self)
 
 
@@ -208,7 +206,6 @@ class FakeHost(Host):
         self.arrive()
 
     def may_publish(self, manager: str) -> bool:
-        """Whether the test says so."""
         return manager in self.leased
 
     def is_hung(self, manager: str) -> bool:
@@ -361,7 +358,6 @@ class FakeHost(Host):
     # The host
 
     def kind_of(self, transformation: Transformation) -> NodeletKind:
-        """Return the kind of a declared type."""
         source = transformation.source
         if transformation.type == NODE:
             program = Program.of(source)
@@ -375,7 +371,6 @@ class FakeHost(Host):
         return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
 
     def managers(self) -> List[ManagerState]:
-        """List the nodelet managers."""
         hung = self._hung - self.unnoticed
         return [
             self._cut.get(name) or replace(self.processes[name].state, responsive=name not in hung)
@@ -383,7 +378,6 @@ class FakeHost(Host):
         ]
 
     def poll(self) -> HostReport:
-        """List the nodelets of all nodelet managers."""
         managers = {state.name: state for state in self.managers()}
         nodelets = {}
         for name in managers:
@@ -396,7 +390,6 @@ class FakeHost(Host):
         """Do nothing: nodelet managers are known as soon as they are there."""
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """Start a nodelet manager if there is none."""
         if kind.is_node:
             return isolated_for
         self._step("ensure", isolated_for or kind.value)
@@ -417,12 +410,10 @@ class FakeHost(Host):
         return self._start(self._new_name(), kind, isolated_for)
 
     def retire(self, manager: str) -> None:
-        """End an isolated nodelet manager."""
         self._step("retire", manager)
         self.processes.pop(manager, None)
 
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
-        """Load a nodelet."""
         self._step("load", request.name)
         if request.kind.is_node:
             if manager in self.processes and self.processes[manager].state.alive:
@@ -447,7 +438,6 @@ class FakeHost(Host):
         self._step("loaded", request.name)
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload a nodelet."""
         self._step("unload", name)
         process = self.processes.get(manager)
         if process is not None and process.state.kind.is_node:
@@ -461,20 +451,16 @@ class FakeHost(Host):
         self.on_change()
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
-        """Delete parameters."""
         for parameter in parameters:
             self.parameters.pop(f"{name}/{parameter}", None)
 
     def list(self, manager: str) -> List[str]:
-        """List nodelets."""
         return sorted(self._alive(manager).nodelets)
 
     def detail(self, name: str) -> str:
-        """Return what the test says of it."""
         return self.details.get(name, "")
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
-        """Return the ports of a nodelet."""
         self._step("ports", name)
         nodelet = self._process_of(name).nodelets[name]
         lazy = self.lazy.get(nodelet.request.source, ())
@@ -485,7 +471,6 @@ class FakeHost(Host):
         )
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports."""
         self._step("connect", name)
         process = self._place_of(name)
         if process is not None and (name in self.slow or process.state.name in self._hung):
@@ -507,14 +492,12 @@ class FakeHost(Host):
         self._apply(nodelet, config)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Return those of the topics that are published."""
         self._step("published", "")
         return frozenset(topics) & self.topics
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
-        """Return the counts of out-ports; stopped nodelet managers do not answer."""
         found: Dict[str, Optional[Mapping[str, Count]]] = {}
         for manager in sorted(wanted):
             for name in sorted(wanted[manager]):
@@ -541,11 +524,9 @@ class FakeHost(Host):
         return found
 
     def is_stamped(self, datatype: str) -> Optional[bool]:
-        """Whether a type is not among the unstamped ones."""
         return datatype not in self.unstamped
 
     def listen(self, topic: str) -> Listening:
-        """Count the messages of a topic."""
         self._step("listen", topic)
         listener = FakeListening(self, topic)
         self.listeners.append(listener)
