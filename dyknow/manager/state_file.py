@@ -3,19 +3,19 @@
 
 """A file of texts by table and key, on a disk that may fail.
 
-What is written is on disk, for every other process, before the call returns. Two kinds of fault
-are told apart:
+A write is on disk, for every other process, before the call returns. There are two kinds of fault:
 
 - *Trouble*: the file cannot be read or written now (disk full, read-only, locked by another
   program). The file is left alone. Its rows are read from a private copy if need be, changes are
   kept in memory, and both go to the file as soon as it can be written.
-- *Damage*: what is in the file is not what was written: a checksum of a row, or sqlite, says so.
-  The file is set aside, and the newest good backup takes its place (``state_backups``), with what
-  was written since then by this process.
+- *Damage*: the contents differ from the last write: a checksum of a row, or sqlite, says so. The
+  file is set aside, and the newest good backup takes its place (``state_tables``), with the
+  changes that this process has written since then.
 """
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import json
 import logging
@@ -27,15 +27,8 @@ from typing import Callable, Dict, Mapping, Optional, Tuple
 
 from dyknow.errors import StoreError
 from dyknow.locks import turn_lock
-from dyknow.manager import state_backups
-from dyknow.manager.state_backups import (
-    Found,
-    finish_replacement,
-    free_name,
-    newest_backup,
-    replace_file,
-)
-from dyknow.manager.state_tables import TABLES, Changes, Damaged, connect, put, rows_of
+from dyknow.manager import state_tables
+from dyknow.manager.state_tables import TABLES, Changes, Damaged, Found, changed, connect, put
 
 IN_MEMORY = ":memory:"
 #: Seconds to wait for another program's lock: at the start, and for each change.
@@ -71,7 +64,7 @@ class StateFile:
     """Texts by table and key; safe from any thread."""
 
     def __init__(self, path: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Open the file, or begin an empty one.
+        """Open the file, or start an empty one.
 
         Args:
             path: the file; ``IN_MEMORY`` for none.
@@ -105,17 +98,9 @@ class StateFile:
             StoreError: it cannot be read.
         """
         with self._turn:
-            rows = self._stored(table)
-            for (changed, key), text in self._pending.items():
-                if changed == table:
-                    rows.pop(key, None)
-                    if text is not None:
-                        rows[key] = text
-        return dict(sorted(rows.items()))
-
-    def get(self, table: str, key: str) -> Optional[str]:
-        """Read one row; None if it is not there."""
-        return self.rows(table).get(key)
+            stored = {(table, key): text for key, text in self._stored(table).items()}
+            rows = changed(stored, self._pending)
+        return {key: text for (kind, key), text in sorted(rows.items()) if kind == table}
 
     def write(self, changes: Changes) -> None:
         """Write rows, all or none: to the disk or, as long as it does not take them, to memory.
@@ -130,18 +115,13 @@ class StateFile:
                 self._write({**self._pending, **changes})
 
     def write_pending(self) -> None:
-        """Write what the disk did not take, if there is any and it is time to try again."""
+        """Write the pending changes, if there are any and it is time to try again."""
         with self._turn:
             if self.trouble and self._clock() >= self._retry_at:
                 self._write(self._pending)
 
     def reject(self, table: str, causes: Mapping[str, str]) -> None:
-        """Move rows that have no meaning to a file beside this one.
-
-        Args:
-            table: where they are.
-            causes: why they have no meaning, by key.
-        """
+        """Move meaningless rows of a table to a file beside this one, with the causes by key."""
         with self._turn:
             what = "; ".join(f"{table} '{key}': {causes[key]}" for key in sorted(causes))
             removed: Changes = {(table, key): None for key in causes}
@@ -154,7 +134,7 @@ class StateFile:
                 {"table": table, "key": key, "text": known.get(key), "cause": causes[key]}
                 for key in sorted(causes)
             ]
-            aside = free_name(self.path, ".json")
+            aside = state_tables.free_name(self.path, ".json")
             try:
                 with open(aside, "w") as file:
                     json.dump(rejected, file, indent=1)
@@ -171,10 +151,10 @@ class StateFile:
                 if self.path == IN_MEMORY or self._connection is None or self.trouble:
                     return
                 new, self._since_backup = self._since_backup, {}
-            if not new and state_backups.exists(self.path):
+            if not new and state_tables.has_backup(self.path):
                 return
             try:
-                state_backups.back_up(self.path)
+                state_tables.back_up(self.path)
             except (sqlite3.Error, OSError, Damaged) as error:
                 with self._turn:
                     self._since_backup = {**new, **self._since_backup}
@@ -188,7 +168,7 @@ class StateFile:
                 self._no_backup = ""
 
     def close(self) -> None:
-        """Close the file; what the disk has not taken is lost."""
+        """Close the file; pending changes are lost."""
         self.back_up()  # an older one would have what is forgotten by now
         with self._turn:
             if self.trouble:
@@ -205,9 +185,9 @@ class StateFile:
         if self.path != IN_MEMORY:
             try:
                 os.makedirs(os.path.dirname(os.path.abspath(self.path)), 0o700, exist_ok=True)
-                finish_replacement(self.path)
+                state_tables.finish_replacement(self.path)
                 if os.path.exists(self.path) and os.path.getsize(self.path) < _HEADER:
-                    self._found = newest_backup(self.path, "it is cut off")  # none to sqlite
+                    self._found = state_tables.newest_backup(self.path, "it is cut off")
                     self._write({})
                     return
             except OSError as error:
@@ -215,20 +195,23 @@ class StateFile:
         try:
             self._connection = connect(self.path, _START_PATIENCE)
         except (sqlite3.Error, Damaged) as error:
-            self._found = state_backups.read_instead(self.path)
+            self._found = state_tables.read_instead(self.path)
             if not self._found.damage:
                 self._note_trouble(error)
                 return
             self._write({})
 
     def _reopen(self) -> None:
-        """Open a file that could not be opened, or was damaged, when it was tried last.
+        """Open a file that could not be opened, or was damaged, the last time.
 
         Raises:
             sqlite3.Error, OSError: it still does not work.
         """
         if self._found is None:
-            self._found = self._with_changes(state_backups.read_instead(self.path))
+            found = state_tables.read_instead(self.path)
+            if found.damage:  # the backup lacks what this process has written since
+                found = replace(found, rows=changed(found.rows, self._since_backup))
+            self._found = found
         if not self._found.damage:
             try:
                 self._connection = connect(self.path, 0.0)
@@ -247,20 +230,11 @@ class StateFile:
             self._connection = None
         self._write(self._pending)
 
-    def _with_changes(self, found: Found) -> Found:
-        """Add to a backup what this process has written since."""
-        if found.damage:
-            for (table, key), text in self._since_backup.items():
-                found.rows[table].pop(key, None)
-                if text is not None:
-                    found.rows[table][key] = text
-        return found
-
     def _replace(self, found: Found) -> None:
-        aside = replace_file(self.path, found.rows)
+        aside = state_tables.replace_file(self.path, found.rows)
         self._connection = connect(self.path, 0.0)
-        rows = found.rows
-        kept = ", ".join(f"{len(rows[table])} {table}" for table in TABLES if rows[table])
+        counts = collections.Counter(table for table, _ in found.rows)
+        kept = ", ".join(f"{counts[table]} {table}" for table in TABLES if counts[table])
         instead = (
             f"the backup {found.backup} took its place, with {kept or 'no entries'}"
             if found.backup
@@ -278,11 +252,11 @@ class StateFile:
 
     def _stored(self, table: str) -> Dict[str, str]:
         if self._found is not None:
-            return dict(self._found.rows[table])
+            return {key: text for (kind, key), text in self._found.rows.items() if kind == table}
         if self._connection is None:
             raise StoreError(self.path, self.trouble)
         try:
-            return rows_of(self._connection, table)
+            return dict(state_tables.rows_of(self._connection, table))
         except (sqlite3.Error, Damaged) as error:
             raise StoreError(self.path, error) from error
 
@@ -341,7 +315,7 @@ class StateFile:
             )
 
     def _meaning(self, error: Exception) -> str:
-        """Say what is wrong, and what to do about it."""
+        """Explain an error, with the remedy."""
         words = _trouble(error)
         if words == "unable to open" and not os.access(os.path.dirname(self.path) or ".", os.W_OK):
             words = _READ_ONLY

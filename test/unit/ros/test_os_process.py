@@ -141,15 +141,16 @@ def test_a_stopped_process_is_alive(tmp_path: Path) -> None:
 
 def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
     name = ChildRecord("/robot/n", NodeletKind.CPP, "/robot/x")
-    tag = {child_records.TAG: child_records.to_tag(name, "lock")}
+    lock = str(tmp_path / "lock")  # others may run this test at the same time
+    tag = {child_records.TAG: child_records.to_tag(name, lock)}
     output = str(tmp_path / "output")
     found = os_process.start((*SLEEP, "__name:=n"), output, str(tmp_path), tag)
     other = os_process.start(SLEEP, output, str(tmp_path), tag)  # a program that it started
     try:
-        assert child_records.running("lock") == [replace(name, process=found)]
-        assert child_records.running("another lock") == []
+        assert child_records.running(lock) == [replace(name, process=found)]
+        assert child_records.running(f"another {lock}") == []
         found.end(1.0)
-        assert child_records.running("lock") == []
+        assert child_records.running(lock) == []
     finally:
         found.end(1.0)
         other.end(1.0)
