@@ -20,10 +20,10 @@ MOST_BUDGET = 60.0
 
 
 def check_request(request: StreamRequest) -> None:
-    """Check what a client asks for besides the tag.
+    """Check the parameters of a request, apart from the tag.
 
     Raises:
-        BadParameter: a value is of no use.
+        BadParameter: a value is out of range.
     """
     infinity = float("inf")
     for name, value, most, expected in (
@@ -50,17 +50,17 @@ class Claim:
     """A stream that is kept for a client.
 
     Attributes:
-        claim_id: names the claim.
-        request: what was asked for.
+        claim_id: unique, never used again.
+        request: the client's request.
         topic: where the client listens; it stays when the publisher is replaced.
         datatype: type of the stream.
-        state: whether it flows.
-        detail: why it does not, or what is not known to flow yet, in words.
+        state: whether messages flow.
+        detail: the reason for the state, for people.
         goal: nodelet and out-port that publish; empty for a topic of ordinary nodes.
-        wiring: for each nodelet of the stream the topics that its ports need; while there is no
-            stream, the nodelets that are kept for it, connected to nothing.
+        wiring: topics by port of each nodelet of the stream; while there is no stream, the
+            nodelets that are kept for it, disconnected.
         sources: topics of ordinary nodes that the stream needs.
-        bindings: what the variables of the tag stand for.
+        bindings: values of the tag's variables.
         deadline: when the lease ends, on the reconciler's clock; None for never.
     """
 
@@ -87,7 +87,7 @@ class Claim:
         return tuple(sorted(self.wiring))
 
     def body(self, now: Moment) -> Dict[str, Any]:
-        """Return what the store keeps; of the lease, what is left of it and when."""
+        """Return the claim's JSON body, with the rest of its lease and the present time."""
         body = asdict(self)
         body["state"] = int(self.state)
         body["left"] = None if self.deadline is None else self.deadline - now.steady
@@ -97,10 +97,10 @@ class Claim:
 
     @classmethod
     def from_body(cls, body: Mapping[str, Any], now: Moment) -> Claim:
-        """Read what ``body`` returned; the lease has run on meanwhile.
+        """Read a JSON body; the lease has run on since it was written.
 
         Raises:
-            KeyError, TypeError, ValueError, InvalidTag: the body is something else.
+            KeyError, TypeError, ValueError, InvalidTag: the body is not a claim.
         """
         fields = dict(body)
         left = fields.pop("left")
@@ -140,8 +140,8 @@ class Moment:
 
     Attributes:
         steady: seconds on the steady clock, which all processes share until the machine restarts.
-        wall: seconds of the wall clock, which may be set.
-        boot: names the steady clock; empty where it cannot be named.
+        wall: seconds of the wall clock, which users can set.
+        boot: id of this run of the machine; empty if unknown.
     """
 
     steady: float

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The manager's picture of what runs, and who changes which part of it.
+"""The manager's picture of the running nodelets, with one operation at a time on each.
 
 Who owns what: the graph owns the records, the revision and the lifetimes. Every record that has to
 survive the manager is written to the store before it is shown. A name is *busy* while one
-operation works on its nodelet; other operations say how long they will wait for it.
+operation works on its nodelet; other operations pass the time that they will wait for it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,7 @@ class Graph:
     """Records by name, with a revision that never goes back; safe from any thread."""
 
     def __init__(self, store: Store, clock: Clock = STEADY) -> None:
-        """Start empty, with a revision beyond every one that was ever shown.
-
-        Args:
-            store: where records outlive the manager.
-            clock: steady time.
-        """
+        """Start empty, with a revision beyond every one that was ever shown."""
         self._store = store
         self._clock = clock
         self._turn = turn_lock("nodelets on disk")
@@ -101,12 +96,12 @@ class Graph:
     def changing(
         self, name: str, new: bool = False, patience: float = 0.0
     ) -> Iterator[Optional[Record]]:
-        """Keep other operations off a name; yields its record, or None.
+        """Reserve a name for one operation; yields its record, or None.
 
         Args:
             name: of the nodelet.
-            new: whether the name must not be taken yet.
-            patience: seconds to wait for another operation, such as a look, to end.
+            new: whether the name must be free.
+            patience: seconds to wait for another operation on it.
 
         Raises:
             Busy: another operation works on it.
@@ -131,7 +126,7 @@ class Graph:
                 self._changed.notify_all()
 
     def put(self, *records: Record) -> None:
-        """Show records, all in one step, after those of what the manager made were written."""
+        """Show records, all in one step; spawned ones are written to the store first."""
         with self._turn:
             new = [each for each in records if self.find(each.name) != each]
             if not new:

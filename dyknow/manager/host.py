@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The seam between the manager and the nodelet managers.
+"""The seam between the manager and the processes that run nodelets.
 
 The manager reaches nodelets only through a ``Host``. The real one speaks ROS
-(``dyknow.ros.hosting.host``), the public fake (``fake_host``) keeps everything in memory.
+(``dyknow.ros.hosting.host``), the public fake (``dyknow.simulated.host``) is in memory.
 """
 
 from __future__ import annotations
@@ -29,23 +29,20 @@ from dyknow.model.transformation import Parameter, Transformation
 
 @dataclass(frozen=True)
 class ManagerState:
-    """A nodelet manager, or a node that is re-wirable in a process of its own.
-
-    Such a node is shown as if it hosted itself, and can host nothing else. Those that the host
-    started are its own.
+    """A nodelet manager, or a re-wirable node in a process of its own, which hosts itself alone.
 
     Attributes:
         name: global node name.
-        kind: what it can host.
-        incarnation: differs after every restart of the process; empty when it is not there.
-        isolated_for: the nodelet that it was started for alone, empty for shared ones.
+        kind: the kind of nodelets that it can host.
+        incarnation: differs after every restart of the process; empty when it is not running.
+        isolated_for: the only nodelet that it may host, empty for shared ones.
         own: whether the host started it, and starts it again.
-        responsive: whether it answered when it was asked last.
-        away: whether its host does not answer, so that it is not known whether it is there.
-        unseen: whether it was not looked for yet; until then holds what was known of it before.
+        responsive: whether it answered the last request.
+        away: whether its machine does not answer, so that it may be running or not.
+        unseen: whether the first probe is not over; until then the earlier records hold.
         rewirable: whether its nodelets have live ports; those of a stock C++ one do not.
-        host: machine that its process is on, as ROS names it; empty if that is not known.
-        cure: what a user can do if it does not answer, for people.
+        host: its machine, as ROS names it; empty if unknown.
+        cure: advice for users if it does not answer.
     """
 
     name: str
@@ -68,15 +65,15 @@ class ManagerState:
 
 @dataclass(frozen=True)
 class Crash:
-    """A nodelet manager's process that ended by a fault of its own: a native crash, ``_exit``.
+    """A process that ended by a fault of its own: a native crash, ``_exit``.
 
-    A process that was told to end, or was killed by others, did not crash.
+    A process that was asked to end, or was killed, did not crash.
 
     Attributes:
         manager: its name.
-        cause: signal or exit code, in words.
-        running: marks (``names.mark``) of the nodelets whose code was running; None if that is not
-            known, as of the stock nodelet manager.
+        cause: signal or exit code, for people.
+        running: marks (``names.mark``) of the nodelets whose code was running; None if unknown, as
+            in the stock nodelet manager.
         unloading: marks of the nodelets that were being unloaded on request.
         incarnation: the process that crashed.
     """
@@ -90,14 +87,14 @@ class Crash:
 
 @dataclass(frozen=True)
 class HostReport:
-    """What a host saw when it was polled.
+    """The outcome of polling a host.
 
     Attributes:
         managers: nodelet managers and re-wirable nodes by name, dead ones included.
-        nodelets: what each of them runs; without those that did not answer, or were restarted
-            meanwhile.
-        crashes: recent ones by incarnation. The crash of a process that ``managers`` shows as
-            dead, or as restarted, is among them.
+        nodelets: names of the nodelets of each; without processes that did not answer, or were
+            restarted meanwhile.
+        crashes: recent ones by incarnation, complete for processes that ``managers`` shows as dead
+            or restarted.
     """
 
     managers: Mapping[str, ManagerState]
@@ -107,14 +104,14 @@ class HostReport:
 
 @dataclass(frozen=True)
 class LoadRequest:
-    """What is needed to load a nodelet, or to start a node.
+    """A nodelet to load, or a node to start.
 
     Attributes:
         name: global name.
         source: declared type, ``package/Class``, or the program of a script or node.
         parameters: set in the nodelet's namespace before the load.
         remappings: global names, source to target.
-        kind: what it is.
+        kind: kind of nodelet or node.
     """
 
     name: str
@@ -126,15 +123,15 @@ class LoadRequest:
 
 @dataclass(frozen=True)
 class Count:
-    """Messages that had gone through a port, or come on a topic, between two moments.
+    """A count of messages that holds for some moment in an interval of steady time.
 
     Attributes:
-        messages: how many, since the port was made or the listening began.
-        asked: they were counted no earlier than this, in seconds of a steady clock.
-        answered: nor later than this.
-        latched: whether the port keeps a message for subscribers that connect later.
-        age: how old one of the messages since the last count was when it was sent, in seconds by
-            its stamp; of no meaning if there was none. None where that is not known.
+        messages: their number since the port was made or the subscription began.
+        asked: beginning of the interval (s).
+        answered: end of the interval (s).
+        latched: whether the port keeps a message for later subscribers.
+        age: how old one of the messages since the last count was when it was sent (s, by its
+            stamp); arbitrary if there was none, None if unknown.
     """
 
     messages: int
@@ -161,10 +158,10 @@ class Host(ABC):
 
     @abstractmethod
     def kind_of(self, transformation: Transformation) -> NodeletKind:
-        """Return the kind of what is made of a transformation.
+        """Return the kind of nodelet or node that a transformation makes.
 
         Raises:
-            HostError: no package declares the nodelet type, or has a program that can be used.
+            HostError: no package declares the nodelet type, or has a usable program.
         """
 
     @abstractmethod
@@ -176,9 +173,9 @@ class Host(ABC):
         """Ask all nodelet managers for their nodelets, side by side."""
 
     def may_publish(self, manager: str) -> bool:
-        """Whether a nodelet manager that does not answer may still publish on topics of claims.
+        """Whether a process that does not answer may still publish on topics of claims.
 
-        Until it certainly does not, nothing of it is replaced.
+        Its nodelets are not replaced before it has certainly stopped.
         """
         return False
 
@@ -191,13 +188,13 @@ class Host(ABC):
 
     @abstractmethod
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """Return the name of a nodelet manager of that kind that is up, starting it if need be.
+        """Return the name of a nodelet manager that is up, starting it if need be.
 
         A node hosts itself, under its own name, and is not up before it is loaded.
 
         Args:
-            kind: what it must be able to host.
-            isolated_for: the nodelet that is to have it alone; empty for a shared one.
+            kind: kind of nodelets that it must be able to host.
+            isolated_for: the only nodelet of the process; empty for a shared process.
         """
 
     @abstractmethod
@@ -210,14 +207,14 @@ class Host(ABC):
 
     @abstractmethod
     def unload(self, manager: str, name: str) -> None:
-        """Unload a nodelet, also one that is still being loaded, or end a node.
+        """Unload a nodelet, even while it is being loaded, or end a node.
 
         If its process dies of that, ``managers`` shows it by the time that this raises.
         """
 
     @abstractmethod
     def forget(self, name: str, parameters: Sequence[str]) -> None:
-        """Delete the parameters of these names that ``load`` set; others' parameters stay."""
+        """Delete the parameters of these names that ``load`` set, and no other parameters."""
 
     @abstractmethod
     def list(self, manager: str) -> List[str]:
@@ -232,7 +229,7 @@ class Host(ABC):
         """
 
     def detail(self, name: str) -> str:
-        """Return what ails a nodelet, as its nodelet manager says; empty if nothing does."""
+        """Return the problem of a nodelet as its process announced it; empty for none."""
         return ""
 
     @abstractmethod
@@ -240,12 +237,12 @@ class Host(ABC):
         """Connect ports of a nodelet that has a proxy, all or none.
 
         Raises:
-            HostError: the proxy refused, for a reason that is in the text, or does not answer.
+            HostError: the proxy does not answer, or refused for the reason in the text.
         """
 
     @abstractmethod
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Return those of these ordinary topics that have a publisher now.
+        """Return the topics that have a publisher now.
 
         Raises:
             HostError: the ROS master does not answer.
@@ -255,17 +252,17 @@ class Host(ABC):
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
-        """Ask nodelet managers, side by side, how many messages nodelets have sent.
+        """Count the messages that nodelets have sent; their processes are queried side by side.
 
-        A nodelet manager that does not answer delays this by half a second, once: as long as its
-        answer is due, it is not awaited again.
+        A process that does not answer delays this by half a second, once: until its reply has come
+        it is not waited for again.
 
         Args:
-            wanted: names of nodelets, by nodelet manager.
+            wanted: names of nodelets, by process.
 
         Returns:
-            For each nodelet the counts of its out-ports; None for a nodelet that is not there.
-            Nodelets without an answer yet are left out until a later call.
+            Counts by out-port for each nodelet; None for a nodelet that is not running. Nodelets
+            without a reply yet are left out until a later call.
         """
 
     @abstractmethod
@@ -274,4 +271,4 @@ class Host(ABC):
 
     @abstractmethod
     def listen(self, topic: str) -> Listening:
-        """Begin to listen to a topic whose publishers cannot be asked; does not wait."""
+        """Subscribe to a topic in order to count its messages; does not wait."""

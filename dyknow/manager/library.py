@@ -32,7 +32,7 @@ class Library:
     """Transformations by label, in memory and in the store; safe from any thread.
 
     Attributes:
-        ontology: what is a kind of what.
+        ontology: subsumption of concepts.
         revision: grows with every change.
     """
 
@@ -45,8 +45,8 @@ class Library:
         """Read the transformations in the store.
 
         Args:
-            store: where the transformations are kept.
-            ontology: has the individuals of concepts, for templates; None if there is none.
+            store: keeps the transformations.
+            ontology: has the individuals of concepts, for templates; None for no ontology.
             limits: caps for texts and for the library.
         """
         self._store = store
@@ -80,13 +80,13 @@ class Library:
             return self._topics
 
     def nodes(self) -> List[str]:
-        """Return the names of the nodes of others that are described, sorted."""
+        """Return the names of the described external nodes, sorted."""
         with self._state_lock:
             self._find_described()
             return sorted(self._nodes)
 
     def of_node(self, name: str) -> Optional[Transformation]:
-        """Return what describes a node of others; None if nothing does."""
+        """Return the description of an external node, or None."""
         with self._state_lock:
             self._find_described()
             return self._nodes.get(name)
@@ -114,7 +114,7 @@ class Library:
 
         Args:
             text: XML.
-            file_name: where it comes from, for messages.
+            file_name: its origin, for messages.
             check: raises an error if one of them must not be added.
 
         Raises:
@@ -151,7 +151,7 @@ class Library:
         return found
 
     def _find_described(self) -> None:
-        """Find what describes topics and nodes, once for each revision; under the lock."""
+        """Index the descriptions of topics and nodes, once for each revision; under the lock."""
         if self._described_at == self.revision:
             return
         found = [each for each in self._by_label.values() if each.is_described]

@@ -1,20 +1,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Making and destroying nodelets; what fails leaves nothing behind."""
+"""Making and destroying nodelets; a failure leaves nothing behind."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Dict, Iterable, List, Mapping
 
 from dyknow import names
-from dyknow.datatypes import types_fit
 from dyknow.errors import (
     DyKnowError,
-    FixedTopics,
     HostError,
     HostTimeout,
     InvalidConfiguration,
@@ -26,29 +24,20 @@ from dyknow.errors import (
     UnknownPort,
 )
 from dyknow.guards import Guards
-from dyknow.locks import state_condition
-from dyknow.manager import placement
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, LoadRequest, ManagerState
+from dyknow.manager.host import Host
+from dyknow.manager.loading import Loading
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
-    declared_ports,
-    missing_connections,
-    with_ports,
 )
-from dyknow.manager.specifications.given import completed, names_of, set_on_load
+from dyknow.manager.specifications.given import completed, names_of
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
-from dyknow.model.transformation import NODE, Port, Program, Transformation
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.periodic import Clock
 
-#: Seconds without a further port after which those of a node that are missing come later: it is
-#: lazy, and makes them once somebody listens to it or sends it something.
-_SETTLED = 1.0
-#: Seconds between two questions for the ports of a node that starts.
-_STEP = 0.05
 #: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
 
@@ -89,26 +78,13 @@ class Lifecycle:
         clock: Clock,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
-        """Prepare.
-
-        Args:
-            host: reaches the nodelet managers.
-            graph: the nodelets.
-            guards: what is forbidden.
-            spawn_timeout: seconds that a nodelet may take to come up.
-            suspects: nodelets that get processes of their own.
-            ontology: what is a kind of what.
-            clock: steady time.
-            keeper: says which connections come back.
-        """
+        """Prepare; a nodelet may take ``spawn_timeout`` seconds to come up."""
         self._host = host
         self._graph = graph
         self._guards = guards
-        self._timeout = spawn_timeout
+        self._loading = Loading(host, graph, spawn_timeout, clock)
         self._suspects = suspects
         self._ontology = ontology
-        self._clock = clock
-        self._pause = state_condition("ports of nodes that start")
         self.fitting = keeper.fitting
 
     def spawn(
@@ -121,10 +97,10 @@ class Lifecycle:
         """Make a nodelet of a transformation.
 
         Args:
-            transformation: what to make.
-            request: how; its name is global.
+            transformation: its blueprint.
+            request: its global name, connections and so on.
             claimed: whether it is made for a claim, not by hand.
-            near: topics that it will be connected to: its place is near their nodelets.
+            near: topics that it will be connected to: it is placed near their nodelets.
 
         Raises:
             DyKnowError: it did not work, and nothing is left of it.
@@ -156,14 +132,9 @@ class Lifecycle:
                 _log.warning("%s is given a process of its own; %s", request.name, suspicion)
             isolated = isolated or bool(suspicion)
             kind = kind.alone if isolated else kind
-            manager = placement.choose(
-                self._host,
-                self._graph.all(),
-                kind,
-                (*config.values(), *near),
-                request.manager,
-                request.name if isolated else "",
-            )
+            topics = (*config.values(), *near)
+            alone = request.name if isolated else ""
+            manager = self._loading.place(kind, topics, request.manager, alone)
             record = replace(
                 planned,
                 kind=kind,
@@ -175,7 +146,7 @@ class Lifecycle:
             )
             try:
                 self._graph.put(record)
-                running = self._bring_up(record)
+                running = self._loading.bring_up(record)
             except NameTaken:  # by a nodelet of others that was not seen yet: it stays
                 self._graph.remove(record.name)
                 with contextlib.suppress(HostError):
@@ -194,8 +165,8 @@ class Lifecycle:
     def restore(self, record: Record) -> Record:
         """Bring back a nodelet that died, where it was or, if it is isolated, in a new process.
 
-        A nodelet that is suspected of having crashed its process is isolated from now on. One
-        whose nodelet manager exists no more is placed as a new one is.
+        It is isolated from now on if it is suspected of having crashed its process, and placed
+        like a new one if its nodelet manager is gone.
 
         Returns:
             Its record, which says FAILED, with the reason, if that did not work.
@@ -217,7 +188,7 @@ class Lifecycle:
             starting = replace(starting, manager=self._place_again(starting))
             self._graph.put(starting)
             starting = replace(starting, topics=self.fitting(starting))
-            running = self._bring_up(starting)
+            running = self._loading.bring_up(starting)
         except NameTaken:
             return starting  # it is there: the next look finds it
         except DyKnowError as error:
@@ -275,25 +246,19 @@ class Lifecycle:
         self._graph.remove(record.name)
 
     def forget(self, record: Record) -> None:
-        """Forget a nodelet that others unloaded on purpose."""
+        """Forget a nodelet that a third party unloaded on purpose."""
         self._dispose(record)
         self._graph.remove(record.name)
 
     # Inside
 
     def _place_again(self, record: Record) -> str:
-        """Return the nodelet manager for one that died: where it was, if that is there or ours.
-
-        Raises:
-            HostError: no nodelet manager comes up.
-        """
+        """Return the nodelet manager of a nodelet that died, started again if it is ours."""
         if record.isolated:
             return self._host.ensure(record.kind.host, record.name)
-        state = self._state(record.manager)
+        state = self._loading.state(record.manager)
         if state is None:  # it died while there was no manager, and has no successor
-            return placement.choose(
-                self._host, self._graph.all(), record.kind, record.topics.values()
-            )
+            return self._loading.place(record.kind, record.topics.values())
         if state.own and not state.alive:
             self._host.ensure(state.kind)
         return record.manager
@@ -307,7 +272,7 @@ class Lifecycle:
 
     def _is_gone(self, record: Record) -> bool:
         """Whether a nodelet that could not be unloaded is certainly gone."""
-        state = self._state(record.manager)
+        state = self._loading.state(record.manager)
         if record.isolated or state is None:
             return True
         if state.away or not state.alive:
@@ -336,106 +301,6 @@ class Lifecycle:
             raise InvalidConfiguration(name, problems)
         return resolved
 
-    def _bring_up(self, record: Record) -> Record:
-        transformation = record.transformation
-        assert transformation is not None
-        request = LoadRequest(
-            record.name,
-            transformation.source,
-            set_on_load(transformation, record.parameters),
-            {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
-            record.kind,
-        )
-        if record.claimed and record.kind is NodeletKind.CPP:
-            state = self._state(record.manager)
-            if state is not None and not state.rewirable:
-                raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
-        deadline = self._clock.now() + self._timeout
-        self._host.load(record.manager, request, self._timeout)
-        state = self._state(record.manager)
-        record = replace(
-            record,
-            state=State.RUNNING,
-            detail=record.suspicion,
-            incarnation=state.incarnation if state is not None else "",
-            host=state.host if state is not None else "",
-            is_fixed=state is not None and not state.rewirable,
-            heard=NOTHING_HEARD,
-        )
-        if record.is_fixed:
-            return replace(record, ports=declared_ports(record))
-        ports = self._checked_ports(record, deadline)
-        wiring = missing_connections(record, ports)
-        if wiring:
-            self._host.connect(record.name, wiring)
-            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
-        return with_ports(record, ports)
-
-    def _checked_ports(self, record: Record, deadline: float) -> Tuple[PortState, ...]:
-        transformation = record.transformation
-        assert transformation is not None
-        if transformation.type == NODE:
-            ports = self._settled_ports(record.name, transformation, deadline)
-        else:
-            ports = self._host.ports(record.name)
-        found = {port.name: port for port in ports}
-        wrong = []
-        for port in transformation.ports:
-            real = found.get(port.name)
-            if not record.kind.is_written_for_dyknow and (real is None or not real.datatype):
-                # A lazy one subscribes once another node listens, unless this is its misspelling.
-                misspelt = _namesake(port, ports, transformation)
-                if misspelt:
-                    wrong.append(f"it has no port '{port.name}'; did you mean '{misspelt}'?")
-                continue
-            if real is None:
-                known = ", ".join(sorted(found)) or "none"
-                wrong.append(f"it has no port '{port.name}'; its ports: {known}")
-            elif real.direction != port.direction:
-                wrong.append(
-                    f"port '{port.name}' is an {real.direction}-port, "
-                    f"the transformation says {port.direction}"
-                )
-            elif not types_fit(port.datatype, real.datatype):
-                wrong.append(
-                    f"port '{port.name}' carries {real.datatype}, "
-                    f"the transformation says {port.datatype}"
-                )
-        if wrong:
-            raise HostError("; ".join(wrong))
-        return ports
-
-    def _settled_ports(
-        self, name: str, transformation: Transformation, deadline: float
-    ) -> Tuple[PortState, ...]:
-        """Wait for the declared ports of a node, which makes them one after the other.
-
-        Raises:
-            HostError: it has made none of them when its time is over.
-        """
-        declared = {port.name for port in transformation.ports}
-        seen: Set[str] = set()
-        since = self._clock.now()
-        while True:
-            ports = self._host.ports(name)
-            now = self._clock.now()
-            found = declared & {port.name for port in ports if port.datatype}
-            if found != seen:
-                seen, since = found, now
-            if found == declared or (found and now - since >= _SETTLED):
-                return ports
-            if now >= deadline:
-                break
-            with self._pause:
-                self._clock.wait(self._pause, _STEP)
-        if found:
-            return ports
-        own = ", ".join(sorted(port.name for port in ports)) or "none"
-        raise HostError(
-            f"it has none of the declared ports {', '.join(sorted(declared))} within "
-            f"{self._timeout:g} s; its ports: {own}"
-        )
-
     def _take_down(self, record: Record) -> None:
         self._drop(record)
         self._dispose(record)
@@ -452,39 +317,3 @@ class Lifecycle:
             self._host.forget(record.name, [*declared, *names_of(record.parameters)])
         if record.isolated:
             self._host.retire(record.manager)
-
-    def _state(self, manager: str) -> Optional[ManagerState]:
-        return next((each for each in self._host.managers() if each.name == manager), None)
-
-
-def _namesake(port: Port, ports: Iterable[PortState], transformation: Transformation) -> str:
-    """Return a port that is there and not declared, whose name differs in its namespace alone."""
-    declared = {each.name for each in transformation.ports}
-    base = port.name.lstrip("~/")
-    return next(
-        (
-            each.name
-            for each in ports
-            if each.datatype
-            and each.direction == port.direction
-            and each.name not in declared
-            and each.name.lstrip("~/") == base
-        ),
-        "",
-    )
-
-
-def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
-    """Return the remappings that wire what was not written for DyKnow from its start.
-
-    A port that is not remapped would use its own name as its topic. So a port that is connected to
-    nothing is remapped, too, to a topic below ``NODELET/disconnected``: a re-wirable nodelet
-    manager takes it for disconnected, and in a stock one nothing else uses it.
-    """
-    return {
-        names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
-            port.name, ""
-        )
-        or names.disconnected(record.name, port.name)
-        for port in transformation.ports
-    }

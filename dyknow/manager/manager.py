@@ -4,7 +4,7 @@
 """The DyKnow manager of the paper's figure 1: the five services of section IV.C, as methods.
 
 Built from: the library (what can run), the graph (what does run), the lifecycle (making and
-destroying), the observer (keeping the picture true and bringing back what died). It reaches
+destroying), the observer (keeping the picture true and restoring dead nodelets). It reaches
 nodelets through the injected host only.
 """
 
@@ -45,10 +45,10 @@ from dyknow.periodic import STEADY, Clock
 
 @dataclass(frozen=True)
 class ManagerOptions:
-    """How a manager behaves.
+    """Options of a manager.
 
     Attributes:
-        namespace: where relative names of nodelets begin.
+        namespace: where relative names of nodelets resolve.
         spawn_timeout: seconds that a nodelet may take to come up.
     """
 
@@ -83,15 +83,15 @@ class Manager:
         graph: Optional[Graph] = None,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
-        """Put the parts together; ``start`` comes first.
+        """Put the parts together; call ``start`` next.
 
         Args:
             host: reaches the nodelet managers.
             store: durable state.
             library: transformations.
-            guards: what is forbidden.
-            options: how to behave.
-            run: calls what brings a nodelet back, which may take long.
+            guards: restrictions.
+            options: namespace and timeout.
+            run: runs the restoring of a nodelet, which may take long.
             clock: steady time.
             graph: the nodelets; by default an empty one on the store.
             keeper: keeps streams on that graph.
@@ -134,7 +134,7 @@ class Manager:
         self.graph.on_change = callback
 
     def start(self) -> None:
-        """Take over the nodelets of an earlier life that still run, and bring back the others."""
+        """Take over the running nodelets of an earlier life, and bring back the dead ones."""
         self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
@@ -222,7 +222,7 @@ class Manager:
 
         Raises:
             UnknownNodelet: there is none of that name.
-            HostError: it was loaded by others, and the manager keeps no record of it.
+            HostError: this manager did not spawn it, and keeps no record of it.
         """
         name = self.resolve(name)
         self.guards.check_writable(f"changing the protection of '{name}'")

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Keeps the picture true, and brings back nodelets that died.
+"""Keeps the picture true, and restores dead nodelets.
 
-What others unload or connect on purpose is taken as their will: the record follows. A nodelet was
-unloaded on purpose if the process that ran it runs on and no longer lists it; a process that is
+A deliberate unload or reconnection by a third party is respected; the record is updated to match.
+A nodelet was unloaded on purpose if its process runs on and no longer lists it; a process that is
 about to end returns no list. Every other end of a nodelet is a death, and repaired.
 """
 
@@ -49,7 +49,7 @@ def at_once(work: Callable[[], None]) -> None:
 
 
 class Observer:
-    """Compares the graph with what the nodelet managers say."""
+    """Compares the graph with the reports of the host."""
 
     def __init__(
         self,
@@ -65,13 +65,13 @@ class Observer:
         """Prepare; ``adopt`` comes first, then one ``look`` after the other.
 
         Args:
-            host: asked for its nodelet managers and their nodelets.
-            graph: the picture of what runs.
-            lifecycle: brings nodelets back.
+            host: polled for its nodelet managers and their nodelets.
+            graph: the picture to keep true.
+            lifecycle: restores nodelets.
             suspects: accused of crashes.
-            described: returns what the library says of a node of others.
+            described: returns the library's description of an external node.
             clock: steady time, in seconds.
-            run: does the work of bringing nodelets back; a look does not wait for it.
+            run: runs the restoring of a nodelet; a look does not wait for it.
             keeper: learns of deaths and crashes.
         """
         self._host = host
@@ -107,10 +107,10 @@ class Observer:
         self.look({record.name for record in self._graph.all()})
 
     def look(self, changed: Set[str]) -> None:
-        """Look once at every nodelet manager.
+        """Compare the picture with one report of the host.
 
         Args:
-            changed: nodelets whose ports are to be asked for; new ones always are.
+            changed: nodelets whose ports are queried; those of new ones always are.
         """
         with self._turn:
             changed, self._to_ask = changed | self._to_ask, set()
@@ -275,10 +275,10 @@ class Observer:
         self._graph.put(record)
 
     def _ports(self, record: Record) -> Tuple[PortState, ...]:
-        """Ask for the ports of a nodelet; those of claims that are new are connected as planned.
+        """Query the ports of a nodelet; new ports of a claim's nodelet are connected as planned.
 
         A lazy nodelet makes declared ports when a subscriber comes, some at topics of its choice.
-        Of other nodelets that cannot be told from what people connected a moment before.
+        Without a claim, these cannot be distinguished from recent connections by users.
         """
         ports = self._host.ports(record.name)
         if not (record.claimed and record.awaited):
@@ -371,7 +371,7 @@ class Observer:
         return replace(record, topics=topics_of(record))
 
     def _description(self, record: Record) -> Optional[Transformation]:
-        """Return what a nodelet was made from or, of a node of others, what describes it."""
+        """Return the blueprint of a spawned nodelet, or the description of an external node."""
         if record.is_spawned or not record.kind.is_node:
             return record.transformation
         return self._described(record.name)
@@ -379,7 +379,7 @@ class Observer:
     def _is_unlisted(self, record: Record) -> bool:
         """Whether the process of a nodelet runs on without it.
 
-        The list is asked for again, and after the answer which process it came from.
+        The list is requested again, and after the reply the state of its process.
         """
         try:
             if record.name in self._host.list(record.manager):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets as the manager knows them: what each should be, and what was last seen."""
+"""Records of nodelets: their desired and their last observed state."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from dyknow.model.transformation import Parameter, Transformation
 
 
 class Heard(NamedTuple):
-    """What a nodelet has received since its in-ports were connected as they are.
+    """Values of a nodelet's variables in the messages that it has received.
 
-    It may remember that, even if nothing sends there any more, until it is reconfigured.
+    It may remember them, even if nothing sends there any more, until it is reconfigured.
 
     Attributes:
         topics: its in-ports with variables, and their topics.
-        ways: what its variables stand for, in all ways that agree with what it received.
+        ways: bindings of its variables, all that agree with its messages.
     """
 
     topics: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
@@ -35,29 +35,28 @@ NOTHING_HEARD = Heard()
 
 @dataclass(frozen=True)
 class Record:
-    """A nodelet as the manager knows it: what it should be, and what was last seen.
+    """The desired and the last observed state of a nodelet.
 
     Attributes:
         name: global name.
-        transformation: the blueprint it was made from, whatever the library says now; None for
-            nodelets that others loaded, or what the library says of a node of others.
+        transformation: the blueprint of a spawned nodelet, even if the library has changed since;
+            the description of an external node; None for other external nodelets.
         manager: nodelet manager that hosts it; a node hosts itself.
         is_protected: whether it may not be destroyed.
         isolated: whether it has a process of its own.
         is_fixed: whether its ports stay on their topics: a C++ nodelet without live ports.
-        topics: where its ports should be connected.
+        topics: desired connections, by port.
         state: whether it runs.
-        detail: why it does not, in words.
-        ports: what was last seen.
+        detail: the reason for the state, for people.
+        ports: as last observed.
         claimed: made for a claim, and collected when no claim needs it.
-        incarnation: of the nodelet manager when it was loaded.
-        suspicion: why it was given a process of its own; empty if it is not suspected.
-        unwanted: whether it should have been destroyed while its nodelet manager did not answer;
-            it is destroyed as soon as that answers.
-        parameters: those that were given to it, which it keeps for life.
-        kind: what it is.
-        host: machine that it was seen on, as ROS names it.
-        heard: what its variables stood for in what it has received.
+        incarnation: of its process when it was loaded.
+        suspicion: why it was isolated; empty if it is not suspected of crashes.
+        unwanted: whether it has to be destroyed as soon as its nodelet manager answers.
+        parameters: from the spawn, for life.
+        kind: kind of nodelet or node.
+        host: its machine, as ROS names it.
+        heard: values of its variables in its messages.
         awaited: declared ports that it has not made yet, or not at present.
     """
 
@@ -83,17 +82,17 @@ class Record:
 
     @cached_property
     def given(self) -> Dict[str, str]:
-        """What its variables stand for in any case, since it was given at the spawn."""
+        """Values of its variables that its parameters fix."""
         return bindings_of(self.parameters)
 
     @property
     def is_spawned(self) -> bool:
-        """Whether the manager made it; else others did, and end it too."""
+        """Whether the manager made it, and ends it."""
         return self.transformation is not None and not self.transformation.node
 
     @property
     def is_described(self) -> bool:
-        """Whether it is a node of others of which the library says what it is."""
+        """True for an external node that the library describes."""
         return self.transformation is not None and bool(self.transformation.node)
 
     @property
@@ -104,12 +103,12 @@ class Record:
 
     @property
     def label(self) -> str:
-        """Label of the transformation, empty for what others run and nothing describes."""
+        """Label of the transformation, empty for external nodelets without a description."""
         return self.transformation.label if self.transformation is not None else ""
 
     @cached_property
     def status(self) -> NodeletStatus:
-        """What others are shown of it: one value for as long as the record is the same."""
+        """Its public status: one value for as long as the record is the same."""
         return NodeletStatus(
             self.name,
             self.label,
@@ -130,9 +129,8 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
     """Return the ports that a proxy reports, with the tags of the transformation.
 
     A nodelet that was not written for DyKnow may have declared ports that its proxy does not
-    report, or of which it knows the topic alone: a lazy one subscribes once somebody listens to
-    it. They are shown as declared; of a node of others, which the manager did not place there, it
-    is not known where they will be, and they are not shown.
+    report, or only with the topic: a lazy one subscribes once another node listens to it. They are
+    shown as declared, except for an external node, whose topics are unknown.
     """
     declared = {port.name: port for port in declared_ports(record)}
     seen = {
@@ -161,8 +159,8 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
 def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     """Return a record with the ports that a proxy reports.
 
-    Of a port that was connected before the nodelet made it, the proxy reports the topic alone. A
-    nodelet that was written for DyKnow has made its ports when it is loaded.
+    For a port that was connected before the nodelet made it, the proxy reports the topic alone. A
+    nodelet that was written for DyKnow makes its ports when it is loaded.
     """
     made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
     awaited = [port.name for port in declared_ports(record) if port.name not in made]
@@ -170,7 +168,7 @@ def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
 
 
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:
-    """Return the connections that a nodelet should have and was not loaded with.
+    """Return the desired connections that the load did not make.
 
     A C++ nodelet was loaded with the connections of those declared ports that bear the names of
     its topics. Its other topics are where it puts them, unless they were moved.
@@ -189,8 +187,8 @@ def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str,
 def movable_ports(record: Record) -> Tuple[PortState, ...]:
     """Return the ports that are connected and disconnected as claims and wirings need it.
 
-    Topics that a C++ nodelet uses, and its transformation does not declare, stay where it puts
-    them until somebody moves them: transforms, parameters, what lies beside an image.
+    Undeclared topics of a C++ nodelet (transforms, parameters, companions of an image) stay where
+    it puts them until a user moves them.
     """
     if record.kind.is_written_for_dyknow or record.transformation is None:
         return record.ports

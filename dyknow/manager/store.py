@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Durable state: what the manager promised, kept over ``kill -9``.
+"""Durable state: the manager's promises, kept over ``kill -9``.
 
-A change is on disk before the call that makes it returns, so what was acknowledged survives when
-the manager is killed. A disk that does not take a change stops no operation: ``trouble`` says what
-is wrong, and the change is written as soon as the disk takes it (``state_file``). Entries without
-a meaning are set aside, and the others are used. Backups take the place of a file that is damaged.
+A change is on disk before the call that makes it returns, so an acknowledged change survives when
+the manager is killed. A disk that does not take a change stops no operation: ``trouble`` explains
+it, and the change is written as soon as the disk takes it (``state_file``). Meaningless entries
+are set aside, and the others are used. Backups take the place of a damaged file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from typing import (
     Iterable,
     List,
     Mapping,
-    Optional,
     Tuple,
     TypeVar,
     Union,
@@ -54,10 +53,10 @@ def pack(transformation: Transformation) -> str:
 
 
 def unpack(body: str) -> Transformation:
-    """Read what ``pack`` wrote.
+    """Read a transformation that ``pack`` wrote.
 
     Raises:
-        ValueError, TypeError: it is something else.
+        ValueError, TypeError: it is not one.
     """
     label, source, kind, cost, parameters, ports, *rest = json.loads(body)
     isolated, node = rest or (False, "")
@@ -107,21 +106,21 @@ class Store:
 
     @property
     def complaint(self) -> str:
-        """What could not be used, and where it was put; empty if all was."""
+        """Description of unusable entries and their new place; empty for none."""
         return self._file.complaint
 
     @property
     def trouble(self) -> str:
-        """Why changes are not on disk yet, and what to do about it; empty if they are."""
+        """Why changes are not on disk yet, and the remedy; empty if they are."""
         return self._file.trouble
 
     @property
     def remark(self) -> str:
-        """What the answer to a request has to add while changes are not on disk."""
+        """Remark for the answer to a request while changes are not on disk; else empty."""
         return f"done, but not on disk yet: {self.trouble}" if self.trouble else ""
 
     def write_pending(self) -> None:
-        """Write what the disk did not take, if it does now."""
+        """Write the pending changes, if the disk takes them now."""
         self._file.write_pending()
 
     def back_up(self) -> None:
@@ -230,54 +229,35 @@ class Store:
 
 
 def _body(record: Record) -> str:
-    made_from: Optional[str] = pack(record.transformation) if record.transformation else None
-    # Left out where there is nothing: earlier versions do not read it.
-    heard = {"heard": record.heard} if record.heard.ways else {}
-    return json.dumps(
-        {
-            **heard,
-            "transformation": made_from,
-            "manager": record.manager,
-            "is_protected": record.is_protected,
-            "isolated": record.isolated,
-            "is_fixed": record.is_fixed,
-            "topics": dict(record.topics),
-            "state": int(record.state),
-            "detail": record.detail,
-            "claimed": record.claimed,
-            "incarnation": record.incarnation,
-            "suspicion": record.suspicion,
-            "unwanted": record.unwanted,
-            "parameters": record.parameters,
-            "kind": record.kind.value,
-            "host": record.host,
-        },
-        sort_keys=True,
-    )
+    body = {each.name: getattr(record, each.name) for each in dataclasses.fields(record)}
+    for name in ("name", "ports", "awaited"):  # the key, and what is asked for after the start
+        del body[name]
+    if not record.heard.ways:
+        del body["heard"]  # earlier versions do not read it
+    body["transformation"] = pack(record.transformation) if record.transformation else None
+    body.update(topics=dict(record.topics), state=int(record.state), kind=record.kind.value)
+    return json.dumps(body, sort_keys=True)
 
 
 def _record(name: str, text: str) -> Record:
     body = json.loads(text)
     made_from = body.pop("transformation")
-    state = State(body.pop("state"))
+    transformation = unpack(made_from) if made_from else None
     if "is_fixed" not in body:  # its name in earlier versions, which did not write the kind
         body["is_fixed"] = body.pop("rewired_by_reload")
     plain = NodeletKind.CPP if body["is_fixed"] else NodeletKind.PYTHON
-    kind = NodeletKind(body.pop("kind", plain))
-    transformation = unpack(made_from) if made_from else None
-    given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
     connections, ways = body.pop("heard", ((), ()))
-    heard = Heard(
-        tuple((port, tuple(topics)) for port, topics in connections),
-        tuple(tuple((variable, value) for variable, value in way) for way in ways),
-    )
+    given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
     record = Record(
         name=name,
         transformation=transformation,
-        state=state,
+        state=State(body.pop("state")),
         parameters=given,
-        kind=kind,
-        heard=heard,
+        kind=NodeletKind(body.pop("kind", plain)),
+        heard=Heard(
+            tuple((port, tuple(topics)) for port, topics in connections),
+            tuple(tuple((variable, value) for variable, value in way) for way in ways),
+        ),
         **body,
     )
     check_types(record)
@@ -289,10 +269,10 @@ def _record(name: str, text: str) -> Record:
 
 
 def check_types(value: Any) -> None:
-    """Check the fields of a dataclass or named tuple, and what they hold.
+    """Check that the fields of a dataclass or named tuple have their declared types.
 
     Raises:
-        TypeError: a field holds something else than is declared.
+        TypeError: a field has another type.
     """
     for name, hint in _fields(value.__class__).items():
         if not _fits(getattr(value, name), hint):

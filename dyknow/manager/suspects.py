@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Which nodelets get processes of their own, since their processes crash while their code runs.
+"""Nodelets that crash their processes, and are isolated for that.
 
 A nodelet that crashes its process takes its neighbours along each time that it comes back. The
 nodelets whose code ran when a process crashed are accused. After two accusations a nodelet is
@@ -38,11 +38,7 @@ class Suspects:
     """Accusations by nodelet or transformation; safe from any thread."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        """Begin without an accusation.
-
-        Args:
-            clock: steady time, in seconds.
-        """
+        """Start without accusations, with a steady clock in seconds."""
         self._clock = clock
         self._state_lock = state_lock("suspects")
         self._accounts: Dict[int, _Account] = {}
@@ -65,12 +61,7 @@ class Suspects:
             return self._labels.get(mark, "")
 
     def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
-        """Accuse the nodelets whose code ran or, where that is not known, all of the process.
-
-        Args:
-            crash: what happened.
-            hosted: names of the nodelets of the nodelet manager.
-        """
+        """Accuse the nodelets whose code ran or, if unknown, those that the process ``hosted``."""
         marks = crash.running
         if marks is None:
             marks = frozenset(names.mark(name) for name in hosted)

@@ -89,15 +89,20 @@ class Child(NodeletPeer):
         return incarnation_of(found) if found is not None and self.up else ""
 
     @property
+    def responsive(self) -> bool:
+        """False if its present process did not answer the last request."""
+        of, client = self._lists
+        return client is None or of != self.incarnation or client.answers
+
+    @property
     def state(self) -> ManagerState:
-        """What is known of it now; it is responsive unless it was asked, and did not answer."""
-        incarnation, (asked, client) = self.incarnation, self._lists
+        """Its present state, without a request."""
         return ManagerState(
             self.name,
             self.record.kind,
-            incarnation,
+            self.incarnation,
             self.record.isolated_for,
-            responsive=client is None or asked != incarnation or client.answers,
+            responsive=self.responsive,
             rewirable=self.rewirable,
             host=rosgraph.network.get_host_name(),
             cure=self._cure,

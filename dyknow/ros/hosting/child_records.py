@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The processes that a DyKnow manager starts, on disk, so that the next one finds them.
+"""Records of the processes that a DyKnow manager starts, on disk for its next life.
 
-A record is there before the process, and before anything that it leaves at the ROS master.
+A record is written before its process starts, and before anything is left at the ROS master.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class ChildRecord:
 
     Attributes:
         name: global node name.
-        kind: what it hosts, or is.
-        isolated_for: the nodelet that has it alone; empty for shared ones. A node has itself.
-        process: the process; None before its start, and if it was one before a reboot.
+        kind: kind of its nodelets, or of the node.
+        isolated_for: its only nodelet, a node itself; empty for shared ones.
+        process: the process; None before its start, and if it ended with a reboot.
     """
 
     name: str
@@ -86,17 +86,12 @@ def write(path: str, records: Iterable[ChildRecord]) -> None:
 
 
 def to_tag(record: ChildRecord, owner: str) -> str:
-    """Write what the environment of a process says of it, for when there is no record.
-
-    Args:
-        record: of the process.
-        owner: the lock of its owner.
-    """
+    """Return the text for the environment of a process: its owner's lock, and its record."""
     return json.dumps([owner, record.name, record.kind.value, record.isolated_for])
 
 
 def running(owner: str) -> List[ChildRecord]:
-    """Return what runs of the processes of an owner, as their environments say, by name."""
+    """Return the running processes of an owner, found by their environments, by name."""
     found: Dict[str, ChildRecord] = {}
     for process, tag, command in os_process.started_with(TAG):
         try:

@@ -3,21 +3,22 @@
 
 """Child processes: started, adopted, restarted when they die, and ended.
 
-They are nodelet managers, and nodes, each of which is there for itself alone.
+They are nodelet managers, and nodes, each of which hosts itself alone.
 
 Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone
 starts the process and waits for its end. A child has a session of its own, so it outlives a
-manager that is killed; the next one finds it in a file (``child_records``), else by what its
-environment says.
+manager that is killed; the next one finds it in a file (``child_records``), else by its
+environment.
 """
 
 from __future__ import annotations
 
 import collections
+import itertools
 import logging
 import time
 from functools import partial
-from typing import Deque, Dict, Iterable, List, Optional, Tuple
+from typing import Deque, Dict, List, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken
@@ -52,7 +53,7 @@ class Children:
         """Prepare; there are no children yet.
 
         Args:
-            context: what all peers share.
+            context: shared by all peers.
             launcher: starts the children.
             namespace: that of the DyKnow manager, and of its shared children.
             path: file of the records.
@@ -70,23 +71,24 @@ class Children:
         self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> List[str]:
-        """Take over the children of an earlier manager that still run; clean up after the others.
+        """Take over the running children of an earlier manager; clean up after the dead ones.
 
         Returns:
-            Names of those that run.
+            Names of the running ones.
         """
         try:
             records = child_records.read(self._path)
         except (OSError, ValueError) as error:
             _log.warning("'%s': %s; looking at the processes that run", self._path, error)
             records = []
-        known = {record.name for record in records}
-        living = [each for each in records if each.process is not None and each.process.alive]
-        known = {record.name for record in living}
-        living += [each for each in self._launcher.running() if each.name not in known]
-        known = {record.name for record in living}
-        self._clean_up([each for each in records if each.name not in known])
-        children = [self._add(Child(self._context, record, adopted=True)) for record in living]
+        living = {each.name: each for each in records if each.process and each.process.alive}
+        living = {**{each.name: each for each in self._launcher.running()}, **living}
+        for record in records:
+            if record.name not in living:
+                if record.process is not None:
+                    record.process.wait_for_rest()  # what it forked runs on
+                self._launcher.clean_up(record)
+        children = [self._add(Child(self._context, living[name], True)) for name in sorted(living)]
         self._write()
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
         for child in children:
@@ -94,7 +96,7 @@ class Children:
                 self._wait_up(child, deadline)
             except HostError as error:
                 _log.warning("%s", error)
-        return [record.name for record in living]
+        return sorted(living)
 
     def all(self) -> List[Child]:
         """Return every child, by name."""
@@ -115,8 +117,8 @@ class Children:
         """Return the name of a child that is up, starting one if there is none that answers.
 
         Args:
-            kind: what it must be able to host.
-            isolated_for: the nodelet that is to have it alone; empty for a shared one.
+            kind: kind of nodelets that it must be able to host.
+            isolated_for: its only nodelet; empty for a shared one.
 
         Raises:
             HostError: it does not come up.
@@ -128,7 +130,7 @@ class Children:
                 for child in self._children.values()
                 if child.record.kind is kind and child.record.isolated_for == isolated_for
             ]
-            fitting = [each for each in same if each.wanted and each.state.responsive]
+            fitting = [each for each in same if each.wanted and each.responsive]
         up = [child for child in fitting if child.up]
         if up:
             return min(child.name for child in up)
@@ -141,13 +143,8 @@ class Children:
         return self._wait_up(fitting[0], deadline)
 
     def check_free(self, node: str) -> None:
-        """Check that no node bears a name.
-
-        Raises:
-            NameTaken: one does.
-        """
-        with self._changed:
-            child = self._children.get(node)
+        """Check that no node bears a name; raises ``NameTaken`` if one does."""
+        child = self.find(node)
         if child is not None and not child.wanted:
             child.gone.wait(START_TIMEOUT)
         elif child is not None:
@@ -158,13 +155,7 @@ class Children:
     def start_node(
         self, kind: NodeletKind, name: str, command: Tuple[str, ...], timeout: float
     ) -> None:
-        """Start a node, and wait until it offers its ports. It is not started again.
-
-        Args:
-            kind: what it is.
-            name: of the node.
-            command: program and arguments.
-            timeout: seconds that it may take.
+        """Start a node, and wait ``timeout`` seconds for its ports. It is not started again.
 
         Raises:
             HostError: it did not come up, and was ended.
@@ -181,8 +172,7 @@ class Children:
 
     def await_up(self, name: str, timeout: float) -> None:
         """Wait for a child that is being started; return at once for any other name."""
-        with self._changed:
-            child = self._children.get(name)
+        child = self.find(name)
         if child is not None and not child.up:
             self._wait_up(child, time.monotonic() + timeout)
 
@@ -193,19 +183,14 @@ class Children:
 
     def await_end(self, name: str, incarnation: str, timeout: float) -> None:
         """Wait until a process has ended, and is known to have."""
-        with self._changed:
-            child = self._children.get(name)
-            self._changed.wait_for(
-                lambda: child is None or child.incarnation != incarnation, timeout
-            )
+        child = self.find(name)
+        if child is not None:
+            with self._changed:
+                self._changed.wait_for(lambda: child.incarnation != incarnation, timeout)
 
     def end(self, name: str) -> None:
         """End a child for good, by force if need be."""
-        with self._changed:
-            child = self._children.get(name)
-            if child is not None:
-                child.wanted, child.up = False, False
-                self._changed.notify_all()
+        child = self.find(name)
         if child is not None:
             self._end([child])
 
@@ -213,25 +198,14 @@ class Children:
         """End all children for good, by force if need be."""
         with self._changed:
             self._ending = True
-            children = list(self._children.values())
-            for child in children:
-                child.wanted, child.up = False, False
-            self._changed.notify_all()
-        self._end(children)
+        self._end(self.all())
 
     def echo(self) -> None:
-        """Print what the children printed since the last call; retry to write their records."""
+        """Print new output of the children; retry to write their records."""
         if self._unwritten:
             self._write()
         for child in self.all():
             child.echo()
-
-    def _clean_up(self, records: Iterable[ChildRecord]) -> None:
-        """End what dead children left: forked processes, registrations, parameters."""
-        for record in records:
-            if record.process is not None:
-                record.process.wait_for_rest()
-            self._launcher.clean_up(record)
 
     # Starting
 
@@ -253,20 +227,17 @@ class Children:
             base = f"{isolated_for}_nodelet_manager"
         else:
             base = names.join(self._namespace, _BASES[kind])
-        number, name = 1, base
-        while True:
-            with self._changed:
-                taken = name in self._children
-            if not taken and self._launcher.is_free(name):
-                return name
-            number += 1
-            name = f"{base}_{number}"
+        further = (f"{base}_{number}" for number in itertools.count(2))
+        return next(
+            name
+            for name in itertools.chain([base], further)
+            if name not in self._children and self._launcher.is_free(name)
+        )
 
     def _wait_up(self, child: Child, deadline: float) -> str:
         with self._changed:
-            while not child.up and not child.gone.is_set():
-                if not self._changed.wait(deadline - time.monotonic()):
-                    break
+            left = deadline - time.monotonic()
+            self._changed.wait_for(lambda: child.up or child.gone.is_set(), left)
             if child.up:
                 return child.name
         reason = child.trouble or "it does not come up"
@@ -293,6 +264,10 @@ class Children:
     # Ending
 
     def _end(self, children: List[Child]) -> None:
+        with self._changed:
+            for child in children:
+                child.wanted, child.up = False, False
+            self._changed.notify_all()
         enders = [in_background(f"ending {each.name}", each.end) for each in children]
         for ender in enders:
             ender.join(2 * PATIENCE)

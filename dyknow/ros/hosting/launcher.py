@@ -64,16 +64,16 @@ class Launcher:
         orphan_timeout: float,
         parameters: Mapping[str, Any],
     ) -> None:
-        """Make the folders for their logs and for what they write themselves.
+        """Make the folders for logs and for files of the children.
 
         Args:
             master: the ROS master; its caller is the owner of the children.
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
-            parameters: further private parameters of each, and of nodes.
+            parameters: further private parameters of each child.
 
         Raises:
-            HostError: they cannot be written.
+            HostError: a folder cannot be written.
         """
         self._master = master
         self._owner = owner
@@ -93,13 +93,9 @@ class Launcher:
         self._ended: List[str] = []  # outputs, the oldest first
 
     def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> Tuple[ProcessId, LogTail]:
-        """Start a nodelet manager, or a node.
+        """Start a nodelet manager, or a node with a ``command``.
 
-        Its registration replaces what a dead one of that name left at the master.
-
-        Args:
-            child: what it is to be.
-            command: program and arguments of a node.
+        Its registration replaces that of a dead predecessor at the master.
 
         Raises:
             OSError: the program cannot be started.
@@ -134,13 +130,13 @@ class Launcher:
     def examine(
         self, kind: NodeletKind, name: str, pid: int, status: Optional[int]
     ) -> Optional[Crash]:
-        """Return why a process ended, if it did so by a fault of its own.
+        """Return the crash of a process; None if it ended without a fault of its own.
 
         Args:
-            kind: what it hosted.
+            kind: kind of the nodelets that it hosted.
             name: its name.
             pid: its id.
-            status: its exit code, or the negative number of a signal; None if it is not known.
+            status: its exit code, or the negative number of a signal; None if unknown.
         """
         if status is None or (status < 0 and -status not in _FAULTS):
             return None
@@ -158,10 +154,10 @@ class Launcher:
         return Crash(name, cause, found.running, found.unloading)
 
     def clean_up(self, child: ChildRecord) -> None:
-        """Remove what an ended one left: registrations, parameters, its crash record.
+        """Remove the registrations, parameters and crash record of a child that ended.
 
-        If another process bears its name by now, nothing is removed. Its output stays until those
-        of a number of others are newer.
+        If another process bears its name by now, nothing is removed. Its output stays until there
+        are enough newer ones.
         """
         kind, name = child.kind, child.name
         self._limit_outputs(self._used_output(name))
@@ -205,7 +201,7 @@ class Launcher:
         return False
 
     def running(self) -> List[ChildRecord]:
-        """Return what runs of the processes that our owner started, whoever that was then."""
+        """Return the running processes that our owner started, in this life or an earlier one."""
         return child_records.running(self._owner.path)
 
     def registered(self, name: str) -> str:
@@ -215,10 +211,7 @@ class Launcher:
     def address(self, kind: NodeletKind, name: str, stale: str) -> str:
         """Return the address of a nodelet manager or node once it offers its services; else empty.
 
-        Args:
-            kind: what it hosts, or is.
-            name: its name.
-            stale: address of a dead predecessor, which does not count.
+        The address ``stale`` of a dead predecessor does not count.
         """
         try:
             found = self._master.node(name)
@@ -231,9 +224,9 @@ class Launcher:
             return ""
 
     def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
-        """Whether what a nodelet manager that is up hosts has ports that can be connected.
+        """Whether the running manager supports live rewiring.
 
-        A C++ one that is a stock one, or whose self-check failed, does not offer their counts.
+        A stock C++ one, and one whose self-check failed, does not offer counts.
         """
         if kind is NodeletKind.PYTHON or kind.is_node:
             return True
@@ -311,11 +304,7 @@ class Launcher:
 
 
 def _check_writable(folder: str, variable: str) -> None:
-    """Make a folder, or refuse one that cannot be written.
-
-    Raises:
-        HostError: it cannot be.
-    """
+    """Make a folder, or raise ``HostError`` if it cannot be written."""
     try:
         os.makedirs(folder, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):

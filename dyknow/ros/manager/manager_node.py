@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The node dyknow_manager: the paper's manager, with all that it needs from ROS.
+"""The node dyknow_manager: the paper's manager with its ROS interface.
 
 Who owns what: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
 manager, and its connections with ROS: services, the topic of the model, the streams, the watch and
-the workers that bring nodelets back. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
+the workers that restore nodelets. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
 claims and nodelet managers end too. A manager that is killed leaves them, and its next life takes
-them over. The master's word that another node bears the name is no such end
+them over. When the master reports that another node bears the name, that is no such end
 (``dyknow.ros.manager.tenure``).
 """
 
@@ -162,8 +162,8 @@ class ManagerNode(Closable):
 
         A manager that leaves ends for the elder manager of its name, which has the name's nodelets
         and claims. Nothing is forgotten then: the state on disk is that of a manager that was
-        killed. The nodelet managers end, whose names those of the elder bear; what runs in others
-        is the elder's.
+        killed. Its own nodelet managers end, since the elder's bear the same names; all others are
+        the elder's.
         """
         if self.leaves:
             rospy.logwarn(
@@ -196,7 +196,7 @@ class ManagerNode(Closable):
     # Inside
 
     def _introduce(self) -> None:
-        """Say who starts, and with what."""
+        """Log the version, the master and the state that was found."""
         found = {
             "transformations": len(self.manager.library.all()),
             "nodelets": len(self._store.nodelets()),
@@ -309,7 +309,7 @@ def _ontology(settings: ManagerSettings) -> Ontology | None:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run the node until it is told to end; returns the exit code.
+    """Run the node until it has to end; returns the exit code.
 
     Args:
         argv: the command line, program name first.

@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Dict, List, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 import rosgraph
 import rospkg
 import rospy
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError
+from dyknow.errors import BadParameter
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.ros.manager import tenure
@@ -46,17 +46,17 @@ class ManagerSettings:
     """Values of the parameters.
 
     Attributes:
-        nodelet_managers: global names of nodelet managers of others to use as well.
-        num_nodelet_managers: nodelet managers of its own.
+        nodelet_managers: global names of external nodelet managers to use as well.
+        num_nodelet_managers: number of its own nodelet managers.
         state_dir: folder of the durable state; empty for the default.
         ontologies: files with the concepts of templates and tags.
-        catalogues: files that say where imported ontologies are.
-        language: the language of the labels that are preferred as names.
+        catalogues: files with the places of imported ontologies.
+        language: preferred language of labels that become names.
         transformations: files of specifications to add at the start.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
-        guards: what is forbidden.
-        limits: how large specifications may be.
+        guards: restrictions.
+        limits: sizes of specifications.
     """
 
     nodelet_managers: Tuple[str, ...] = ()
@@ -76,7 +76,7 @@ class ManagerSettings:
         """Read the node's private parameters.
 
         Raises:
-            DyKnowError: a parameter has no sensible value.
+            DyKnowError: a parameter has an unusable value.
         """
         node = rospy.get_name()
         _warn_of_unknown()
@@ -127,11 +127,7 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
 
 
 def unknown_parameters(given: Any) -> List[Tuple[str, str]]:
-    """List the private parameters that the manager does not read, each with a suggestion.
-
-    Args:
-        given: the node's namespace on the parameter server.
-    """
+    """List the parameters in a node's namespace that the manager ignores, with suggestions."""
     present = sorted(given) if isinstance(given, dict) else []
     return [
         (name, did_you_mean(name, PARAMETERS, at_most=1, prefix="~"))
@@ -141,35 +137,37 @@ def unknown_parameters(given: Any) -> List[Tuple[str, str]]:
 
 
 def _warn_of_unknown() -> None:
-    """Warn of unknown parameters, which would change nothing without a word."""
+    """Warn of unknown parameters, which would be ignored silently."""
     for name, hint in unknown_parameters(rospy.get_param("~", {})):
         hint = hint or "; known: ~" + " ~".join(PARAMETERS)
         rospy.logwarn("unknown parameter ~%s%s", name, hint)
 
 
-def _refuse(name: str, expected: str, value: Any) -> DyKnowError:
-    return BadParameter(f"~{name}", value, expected)
+def _read(name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
+    value = rospy.get_param(f"~{name}", default)
+    if not fits(value):
+        raise BadParameter(f"~{name}", value, expected)
+    return value
 
 
 def _string(name: str, default: str = "") -> str:
-    value = rospy.get_param("~" + name, default)
-    if not isinstance(value, str):
-        raise _refuse(name, "a text", value)
-    return value
+    return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
 
 
 def _strings(name: str) -> Tuple[str, ...]:
     """Read a list, or a text with white space between the entries, as launch files have it."""
-    value = rospy.get_param("~" + name, [])
-    if isinstance(value, str):
-        value = value.split()
-    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-        raise _refuse(name, "a list of texts", value)
-    return tuple(value)
+
+    def fits(value: Any) -> bool:
+        return isinstance(value, str) or (
+            isinstance(value, list) and all(isinstance(each, str) for each in value)
+        )
+
+    value = _read(name, [], "a list of texts", fits)
+    return tuple(value.split() if isinstance(value, str) else value)
 
 
 def _topic_patterns(name: str) -> Tuple[str, ...]:
-    """Read patterns of topics; relative ones begin in the manager's namespace."""
+    """Read patterns of topics; relative ones resolve in the manager's namespace."""
     namespace = names.parent(rospy.get_name())
     return tuple(
         pattern if pattern[:1] in "/*" else names.join(namespace, pattern)
@@ -178,24 +176,23 @@ def _topic_patterns(name: str) -> Tuple[str, ...]:
 
 
 def _bool(name: str, default: bool = False) -> bool:
-    value = rospy.get_param("~" + name, default)
-    if not isinstance(value, bool):
-        raise _refuse(name, "true or false", value)
-    return value
+    return bool(_read(name, default, "true or false", lambda value: isinstance(value, bool)))
+
+
+def _number(name: str, default: Any, least: float, expected: str, kinds: Any) -> Any:
+    def fits(value: Any) -> bool:
+        return isinstance(value, kinds) and not isinstance(value, bool) and value >= least
+
+    return _read(name, default, expected, fits)
 
 
 def _integer(name: str, default: int) -> int:
-    value = rospy.get_param("~" + name, default)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise _refuse(name, "an integer from 0", value)
-    return int(value)
+    return int(_number(name, default, 0, "an integer from 0", int))
 
 
 def _seconds(name: str, default: float, least: float) -> float:
-    value = rospy.get_param("~" + name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= least:
-        raise _refuse(name, f"seconds, at least {least:g}", value)
-    return float(value)
+    expected = f"seconds, at least {least:g}"
+    return float(_number(name, default, least, expected, (int, float)))
 
 
 def _limits(kind: Any, *limits: str) -> Dict[str, int]:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The part of the node dyknow_manager that is about streams.
+"""The streams of the node dyknow_manager.
 
 Who owns what: ``StreamNode`` owns the thread that reconciles claims, the bonds with clients, the
 services and the topic of events.

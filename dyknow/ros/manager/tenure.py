@@ -5,16 +5,16 @@
 
 A manager that finds a living one of its name does not start. During a split it cannot find it, so
 there are two once the network is whole again. The ROS master then has the name's last
-registration, whosever that was, and tells the process before it to end. Neither takes that for an
-order of a user: the elder goes on, and the other one leaves.
+registration, and tells the process before it to end. Neither takes that for a user's order: the
+elder goes on, and the other one leaves.
 
-The parameter ``~tenure`` says who is the elder. Each manager writes it when it starts, with a
-number one higher than it found; a manager that finds another's entry writes its own again if that
-is the lower one, and leaves if it is the higher one. So both decide alike, by the master alone,
-and no clock of theirs is compared as long as there are numbers.
+The parameter ``~tenure`` decides who is the elder. Each manager writes it when it starts, with a
+number one higher than it found; a manager that finds another entry restores its own if that is the
+lower one, and leaves if it is the higher one. So both decide alike, by the master alone, and no
+clocks are compared as long as there are numbers.
 
 The elder lost its registrations, and maybe parameters, when the other one started. It puts the
-parameters back and registers anew by starting again in the same process: that is the way back from
+parameters back and registers again by restarting in the same process: that is the way back from
 ``kill -9``, which no stream notices.
 """
 
@@ -43,7 +43,7 @@ VARIABLE = "DYKNOW_TENURE"
 
 
 class TenureEntry(NamedTuple):
-    """What one manager writes; the elder's is the lower one.
+    """The entry of one manager; the elder's is the lower one.
 
     Attributes:
         generation: one more than that of the entry before.
@@ -67,7 +67,7 @@ class TenureEntry(NamedTuple):
 
 
 class TenureVerdict(enum.Enum):
-    """What a manager has to do about its name."""
+    """A manager's next step about its name."""
 
     HOLD = enum.auto()
     LEAVE = enum.auto()
@@ -121,7 +121,7 @@ class Tenure:
             return  # the first look takes it
 
     def look(self) -> TenureVerdict:
-        """Decide by what the master says now; a master that is away changes nothing."""
+        """Decide by the master's present answers; a master that is away changes nothing."""
         try:
             if self.entry is None:
                 self.take()
@@ -137,7 +137,7 @@ class Tenure:
             return TenureVerdict.HOLD
 
     def watch(self, uri: str, leave: Callable[[], None], come_back: Callable[[], None]) -> None:
-        """Look from time to time, in a thread of its own.
+        """Look periodically, in a thread of its own.
 
         Args:
             uri: address of this node.
@@ -181,7 +181,7 @@ class Tenure:
     # Inside
 
     def _holding(self) -> TenureVerdict:
-        """Whether a process without an entry has taken the name, and does not give it back.
+        """Whether a process without an entry has taken the name, and does not return it.
 
         That is a manager of ours that registered something before it looked, or a stranger.
         """

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Where a nodelet runs, and how it comes up there: loaded, checked and connected."""
+
+from __future__ import annotations
+
+import collections
+from dataclasses import replace
+from typing import Counter, Dict, Iterable, Optional, Set, Tuple
+
+from dyknow import names
+from dyknow.datatypes import types_fit
+from dyknow.errors import FixedTopics, HostError
+from dyknow.locks import state_condition
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host, LoadRequest, ManagerState
+from dyknow.manager.record import (
+    NOTHING_HEARD,
+    Record,
+    declared_ports,
+    missing_connections,
+    topics_of,
+    with_ports,
+)
+from dyknow.manager.specifications.given import set_on_load
+from dyknow.model.graph import NodeletKind, PortState, State
+from dyknow.model.transformation import NODE, Port, Transformation
+from dyknow.periodic import Clock
+
+#: Seconds without a further port after which those of a node that are missing come later: it is
+#: lazy, and makes them once somebody listens to it or sends it something.
+_SETTLED = 1.0
+#: Seconds between two questions for the ports of a node that starts.
+_STEP = 0.05
+
+
+class Loading:
+    """Chooses nodelet managers for nodelets, and loads them there."""
+
+    def __init__(self, host: Host, graph: Graph, timeout: float, clock: Clock) -> None:
+        """Prepare; a nodelet may take ``timeout`` seconds to come up."""
+        self._host = host
+        self._graph = graph
+        self._timeout = timeout
+        self._clock = clock
+        self._pause = state_condition("ports of nodes that start")
+
+    def place(
+        self, kind: NodeletKind, topics: Iterable[str], asked: str = "", isolated_for: str = ""
+    ) -> str:
+        """Choose, and start if need be, a nodelet manager for a new nodelet.
+
+        It is the requested one; else a new process for an isolated nodelet; else the one that runs
+        most neighbours of the nodelet, since messages go by reference there; else the one that
+        runs fewest nodelets. One without live ports is used only if it was requested, or if the
+        host can start no other.
+
+        Args:
+            kind: kind of the nodelet.
+            topics: its topics, for finding neighbours.
+            asked: the requested nodelet manager; empty for any.
+            isolated_for: the nodelet, if it is to have a process of its own; else empty.
+
+        Raises:
+            HostError: the requested nodelet manager cannot host it.
+        """
+        if asked:
+            self._check(asked, kind, isolated_for)
+            return asked
+        if isolated_for:
+            return self._host.ensure(kind.host, isolated_for)
+        shared = [
+            state.name
+            for state in self._host.managers()
+            if state.alive
+            and state.responsive
+            and state.rewirable
+            and state.kind is kind.host
+            and not state.isolated_for
+        ]
+        if not shared:
+            return self._host.ensure(kind.host)
+        wanted = set(topics)
+        load: Counter[str] = collections.Counter()
+        near: Counter[str] = collections.Counter()
+        for record in self._graph.all():
+            load[record.manager] += 1
+            used = {*topics_of(record).values(), *record.topics.values()}
+            near[record.manager] += not wanted.isdisjoint(used)
+        return min(shared, key=lambda name: (-near[name], load[name], name))
+
+    def _check(self, asked: str, kind: NodeletKind, isolated_for: str) -> None:
+        """Check that a nodelet can go to the nodelet manager that was asked for."""
+        if kind.is_node:
+            raise HostError(
+                f"a {kind.title} has a process of its own, and is in no nodelet manager such as "
+                f"'{asked}'"
+            )
+        if isolated_for:
+            raise HostError(
+                f"'{isolated_for}' cannot be isolated in nodelet manager '{asked}': "
+                "expected a process of its own or a named one, not both"
+            )
+        self._host.look_for(asked)
+        state = self.state(asked)
+        if state is None:
+            known = ", ".join(sorted(each.name for each in self._host.managers())) or "none"
+            raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
+        if state.isolated_for:
+            raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
+        if not state.alive:
+            what = "does not answer" if state.away else "is not running"
+            raise HostError(f"nodelet manager '{asked}' {what}")
+        if state.kind is not kind.host:
+            raise HostError(
+                f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
+            )
+
+    def state(self, manager: str) -> Optional[ManagerState]:
+        """Return a nodelet manager; None if there is none of that name."""
+        return next((each for each in self._host.managers() if each.name == manager), None)
+
+    def bring_up(self, record: Record) -> Record:
+        """Load a nodelet, or start a node; check and connect its ports; returns its new record.
+
+        Raises:
+            DyKnowError: it did not work; something may be left of it.
+        """
+        transformation = record.transformation
+        assert transformation is not None
+        request = LoadRequest(
+            record.name,
+            transformation.source,
+            set_on_load(transformation, record.parameters),
+            {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
+            record.kind,
+        )
+        if record.claimed and record.kind is NodeletKind.CPP:
+            state = self.state(record.manager)
+            if state is not None and not state.rewirable:
+                raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
+        deadline = self._clock.now() + self._timeout
+        self._host.load(record.manager, request, self._timeout)
+        state = self.state(record.manager)
+        record = replace(
+            record,
+            state=State.RUNNING,
+            detail=record.suspicion,
+            incarnation=state.incarnation if state is not None else "",
+            host=state.host if state is not None else "",
+            is_fixed=state is not None and not state.rewirable,
+            heard=NOTHING_HEARD,
+        )
+        if record.is_fixed:
+            return replace(record, ports=declared_ports(record))
+        ports = self._checked_ports(record, deadline)
+        wiring = missing_connections(record, ports)
+        if wiring:
+            self._host.connect(record.name, wiring)
+            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
+        return with_ports(record, ports)
+
+    def _checked_ports(self, record: Record, deadline: float) -> Tuple[PortState, ...]:
+        transformation = record.transformation
+        assert transformation is not None
+        if transformation.type == NODE:
+            ports = self._settled_ports(record.name, transformation, deadline)
+        else:
+            ports = self._host.ports(record.name)
+        found = {port.name: port for port in ports}
+        wrong = []
+        for port in transformation.ports:
+            real = found.get(port.name)
+            if not record.kind.is_written_for_dyknow and (real is None or not real.datatype):
+                # A lazy one subscribes once another node listens, unless this is its misspelling.
+                misspelt = _namesake(port, ports, transformation)
+                if misspelt:
+                    wrong.append(f"it has no port '{port.name}'; did you mean '{misspelt}'?")
+                continue
+            if real is None:
+                known = ", ".join(sorted(found)) or "none"
+                wrong.append(f"it has no port '{port.name}'; its ports: {known}")
+            elif real.direction != port.direction:
+                wrong.append(
+                    f"port '{port.name}' is an {real.direction}-port, "
+                    f"the transformation says {port.direction}"
+                )
+            elif not types_fit(port.datatype, real.datatype):
+                wrong.append(
+                    f"port '{port.name}' carries {real.datatype}, "
+                    f"the transformation says {port.datatype}"
+                )
+        if wrong:
+            raise HostError("; ".join(wrong))
+        return ports
+
+    def _settled_ports(
+        self, name: str, transformation: Transformation, deadline: float
+    ) -> Tuple[PortState, ...]:
+        """Wait for the declared ports of a node, which makes them one after the other.
+
+        Raises:
+            HostError: it has made none of them in time.
+        """
+        declared = {port.name for port in transformation.ports}
+        seen: Set[str] = set()
+        since = self._clock.now()
+        while True:
+            ports = self._host.ports(name)
+            now = self._clock.now()
+            found = declared & {port.name for port in ports if port.datatype}
+            if found != seen:
+                seen, since = found, now
+            if found == declared or (found and now - since >= _SETTLED):
+                return ports
+            if now >= deadline:
+                break
+            with self._pause:
+                self._clock.wait(self._pause, _STEP)
+        if found:
+            return ports
+        own = ", ".join(sorted(port.name for port in ports)) or "none"
+        raise HostError(
+            f"it has none of the declared ports {', '.join(sorted(declared))} within "
+            f"{self._timeout:g} s; its ports: {own}"
+        )
+
+
+def _namesake(port: Port, ports: Iterable[PortState], transformation: Transformation) -> str:
+    """Return a port that is there and not declared, whose name differs in its namespace alone."""
+    declared = {each.name for each in transformation.ports}
+    base = port.name.lstrip("~/")
+    return next(
+        (
+            each.name
+            for each in ports
+            if each.datatype
+            and each.direction == port.direction
+            and each.name not in declared
+            and each.name.lstrip("~/") == base
+        ),
+        "",
+    )
+
+
+def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
+    """Return the remappings that wire a nodelet that was not written for DyKnow.
+
+    A port that is not remapped would use its own name as its topic. So a disconnected port is
+    remapped to a topic below ``NODELET/disconnected``: a re-wirable nodelet manager takes it for
+    disconnected, and in a stock one nothing else uses it.
+    """
+    return {
+        names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
+            port.name, ""
+        )
+        or names.disconnected(record.name, port.name)
+        for port in transformation.ports
+    }
