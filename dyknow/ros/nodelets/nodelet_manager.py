@@ -337,7 +337,7 @@ def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
     # Here: a script in a process of its own does not wait for the parser of XML.
     from dyknow.nodelet.plugins import ClassImports, Plugins
     from dyknow.ros.nodelets.packages import plugin_files
-    from dyknow.ros.scripts.libraries import importer_with_libraries
+    from dyknow.ros.scripts.modules import importer_with_libraries
 
     plugins, imports = Plugins(plugin_files), ClassImports(importer_with_libraries)
     return lambda type_name, context: imports.load(plugins.find(type_name), context)

@@ -29,7 +29,7 @@ from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
-from dyknow.ros.scripts.guest import Guest
+from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
 from dyknow.ros.scripts.script_ports import ScriptHandle
 from dyknow.ros.signals import on_signals
@@ -64,8 +64,8 @@ class _ScriptProcess:
     def __init__(self, argv: List[str]) -> None:
         self._argv = argv
         sys.path[0] = os.path.dirname(argv[0])
-        self._guest = Guest(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
-        self._code = ScriptCode(self._guest, argv, self._init_node)
+        self._sandbox = Sandbox(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
+        self._code = ScriptCode(self._sandbox, argv, self._init_node)
         self._manager: Optional[NodeletManager] = None
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
@@ -74,7 +74,7 @@ class _ScriptProcess:
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""
         sys.modules["__main__"] = self._code.module
-        sys.argv = self._guest.argv = self._argv
+        sys.argv = self._sandbox.argv = self._argv
         status, is_interrupted = 0, False
         try:
             self._code.execute()
@@ -86,9 +86,9 @@ class _ScriptProcess:
         for thread in threading.enumerate():
             if thread is not threading.main_thread() and not thread.daemon:
                 thread.join()
-        self._guest.run_exits()
+        self._sandbox.run_exits()
         self._main_over.set()
-        self._guest.shut_down("the script has ended")
+        self._sandbox.shut_down("the script has ended")
         in_background("end", self._stop).join(_LONGEST_END)
         if is_interrupted:
             _end_by(signal.SIGINT)
@@ -113,7 +113,7 @@ class _ScriptProcess:
         if not disable_signals:
             self._listen_for_signals()
         given = list(self._argv if argv is None else argv)
-        mappings = self._guest.mappings = rosgraph.names.load_mappings(given)
+        mappings = self._sandbox.mappings = rosgraph.names.load_mappings(given)
         renamed = {source: to for source, to in mappings.items() if not source.startswith("__")}
         # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
         kept = [word for word in given if word.partition(":=")[0] not in renamed]
@@ -128,7 +128,7 @@ class _ScriptProcess:
             xmlrpc_port,
             tcpros_port,
         )
-        self._guest.name = rospy.get_name()
+        self._sandbox.name = rospy.get_name()
         rospy.on_shutdown(self._withdraw)
         self._offer(renamed)
 
@@ -144,7 +144,7 @@ class _ScriptProcess:
         self._manager.be(NodeletKind.NODE, remappings)
 
     def _nodelet_class(self) -> Type[Nodelet]:
-        guest, main_over = self._guest, self._main_over
+        sandbox, main_over = self._sandbox, self._main_over
 
         class Itself(Nodelet):
             """Stands for the script among the nodelets, of which it is the only one."""
@@ -154,10 +154,10 @@ class _ScriptProcess:
                 super().bind(context)
 
             def on_init(self) -> None:
-                guest.begin(ScriptHandle(self.mt_node_handle))
+                sandbox.begin(ScriptHandle(self.mt_node_handle))
 
             def on_shutdown(self) -> None:
-                guest.shut_down("unloaded")
+                sandbox.shut_down("unloaded")
                 main_over.wait(_PATIENCE)
 
         return Itself
@@ -175,7 +175,7 @@ class _ScriptProcess:
 
     def _withdraw(self) -> None:
         """Withdraw the script's registrations; rosnode kill begins here."""
-        self._guest.shut_down("shutdown")  # however long its hooks take, as in rospy
+        self._sandbox.shut_down("shutdown")  # however long its hooks take, as in rospy
         with self._withdrawal_turn:
             manager, self._manager = self._manager, None
             if manager is not None:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The parts of Python that belong to a process, as a guest sees them.
+"""The parts of Python that belong to a process, as the code in a sandbox sees them.
 
-Waits end at the unload, threads are known, and what would take effect on the whole process is the
-guest's own (its command line, its handlers of signals) or refused, with the cure.
+Waits end at the unload, and threads are known. Effects on the whole process are limited to the
+sandbox (its command line, its handlers of signals) or refused, with the cure.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import Any, Callable, Dict, NoReturn, Optional, Type
 
 from dyknow.errors import NeedsProcess
 from dyknow.nodelet.importer import Importer, Module, View
-from dyknow.ros.scripts.guest import Guest
+from dyknow.ros.scripts.sandbox import Sandbox
 
 Views = Dict[str, Callable[[], Module]]
 
-#: Modules of Python's own library of which a guest has copies, since they look at what is viewed.
+#: Standard modules of which a sandbox has copies, since they use modules that are views.
 COPIED = frozenset(("argparse", "optparse", "queue"))
 #: Toolkits that work in the main thread of a process only.
 _TOOLKITS = (
@@ -40,66 +40,66 @@ _REFUSED = {
 }
 
 
-def process_views(guest: Guest) -> Views:
-    """Return what makes the views that every guest has, by name."""
+def process_views(sandbox: Sandbox) -> Views:
+    """Return what makes the views that every sandbox has, by name."""
     views: Views = {
         "atexit": lambda: View(
-            atexit, {"register": guest.exits.register, "unregister": guest.exits.unregister}
+            atexit, {"register": sandbox.exits.register, "unregister": sandbox.exits.unregister}
         ),
     }
-    if not guest.is_alone:
-        views["threading"] = lambda: _threading(guest)
-        views["time"] = lambda: View(time, {"sleep": guest.pause})
+    if not sandbox.is_alone:
+        views["threading"] = lambda: _threading(sandbox)
+        views["time"] = lambda: View(time, {"sleep": sandbox.pause})
     return views
 
 
-def script_views(guest: Guest, importer: Callable[[], Importer]) -> Views:
+def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
     """Return what makes the further views of a script, by name.
 
     Args:
-        guest: whose they are.
+        sandbox: whose they are.
         importer: returns what has its modules.
     """
-    views: Views = {"sys": lambda: _sys(guest, importer())}
-    if not guest.is_alone:
-        views.update(_refusing(guest))
-        views["os"] = lambda: _partly_refused(guest, "os", _exit=sys.exit, kill=_kill(guest))
-        views["signal"] = lambda: _signal(guest)
+    views: Views = {"sys": lambda: _sys(sandbox, importer())}
+    if not sandbox.is_alone:
+        views.update(_refusing(sandbox))
+        views["os"] = lambda: _partly_refused(sandbox, "os", _exit=sys.exit, kill=_kill(sandbox))
+        views["signal"] = lambda: _signal(sandbox)
     return views
 
 
-def functions(guest: Guest) -> Dict[str, Any]:
+def functions(sandbox: Sandbox) -> Dict[str, Any]:
     """What takes the place of built-in functions."""
-    if guest.is_alone:
+    if sandbox.is_alone:
         return {}
-    return {"input": _refusal(guest, "input()"), "exit": sys.exit, "quit": sys.exit}
+    return {"input": _refusal(sandbox, "input()"), "exit": sys.exit, "quit": sys.exit}
 
 
-def _sys(guest: Guest, importer: Importer) -> View:
-    if guest.is_alone:
-        return _OwnSys(guest, importer)
+def _sys(sandbox: Sandbox, importer: Importer) -> View:
+    if sandbox.is_alone:
+        return _OwnSys(sandbox, importer)
     return View(
         sys,
         {
-            "argv": guest.argv,
+            "argv": sandbox.argv,
             "path": importer.path,
             "modules": importer.everything(),
-            "stdin": _NoKeyboard(guest),
+            "stdin": _NoKeyboard(sandbox),
         },
     )
 
 
 class _OwnSys(View):
-    """``sys`` of a guest with a process of its own: what it sets there is the process's."""
+    """``sys`` of a sandbox with a process of its own: what it sets there is the process's."""
 
-    def __init__(self, guest: Guest, importer: Importer) -> None:
+    def __init__(self, sandbox: Sandbox, importer: Importer) -> None:
         super().__init__(sys, {"modules": importer.everything()})
-        self.__dict__.update(_guest=guest, _importer=importer)
+        self.__dict__.update(_sandbox=sandbox, _importer=importer)
 
     def __setattr__(self, name: str, value: Any) -> None:
         setattr(sys, name, value)
         if name == "argv":
-            self._guest.argv = value
+            self._sandbox.argv = value
         elif name == "path":
             self._importer.path = value
 
@@ -107,12 +107,12 @@ class _OwnSys(View):
         delattr(sys, name)
 
 
-def _threading(guest: Guest) -> View:
+def _threading(sandbox: Sandbox) -> View:
     class Thread(threading.Thread):
-        """A thread of a guest."""
+        """A thread of a sandbox."""
 
         def start(self) -> None:
-            guest.adopt(self)
+            sandbox.adopt(self)
             super().start()
 
         def join(self, timeout: Optional[float] = None) -> None:
@@ -120,16 +120,16 @@ def _threading(guest: Guest) -> View:
                 threading.Thread.join(self, seconds)
                 return not self.is_alive()
 
-            guest.wait_for(is_over, timeout)
+            sandbox.wait_for(is_over, timeout)
 
     class Timer(threading.Timer, Thread):
-        """A timer of a guest."""
+        """A timer of a sandbox."""
 
     class Condition(threading.Condition):
         """A condition whose waits end at the unload."""
 
         def wait(self, timeout: Optional[float] = None) -> bool:
-            return guest.wait_for(functools.partial(threading.Condition.wait, self), timeout)
+            return sandbox.wait_for(functools.partial(threading.Condition.wait, self), timeout)
 
     def with_condition(base: Type[Any]) -> Type[Any]:
         def init(self: Any, *args: Any, **kwds: Any) -> None:
@@ -140,11 +140,11 @@ def _threading(guest: Guest) -> View:
 
     waiting = ("Event", "Semaphore", "BoundedSemaphore", "Barrier")
     own: Dict[str, Any] = {each: with_condition(getattr(threading, each)) for each in waiting}
-    own.update(Thread=Thread, Timer=Timer, Condition=Condition, main_thread=lambda: guest.main)
+    own.update(Thread=Thread, Timer=Timer, Condition=Condition, main_thread=lambda: sandbox.main)
     return View(threading, own)
 
 
-def _signal(guest: Guest) -> View:
+def _signal(sandbox: Sandbox) -> View:
     handlers: Dict[int, Any] = {}
 
     def set_handler(number: int, handler: Any) -> Any:
@@ -160,61 +160,62 @@ def _signal(guest: Guest) -> View:
                     handler(number, None)
 
     def pause() -> None:
-        guest.waits()
-        guest.closing.wait()
+        sandbox.waits()
+        sandbox.closing.wait()
 
-    guest.hooks_after.append(tell)
-    get_handler = functools.partial(_get, handlers)
-    return _partly_refused(guest, "signal", signal=set_handler, getsignal=get_handler, pause=pause)
+    sandbox.hooks_after.append(tell)
+    return _partly_refused(
+        sandbox,
+        "signal",
+        signal=set_handler,
+        getsignal=lambda number: handlers.get(number, signal.SIG_DFL),
+        pause=pause,
+    )
 
 
-def _get(handlers: Dict[int, Any], number: int) -> Any:
-    return handlers.get(number, signal.SIG_DFL)
-
-
-def _kill(guest: Guest) -> Callable[[int, int], None]:
+def _kill(sandbox: Sandbox) -> Callable[[int, int], None]:
     def kill(pid: int, number: int) -> None:
         if pid == os.getpid() and number:
-            guest.unload()
+            sandbox.unload()
         else:
             os.kill(pid, number)
 
     return kill
 
 
-def _refusing(guest: Guest) -> Views:
-    """Views of what a guest that shares its process must not use, or not all of it."""
+def _refusing(sandbox: Sandbox) -> Views:
+    """Views of what a sandbox that shares its process must not use, or not all of it."""
 
     def refuse(toolkit: str) -> Callable[[], Module]:
-        return lambda: _refusal(guest, f"the toolkit {toolkit}")()
+        return lambda: _refusal(sandbox, f"the toolkit {toolkit}")()
 
-    views: Views = {name: functools.partial(_partly_refused, guest, name) for name in _REFUSED}
+    views: Views = {name: functools.partial(_partly_refused, sandbox, name) for name in _REFUSED}
     return {**views, **{name: refuse(name) for name in _TOOLKITS}}
 
 
-def _partly_refused(guest: Guest, name: str, **own: Any) -> View:
+def _partly_refused(sandbox: Sandbox, name: str, **own: Any) -> View:
     real = importlib.import_module(name)
     refused = {
-        call: _refusal(guest, f"{name}.{call}") for call in _REFUSED[name] if hasattr(real, call)
+        call: _refusal(sandbox, f"{name}.{call}") for call in _REFUSED[name] if hasattr(real, call)
     }
     return View(real, {**refused, **own})
 
 
-def _refusal(guest: Guest, what: str) -> Callable[..., NoReturn]:
+def _refusal(sandbox: Sandbox, what: str) -> Callable[..., NoReturn]:
     def refused(*args: Any, **kwds: Any) -> NoReturn:
-        raise NeedsProcess(guest.name, what)
+        raise NeedsProcess(sandbox.name, what)
 
     return refused
 
 
 class _NoKeyboard:
-    """The standard input of a guest that shares its process."""
+    """The standard input of a sandbox that shares its process."""
 
-    def __init__(self, guest: Guest) -> None:
-        self._guest = guest
+    def __init__(self, sandbox: Sandbox) -> None:
+        self._sandbox = sandbox
 
     def isatty(self) -> bool:
         return False
 
     def __getattr__(self, name: str) -> Any:
-        raise NeedsProcess(self._guest.name, "the keyboard (sys.stdin)")
+        raise NeedsProcess(self._sandbox.name, "the keyboard (sys.stdin)")

@@ -19,8 +19,8 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.module_files import script_file
 from dyknow.periodic import in_background
 from dyknow.ros.programs import find_script
-from dyknow.ros.scripts.guest import HOOKS_PATIENCE, Guest
-from dyknow.ros.scripts.guest_modules import folders_of, script_importer
+from dyknow.ros.scripts.modules import script_importer
+from dyknow.ros.scripts.sandbox import HOOKS_PATIENCE, Sandbox
 from dyknow.ros.scripts.script_ports import ScriptHandle
 
 #: Seconds in which an error of the main thread makes the load fail, unless it waits before.
@@ -30,10 +30,10 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class ScriptCode:
-    """One script, ready to be executed once for a guest.
+    """One script, ready to be executed once in a sandbox.
 
     Args:
-        guest: whom it is executed for.
+        sandbox: executes it.
         argv: the command line, the path of the script first.
         init_node: is called as ``rospy.init_node``.
 
@@ -42,12 +42,13 @@ class ScriptCode:
         SyntaxError: it is not Python.
     """
 
-    def __init__(self, guest: Guest, argv: Sequence[str], init_node: Callable[..., None]) -> None:
-        self._guest = guest
+    def __init__(
+        self, sandbox: Sandbox, argv: Sequence[str], init_node: Callable[..., None]
+    ) -> None:
+        self._sandbox = sandbox
         file = script_file(argv[0])
-        folders = folders_of(file, argv[0])
-        guest.argv = [file, *argv[1:]]
-        self.importer = script_importer(guest, folders, init_node)
+        sandbox.argv = [file, *argv[1:]]
+        self.importer = script_importer(sandbox, file, argv[0], init_node)
         self.module = self.importer.prepare("__main__", file)
         try:
             with open(file, "rb") as source:
@@ -61,14 +62,14 @@ class ScriptCode:
 
     def end(self) -> None:
         """End what it has started."""
-        self._guest.end_threads(frozenset(self.importer.files()))
-        self._guest.run_exits()
+        self._sandbox.end_threads(frozenset(self.importer.files()))
+        self._sandbox.run_exits()
 
     def let_go(self) -> None:
         """Free all that its modules hold, unless a thread does not end."""
-        self._guest.let_go()
+        self._sandbox.let_go()
         if not self.importer.clear():
-            _log.info("%s: its memory is kept for the code that still runs", self._guest.name)
+            _log.info("%s: its memory is kept for the code that still runs", self._sandbox.name)
 
 
 class ScriptNodelet(Nodelet):
@@ -78,7 +79,7 @@ class ScriptNodelet(Nodelet):
     ``~by_reference`` (false), whether it shares messages with its neighbours as nodelets do.
     """
 
-    _guest: Optional[Guest] = None
+    _sandbox: Optional[Sandbox] = None
     _code: Optional[ScriptCode] = None
     _error: Optional[BaseException] = None
 
@@ -93,34 +94,34 @@ class ScriptNodelet(Nodelet):
             raise CannotRun("expected the script as the first argument: PACKAGE/SCRIPT")
         argv = [find_script(self.my_argv[0]), *self.my_argv[1:]]
         by_reference = bool(self.private_node_handle.get_param("~by_reference", False))
-        guest = self._guest = Guest(self.name, copies=not by_reference)
-        guest.on_refusal = self._refused
-        guest.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
+        sandbox = self._sandbox = Sandbox(self.name, copies=not by_reference)
+        sandbox.on_refusal = self._refused
+        sandbox.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
         arguments = NodeArguments()
 
         def init_node(*args: Any, **kwds: Any) -> None:
             arguments.note(args, kwds)
 
-        self._code = ScriptCode(guest, argv, init_node)
-        self.context.close_with(_End(guest, self._code))
+        self._code = ScriptCode(sandbox, argv, init_node)
+        self.context.close_with(_End(sandbox, self._code))
         self.context.last_hooks.append(self._code.let_go)
-        guest.begin(ScriptHandle(self.mt_node_handle))
-        guest.main.start()
-        guest.settled.wait(PATIENCE)
+        sandbox.begin(ScriptHandle(self.mt_node_handle))
+        sandbox.main.start()
+        sandbox.settled.wait(PATIENCE)
         error, self._error = self._error, None
         if error is not None:
-            guest.closing.set()
+            sandbox.closing.set()
             raise error
 
     def on_shutdown(self) -> None:
         """End it as the end of a process would."""
-        if self._guest is not None and self._code is not None:
-            self._guest.shut_down("unloaded", HOOKS_PATIENCE)
+        if self._sandbox is not None and self._code is not None:
+            self._sandbox.shut_down("unloaded", HOOKS_PATIENCE)
             self._code.end()
 
     def _main(self) -> None:
-        guest, code = self._guest, self._code
-        assert guest is not None and code is not None
+        sandbox, code = self._sandbox, self._code
+        assert sandbox is not None and code is not None
         try:
             with self.context.executor.record.noting(self.context.mark):
                 code.execute()
@@ -129,19 +130,19 @@ class ScriptNodelet(Nodelet):
                 self._failed(ScriptEnded(self.name, end.code))
         except BaseException as error:  # the boundary of the script
             self._failed(error)
-        guest.join()
-        guest.settled.set()
-        if not guest.closing.is_set():
+        sandbox.join()
+        sandbox.settled.set()
+        if not sandbox.closing.is_set():
             # After the load, which may not be complete yet.
             self.context.strand.post(self._unload_ended)
 
     def _refused(self, refusal: NeedsProcess) -> None:
         """Give up a script that runs on without a thread or a callback of its own."""
-        guest = self._guest
-        assert guest is not None
-        if not guest.closing.is_set():
+        sandbox = self._sandbox
+        assert sandbox is not None
+        if not sandbox.closing.is_set():
             self._error = refusal
-            guest.settled.set()
+            sandbox.settled.set()
             self.context.strand.post(self._unload_ended)
 
     def _unload_ended(self) -> None:
@@ -149,11 +150,11 @@ class ScriptNodelet(Nodelet):
         in_background(f"unloading {self.name}", self.context.unload)
 
     def _failed(self, error: BaseException) -> None:
-        guest = self._guest
-        assert guest is not None
-        if guest.closing.is_set():
+        sandbox = self._sandbox
+        assert sandbox is not None
+        if sandbox.closing.is_set():
             return
-        if guest.settled.is_set():
+        if sandbox.settled.is_set():
             lines = traceback.format_exception(type(error), error, error.__traceback__)
             _log.error("%s: the script has failed\n%s", self.name, "".join(lines))
         self._error = error
@@ -162,15 +163,15 @@ class ScriptNodelet(Nodelet):
 class _End(Closable):
     """Ends a script whose load failed, or was given up."""
 
-    def __init__(self, guest: Guest, code: ScriptCode) -> None:
-        self._guest = guest
+    def __init__(self, sandbox: Sandbox, code: ScriptCode) -> None:
+        self._sandbox = sandbox
         self._code = code
 
     def close(self) -> None:
         """End what still runs, without waiting for it."""
-        if not self._guest.closing.is_set():
-            self._guest.closing.set()
-            in_background(f"end of {self._guest.name}", self._code.end)
+        if not self._sandbox.closing.is_set():
+            self._sandbox.closing.set()
+            in_background(f"end of {self._sandbox.name}", self._code.end)
 
 
 class NodeArguments:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the views of one guest share: its place among the nodelets, its threads, and its end.
+"""Sandboxes: rospy code that takes its process for its own, run as one nodelet among others.
 
-A *guest* is code that believes itself to be a node: a script, or the libraries of rospy that a
-nodelet uses.
+The code is a script, or the libraries of rospy that a nodelet uses. Its sandbox has its
+handle, threads and shutdown hooks, and ends them all when the nodelet is unloaded.
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
+import queue
 import sys
 import threading
 import time
 import traceback
 import weakref
 from functools import partial
-from typing import Any, Callable, Collection, Iterator, List, Mapping, Optional, Set
+from types import FrameType
+from typing import Any, Callable, Collection, Iterator, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.periodic import in_background
-from dyknow.ros.scripts import finalizers
+from dyknow.periodic import attempt, in_background
 
 #: Seconds from the end of the hooks in which threads may end by themselves.
 _PATIENCE = 0.3
@@ -44,48 +45,73 @@ _MANY = 32
 _log = logging.getLogger("rosout.dyknow")
 
 
+_deferred: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+_is_deferring = False
+
+
+def defer_in_finalizers() -> None:
+    """Start the thread of ``outside_of_finalizers``; finalizers themselves must start none."""
+    global _is_deferring
+    if not _is_deferring:
+        _is_deferring = True
+        in_background("calls of finalizers", _call_deferred)
+
+
+def _call_deferred() -> None:
+    while True:
+        attempt("the call of a finalizer", _deferred.get())
+
+
+def outside_of_finalizers(call: Callable[[], None]) -> None:
+    """Make a call that takes locks: now, or in another thread if a finalizer asks for it.
+
+    Python may run a ``__del__`` in the middle of anything, also while the same thread holds a lock
+    of ours. Libraries withdraw their topics there, as tf2's listeners do.
+    """
+    frame: Optional[FrameType] = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code.co_name == "__del__":
+            _deferred.put(call)  # which may be called anywhere
+            return
+        frame = frame.f_back
+    call()
+
+
 class Exits:
-    """What a guest has registered with ``atexit``."""
+    """Stands in for ``atexit``; iterating takes the calls out, the last first."""
 
     def __init__(self) -> None:
-        """Begin empty."""
-        self._calls: List[Callable[..., Any]] = []
-        self._given: List[Callable[[], Any]] = []
+        self._calls: List[Tuple[Callable[..., Any], Callable[[], Any]]] = []
 
     def register(self, call: Callable[..., Any], *args: Any, **kwds: Any) -> Callable[..., Any]:
         """Stand in for ``atexit.register``."""
-        self._calls.append(call)
-        self._given.append(partial(call, *args, **kwds))
+        self._calls.append((call, partial(call, *args, **kwds)))
         return call
 
     def unregister(self, call: Callable[..., Any]) -> None:
         """Stand in for ``atexit.unregister``."""
-        while call in self._calls:
-            del self._given[self._calls.index(call)]
-            self._calls.remove(call)
+        self._calls = [each for each in self._calls if each[0] != call]
 
     def __iter__(self) -> Iterator[Callable[[], Any]]:
-        """Take out the calls, the last first; one may register others."""
-        while self._given:
-            self._calls.pop()
-            yield self._given.pop()
+        while self._calls:  # one of them may register others
+            yield self._calls.pop()[1]
 
 
-class Guest:
-    """One guest; every method is safe from any thread.
+class Sandbox:
+    """One sandbox; every method is safe from any thread.
 
     Attributes:
-        name: what it is called in the log.
-        handle: stands for it among the nodelets; None until a script of its own process has
-            called ``rospy.init_node``.
+        name: its name in the log.
+        handle: its node handle; None until a script in a process of its own has called
+            ``rospy.init_node``.
         is_alone: whether the process is its own.
-        copies: whether it gets and sends copies of messages.
-        argv: its command line, the program first; it may change that.
+        copies: whether it receives and sends copies of messages.
+        argv: its command line, the program first; the code may change it.
         mappings: the remappings of its command line, as they are written there.
         closing: set when its code is to end.
         settled: set when its main thread waits for the first time, or has ended.
-        threads: those that it started.
-        on_refusal: called when what was refused to it ends a thread or a callback.
+        threads: the threads that its code started.
+        on_refusal: called when a refused call ends a thread or a callback.
         main: its main thread; None for libraries.
     """
 
@@ -96,8 +122,8 @@ class Guest:
         is_alone: bool = False,
         copies: bool = True,
     ) -> None:
-        """Begin without a handle."""
-        finalizers.begin()
+        """Make a sandbox without a handle."""
+        defer_in_finalizers()
         self.name = name
         self.main = main
         self.is_alone = is_alone
@@ -109,7 +135,7 @@ class Guest:
         self.settled = threading.Event()
         self.threads: List[threading.Thread] = []
         self.on_refusal: Callable[[NeedsProcess], None] = lambda refusal: None
-        #: What rospy calls at the shutdown: before it is one, and then, with a reason.
+        #: Shutdown hooks, by phase: on_shutdown, pre-shutdown and shutdown.
         self.hooks: List[Callable[[], None]] = []
         self.hooks_before: List[Callable[[str], None]] = []
         self.hooks_after: List[Callable[[str], None]] = []
@@ -119,10 +145,10 @@ class Guest:
         self.is_ending = False
         self._ending_thread: Optional[threading.Thread] = None
         self._end_of_sleep = math.inf
-        self._lock = state_lock("guest")
+        self._lock = state_lock("sandbox")
         self._waiting: List[Callable[[PlainNodeHandle], None]] = []
-        self._keepers: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-        self._let_go: Set[int] = set()
+        self._non_daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
+        self._released: Set[int] = set()
         self._is_over = False
 
     @property
@@ -131,7 +157,7 @@ class Guest:
         return self.handle.context if self.handle is not None else None
 
     def begin(self, handle: PlainNodeHandle) -> None:
-        """Begin to be a node: what was asked for until now is done."""
+        """Set the handle, and make the calls that waited for it."""
         with self._lock:
             self.handle = handle
             waiting, self._waiting = self._waiting, []
@@ -139,7 +165,7 @@ class Guest:
             each(handle)
 
     def with_handle(self, do: Callable[[PlainNodeHandle], None]) -> None:
-        """Do something that needs the handle, as soon as there is one."""
+        """Call ``do`` with the handle, as soon as there is one."""
         with self._lock:
             if self.handle is None:
                 self._waiting.append(do)
@@ -147,22 +173,22 @@ class Guest:
         do(self.handle)
 
     def signal_shutdown(self, reason: str) -> None:
-        """Shut down on its own account, and be unloaded then."""
+        """Shut down because the code asks for it, and unload then."""
         self.shut_down(reason)
         self.unload()
 
     def unload(self) -> None:
-        """Unload the guest, from a thread of its own."""
+        """Unload the nodelet, from a thread of its own."""
         if self.context is not None:
             in_background(f"unloading {self.name}", self.context.unload)
 
     def adopt(self, thread: threading.Thread) -> None:
-        """Know a thread that is about to begin; it does not keep the process."""
+        """Register a thread that is about to start, and make it a daemon."""
         if len(self.threads) > _MANY:
             self.threads = [each for each in self.threads if each.is_alive()]
         self.threads.append(thread)
         if not thread.daemon:
-            self._keepers.add(thread)
+            self._non_daemons.add(thread)
             thread.daemon = True
         run, context = thread.run, self.context
         if context is not None:
@@ -174,7 +200,7 @@ class Guest:
             thread.run = noted  # type: ignore[method-assign]
 
     def call(self, callback: Callable[..., Any], *args: Any) -> Any:
-        """Call back code of the guest; what was refused to it ends the guest as a whole."""
+        """Call a callback of the code; a refused call in it ends the sandbox as a whole."""
         try:
             return callback(*args)
         except NeedsProcess as refusal:
@@ -182,14 +208,14 @@ class Guest:
             raise
 
     def join(self) -> None:
-        """Wait for the threads that would keep a process, as Python does at its end."""
+        """Wait for the threads that were no daemons, as Python does at its end."""
         for thread in list(self.threads):
-            if thread in self._keepers and thread is not threading.current_thread():
+            if thread in self._non_daemons and thread is not threading.current_thread():
                 self.waits()
                 thread.join()
 
     def rest(self, seconds: float) -> bool:
-        """Sleep; less if the guest is to end, which is returned."""
+        """Sleep until ``seconds`` pass or the sandbox is closing; return whether it is closing."""
         self.waits()
         if threading.current_thread() is self._ending_thread:
             seconds = min(seconds, self._end_of_sleep - time.monotonic())
@@ -199,25 +225,25 @@ class Guest:
         return ends
 
     def pause(self, seconds: float) -> None:
-        """Sleep; less if the guest is to end.
+        """Sleep until ``seconds`` pass or the sandbox is closing.
 
-        Then its thread is let go once, so that loops which look at ``rospy.is_shutdown`` end in
-        order.
+        The first sleep of a thread that the end cuts short returns, so that loops which check
+        ``rospy.is_shutdown`` end in order.
 
         Raises:
-            SystemExit: the guest is to end, and this thread was told so before. In a process of
-                its own the thread is let go each time, as in rospy.
+            SystemExit: a later sleep of the thread is cut short. In a process of its own every
+                sleep returns, as in rospy.
         """
         if not self.rest(seconds) or self.is_alone:
             return
         thread = threading.get_ident()
-        if thread not in self._let_go:
-            self._let_go.add(thread)
+        if thread not in self._released:
+            self._released.add(thread)
             return
         raise SystemExit
 
     def waits(self) -> None:
-        """Note that the guest waits: whoever loads it need not wait any longer."""
+        """Note that the code waits, so its load need not take any longer."""
         if threading.current_thread() is self.main:
             self.settled.set()
 
@@ -229,7 +255,7 @@ class Guest:
             timeout: seconds to wait at most; None for any time.
 
         Raises:
-            SystemExit: the guest is to end.
+            SystemExit: the sandbox is to end.
         """
         self.waits()
         end = None if timeout is None else time.monotonic() + timeout
@@ -245,12 +271,12 @@ class Guest:
     # The end
 
     def shut_down(self, reason: str, patience: float = math.inf) -> None:
-        """Let it shut down as rospy does: hooks, the flag that loops look at, hooks.
+        """Shut down as rospy does: hooks, the flag that loops check, hooks.
 
         Args:
-            reason: is told to the hooks.
-            patience: seconds for which the hooks may sleep; they go on then, so that the last
-                words of a robot's driver are sent all the same.
+            reason: passed to the hooks.
+            patience: seconds for which the hooks may sleep; sleeps end then and the hooks go on,
+                so that a robot's driver sends its last commands all the same.
         """
         me = threading.current_thread()
         with self._lock:
@@ -271,13 +297,13 @@ class Guest:
             self._attempt(partial(after, reason), "a shutdown hook")
 
     def end_threads(self, files: Collection[str]) -> None:
-        """End its threads: they may do so themselves, and are made to where that is safe.
+        """End its threads: wait for them, then raise ``SystemExit`` in them where that is safe.
 
-        A thread is made to end only while it runs code of the guest's own files: elsewhere it
+        It is raised only while a thread runs code of the sandbox's own files: elsewhere the thread
         might leave a lock held.
 
         Args:
-            files: those of the guest's own modules.
+            files: source files of its own modules.
         """
         began = time.monotonic()
         me = threading.current_thread()
@@ -287,7 +313,7 @@ class Guest:
             if isinstance(thread, threading.Timer):
                 thread.cancel()
         for thread in mine:
-            # Not its own ``join``, which is for the guest's threads.
+            # Not its own ``join``, which is for the sandbox's threads.
             threading.Thread.join(thread, max(0.0, began + _PATIENCE - time.monotonic()))
         while time.monotonic() < began + _PATIENCE + _FORCE:
             left = [each for each in mine if each.is_alive()]

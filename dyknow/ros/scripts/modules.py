@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The modules of scripts, and of nodelets that use libraries of rospy: copies and views."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, Callable, Optional
+
+from dyknow import names
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.importer import Importer, Module
+from dyknow.nodelet.module_files import Dependents, reached_from
+from dyknow.ros.scripts import process_view, rospy_view
+from dyknow.ros.scripts.sandbox import Sandbox
+
+if TYPE_CHECKING:  # a script of its own does not wait for its parser
+    from dyknow.nodelet.plugins import Package
+
+#: The modules that need rospy. Other modules of ROS look at files and at the master alone, and
+#: DyKnow itself is the process's.
+DEPENDENTS = Dependents(
+    "rospy",
+    "catkin dyknow dyknow_msgs genmsg genpy numpy rosgraph roslib rospkg yaml".split(),
+)
+_COPIED = process_view.COPIED | {rospy_view.COPIED}
+
+
+def script_importer(
+    sandbox: Sandbox, script: str, given: str, init_node: Callable[..., None]
+) -> Importer:
+    """Make the importer of a script.
+
+    Args:
+        sandbox: runs the script.
+        script: its file; its siblings can be imported.
+        given: the path that it was called by, in a devel space that of a relay.
+        init_node: is called as ``rospy.init_node``.
+    """
+    folders = [os.path.dirname(script), os.path.dirname(os.path.abspath(given))]
+
+    def timer() -> Module:
+        return importer.import_module(rospy_view.COPIED)
+
+    importer = Importer(
+        lambda name: name in _COPIED or DEPENDENTS.has(name),
+        list(dict.fromkeys(folders)),
+        {
+            **rospy_view.rospy_views(sandbox, init_node, timer),
+            **process_view.process_views(sandbox),
+            **process_view.script_views(sandbox, lambda: importer),
+        },
+        functions=process_view.functions(sandbox),
+        is_alone=sandbox.is_alone,
+    )
+    return importer
+
+
+def importer_with_libraries(context: Context, module: str, package: Package) -> Optional[Importer]:
+    """Return modules of a nodelet's own if they use libraries of rospy, else None.
+
+    The nodelet's own modules see rospy as it is. The libraries that they import (actionlib, tf2,
+    message_filters and the like) act in its name, on topics that are no ports.
+
+    Args:
+        context: the nodelet.
+        module: the module of its class.
+        package: the package of that module.
+    """
+    used = reached_from(module, package.files)
+    if not DEPENDENTS.imported_by(used) - package.tops:
+        return None
+    sandbox = Sandbox(context.name)
+
+    def no_node(*args: Any, **kwds: Any) -> None:
+        """Do nothing: the nodelet manager is a node already."""
+
+    def timer() -> Module:
+        return importer.import_module(rospy_view.COPIED)
+
+    importer = Importer(
+        lambda name: name in package.tops or name in _COPIED or DEPENDENTS.has(name),
+        views={
+            **rospy_view.rospy_views(sandbox, no_node, timer),
+            **process_view.process_views(sandbox),
+        },
+        blind=package.tops,
+        search=package.folders,
+    )
+    sandbox.begin(PlainNodeHandle(context, names.parent(context.name), concurrent=True))
+
+    def end() -> None:
+        sandbox.shut_down("unloaded")
+        sandbox.end_threads(frozenset(importer.files()))
+        sandbox.run_exits()
+
+    context.shutdown_hooks.append(end)
+    context.last_hooks.append(sandbox.let_go)
+    return importer

@@ -1,0 +1,390 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""``rospy.Publisher``, ``Subscriber``, ``Service`` and ``ServiceProxy`` of a sandbox.
+
+Their arguments are those of rospy's classes. ``impl`` has what libraries read of rospy's inside:
+actionlib asks ``publisher.impl.has_connection(node)`` and ``subscriber.impl.connections``.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import inspect
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, Callable, Dict, List, Optional, Tuple, Type
+
+import genpy
+import rospy
+
+from dyknow.errors import HandleClosed
+from dyknow.nodelet import pubsub
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.ros.scripts.sandbox import Sandbox, outside_of_finalizers
+from dyknow.ros.transport.anymsg import connection_header
+
+#: rospy's queues have no bound by default; ours have a generous one.
+_QUEUE = 1000
+#: Seconds for one check of a service; rospy accepts no 0.
+_LEAST = 0.001
+
+
+def wait_for(
+    sandbox: Sandbox, condition: Callable[[float], bool], timeout: Any, what: str
+) -> None:
+    """Wait for something as rospy does.
+
+    Raises:
+        ROSException: it took too long.
+        ROSInterruptException: the sandbox is to end.
+    """
+    seconds = timeout.to_sec() if isinstance(timeout, genpy.Duration) else timeout
+    if not sandbox.wait_for(lambda left: sandbox.closing.is_set() or condition(left), seconds):
+        raise rospy.ROSException(f"timeout exceeded while waiting for {what}")
+    if sandbox.closing.is_set():
+        sandbox.pause(0.0)
+        raise rospy.ROSInterruptException("rospy shutdown")
+
+
+def wait_for_service(sandbox: Sandbox, name: str, timeout: Any) -> None:
+    """Wait until a service is there, as rospy does."""
+
+    def is_there(seconds: float) -> bool:
+        try:
+            rospy.wait_for_service(name, max(seconds, _LEAST))
+        except rospy.ROSInterruptException:
+            raise
+        except rospy.ROSException:
+            return False
+        return True
+
+    wait_for(sandbox, is_there, timeout, f"service {name}")
+
+
+def _arguments(rospy_class: Type[Any], *args: Any, **kwds: Any) -> Dict[str, Any]:
+    """Return the arguments of one of rospy's classes by name, with its defaults."""
+    bound = inspect.signature(rospy_class.__init__).bind(None, *args, **kwds)
+    bound.apply_defaults()
+    arguments = dict(bound.arguments)
+    del arguments["self"]
+    return arguments
+
+
+# Messages
+
+
+_FLAT = (int, float, str, bytes)
+
+
+def copy_of(message: Any) -> Any:
+    """Copy a message, so that code which changes it afterwards changes its own.
+
+    A copy is structural: messages and lists in it are new, and immutable values (bytes, strings,
+    numbers) are shared. So the copy of an image of any size takes microseconds.
+    """
+    new = _copied(message)
+    header = getattr(message, "_connection_header", None)
+    if header is not None:
+        new._connection_header = header
+    return new
+
+
+def copy_as(datatype: Any, message: Any) -> Any:
+    """Copy a message into another class of the same type, as ``rospy.numpy_msg`` makes them."""
+    if message.__class__ is datatype:
+        return copy_of(message)
+    buffer = BytesIO()
+    message.serialize(buffer)
+    new = datatype().deserialize(buffer.getvalue())
+    new._connection_header = getattr(message, "_connection_header", None)
+    return new
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, genpy.Message):
+        new = value.__class__.__new__(value.__class__)
+        for slot in value.__slots__:
+            setattr(new, slot, _copied(getattr(value, slot)))
+        return new
+    if isinstance(value, (list, tuple)):
+        if not value or isinstance(value[0], _FLAT):
+            return value[:]
+        return [_copied(each) for each in value]
+    if isinstance(value, genpy.TVal):
+        return copy.copy(value)
+    if isinstance(value, (bytearray, memoryview)) or hasattr(value, "__array__"):
+        return copy.copy(value)
+    return value
+
+
+# Connections
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A nodelet of this process at the other end, as rospy's transports describe nodes."""
+
+    endpoint_id: str
+    done: bool = False
+    transport_type: str = "INTRAPROCESS"
+
+    @property
+    def callerid_pub(self) -> str:
+        """Its name, if it publishes."""
+        return self.endpoint_id
+
+
+class _Impl:
+    """The connections of one end of a topic."""
+
+    def __init__(self, end: Any, context: Optional[Context]) -> None:
+        self._end = end
+        self._context = context
+
+    @property
+    def connections(self) -> List[Any]:
+        """One for each node, rospy's own for those outside."""
+        if self._end is None or self._context is None:
+            return []
+        publishers, subscribers = self._context.runtime.bus.owners(self._end.name)
+        inside = publishers if isinstance(self._end, pubsub.Subscriber) else subscribers
+        return [*map(Peer, inside), *self._outside()]
+
+    def has_connections(self) -> bool:
+        """Whether there are any."""
+        return bool(self.connections)
+
+    def get_num_connections(self) -> int:
+        """Count them."""
+        return len(self.connections)
+
+    def has_connection(self, endpoint_id: str) -> bool:
+        """Whether that node is at the other end."""
+        return any(each.endpoint_id == endpoint_id for each in self.connections)
+
+    def get_stats(self) -> Tuple[str, List[Tuple[int, int, int, int, bool]]]:
+        """The topic, and an entry for each connection; of that, only the last is known: alive."""
+        topic = "" if self._end is None else self._end.name
+        return topic, [(n, 0, 0, 0, True) for n, _ in enumerate(self.connections)]
+
+    def _outside(self) -> List[Any]:
+        raise NotImplementedError
+
+
+class PublisherImpl(_Impl):
+    """``rospy.Publisher.impl``."""
+
+    def _outside(self) -> List[Any]:
+        outside = self._end.publication.outside
+        return [] if outside is None else [p for p in outside.peers() if hasattr(p, "endpoint_id")]
+
+
+class SubscriberImpl(_Impl):
+    """``rospy.Subscriber.impl``."""
+
+    def _outside(self) -> List[Any]:
+        connection = self._end.subscription.connection
+        outside = connection.outside if connection is not None else None
+        return [] if outside is None else list(outside.links())
+
+
+# The classes
+
+
+class _Topic:
+    """Common members of rospy's publishers and subscribers."""
+
+    sandbox: Sandbox
+    reg_type = ""
+
+    def __init__(self, arguments: Dict[str, Any]) -> None:
+        name = arguments["name"]
+        data_class: Any = arguments["data_class"]
+        if not name or not isinstance(name, str):
+            raise ValueError("topic name is not a non-empty string")
+        is_class = isinstance(data_class, type) and issubclass(data_class, genpy.Message)
+        if not is_class:
+            raise ValueError(f"data_class [{data_class}] is not a message data class")
+        self._given: str = name
+        self.data_class = data_class
+        self.type = data_class._type
+        self.md5sum = data_class._md5sum
+        self._end: Any = None
+        self.sandbox.ends.add(self)
+
+    def let_go(self) -> None:
+        """Drop the callback at the end of the sandbox."""
+
+    @property
+    def name(self) -> str:
+        """Global name of its topic; before ``init_node``, the name that was given."""
+        return str(self._end.name) if self._end is not None else self._given
+
+    resolved_name = name
+
+    def get_num_connections(self) -> int:
+        """Count the nodes at the other end."""
+        return self._end.get_num_connections() if self._end is not None else 0
+
+    def unregister(self) -> None:
+        """Withdraw it."""
+        if self._end is not None:
+            outside_of_finalizers(self._end.unregister)
+
+
+class SandboxedPublisher(_Topic):
+    """``rospy.Publisher`` of a sandbox."""
+
+    reg_type = "pub"
+    _end: Optional[pubsub.Publisher]
+
+    def __init__(self, *args: Any, **kwds: Any) -> None:
+        """Advertise a topic."""
+        arguments = _arguments(rospy.Publisher, *args, **kwds)
+        super().__init__(arguments)
+        arguments["queue_size"] = arguments["queue_size"] or _QUEUE
+        self._header = connection_header(self.data_class, arguments["latch"])
+
+        def make(handle: PlainNodeHandle) -> None:
+            self._end = handle.Publisher(**arguments)
+            self._header["callerid"] = handle.get_name()
+
+        self.sandbox.with_handle(make)
+
+    def publish(self, *args: Any, **kwds: Any) -> None:
+        """Publish a message, or one made of its fields."""
+        if self._end is None:
+            raise rospy.ROSException("rospy.init_node() has not been called")
+        message = rospy.msg.args_kwds_to_message(self.data_class, args, kwds)
+        if self.sandbox.copies:
+            message = copy_of(message)
+            message._connection_header = dict(self._header, topic=self._end.name)
+        try:
+            self._end.publish(message)
+        except HandleClosed:
+            if not self.sandbox.closing.is_set():
+                raise
+            # As in rospy: code that publishes while its topics are closed cannot know it yet.
+
+    @property
+    def impl(self) -> PublisherImpl:
+        """The part of rospy's inside that libraries use."""
+        return PublisherImpl(self._end, self.sandbox.context)
+
+
+class SandboxedSubscriber(_Topic):
+    """``rospy.Subscriber`` of a sandbox."""
+
+    reg_type = "sub"
+    _end: Optional[pubsub.Subscriber]
+
+    def __init__(self, *args: Any, **kwds: Any) -> None:
+        """Subscribe to a topic."""
+        arguments = _arguments(rospy.Subscriber, *args, **kwds)
+        super().__init__(arguments)
+        self.callback = arguments["callback"]
+        self.callback_args = arguments["callback_args"]
+        if self.callback is not None:
+            arguments["callback"] = self._copying(self.callback)
+
+        def make(handle: PlainNodeHandle) -> None:
+            self._end = handle.Subscriber(**arguments)
+
+        self.sandbox.with_handle(make)
+
+    def let_go(self) -> None:
+        """Drop the callback at the end of the sandbox."""
+        self.callback = self.callback_args = None
+
+    def _copying(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        call = self.sandbox.call
+        if not self.sandbox.copies:
+            return functools.partial(call, callback)
+        datatype, header = self.data_class, connection_header(self.data_class, False)
+
+        def receive(message: Any, *args: Any) -> None:
+            own = copy_as(datatype, message)
+            if getattr(own, "_connection_header", None) is None:
+                own._connection_header = dict(header, topic=self.name)
+            call(callback, own, *args)
+
+        return receive
+
+    @property
+    def impl(self) -> SubscriberImpl:
+        """The part of rospy's inside that libraries use."""
+        return SubscriberImpl(self._end, self.sandbox.context)
+
+
+class SandboxedService:
+    """``rospy.Service`` of a sandbox."""
+
+    sandbox: Sandbox
+
+    def __init__(self, *args: Any, **kwds: Any) -> None:
+        """Offer a service."""
+        arguments = _arguments(rospy.Service, *args, **kwds)
+        self.service_class = arguments["service_class"]
+        self.handler = arguments["handler"]
+        self.resolved_name = arguments["name"]
+        self._offered: Any = None
+        self.sandbox.ends.add(self)
+        arguments["handler"] = functools.partial(self.sandbox.call, self.handler)
+
+        def make(handle: PlainNodeHandle) -> None:
+            self._offered = handle.Service(**arguments)
+            self.resolved_name = self._offered.resolved_name
+
+        self.sandbox.with_handle(make)
+
+    def let_go(self) -> None:
+        """Drop the handler at the end of the sandbox."""
+        self.handler = _gone
+
+    def shutdown(self, reason: str = "") -> None:
+        """Withdraw it."""
+        if self._offered is not None:
+            outside_of_finalizers(functools.partial(self._offered.shutdown, reason))
+
+    def spin(self) -> None:
+        """Wait for the end of the sandbox."""
+        self.sandbox.waits()
+        self.sandbox.closing.wait()
+
+
+def _gone(request: Any) -> Any:
+    raise HandleClosed("the service")
+
+
+class SandboxedServiceProxy(rospy.ServiceProxy):
+    """``rospy.ServiceProxy`` of a sandbox."""
+
+    sandbox: Sandbox
+
+    def __init__(self, name: str, *args: Any, **kwds: Any) -> None:
+        """Resolve the name in the sandbox."""
+        handle = self.sandbox.handle
+        super().__init__(handle.resolve_name(name) if handle is not None else name, *args, **kwds)
+
+    def wait_for_service(self, timeout: Any = None) -> None:
+        """Wait until the service is there."""
+        wait_for_service(self.sandbox, self.resolved_name, timeout)
+
+
+_CLASSES: Dict[str, Type[Any]] = {
+    "Publisher": SandboxedPublisher,
+    "Subscriber": SandboxedSubscriber,
+    "Service": SandboxedService,
+    "ServiceProxy": SandboxedServiceProxy,
+}
+
+
+def bound_classes(sandbox: Sandbox) -> Dict[str, Type[Any]]:
+    """Return classes of the sandbox's own by name, so that its code can derive from them."""
+    return {
+        name: type(name, (base,), {"sandbox": sandbox, "__doc__": base.__doc__})
+        for name, base in _CLASSES.items()
+    }
