@@ -32,13 +32,13 @@ from dyknow_msgs.msg import PortConfig  # noqa: E402
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
-from processes import NODELET, Running, TellingCase, eventually  # noqa: E402
+from processes import BUSY, NODELET, Running, TellingCase, eventually  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 
 #: Seconds that a launched process and its first messages may take.
-TIMEOUT = 30.0
+TIMEOUT = 5.0 * BUSY
 
 
 class Ended(Running):
@@ -149,7 +149,7 @@ class Manager(Ended, ManagerServices):
         return len(os.listdir(f"/proc/{self.pid}/fd"))
 
 
-class ManagerCase(TellingCase):
+class NodeletManagerCase(TellingCase):
     """Tests in one nodelet manager, that of the module, in which each leaves nothing."""
 
     manager: ManagerServices
@@ -162,17 +162,17 @@ class ManagerCase(TellingCase):
 
     @classmethod
     def start_manager(cls) -> ManagerServices:
-        if ManagerCase._of_module is None:
-            ManagerCase._of_module = Manager(cls.manager_name)
-            unittest.addModuleCleanup(ManagerCase._of_module.__exit__)
-        return ManagerCase._of_module
+        if NodeletManagerCase._of_module is None:
+            NodeletManagerCase._of_module = Manager(cls.manager_name)
+            unittest.addModuleCleanup(NodeletManagerCase._of_module.__exit__)
+        return NodeletManagerCase._of_module
 
     def tearDown(self) -> None:
         self.manager.unload_all()
         self.manager.forget_output()
 
 
-class LaunchedManagerCase(ManagerCase):
+class LaunchedManagerCase(NodeletManagerCase):
     """Tests in the nodelet manager of the launch file."""
 
     numbers = itertools.count()

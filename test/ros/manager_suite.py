@@ -1,10 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Shared by the suites about the DyKnow manager: its process, its client, views of the graph.
-
-Importing it makes the packages of test/packages known to this process and those that it starts.
-"""
+"""Shared by the suites about the DyKnow manager: its process, its client, views of the graph."""
 
 from __future__ import annotations
 
@@ -21,19 +18,17 @@ import unittest
 from pathlib import Path
 from typing import Any, Iterator
 
-PACKAGES = Path(__file__).resolve().parent.parent / "packages"
-os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
+import graph  # noqa: F401 - it makes the test packages known
+import rosgraph
+import rospy
+from processes import TellingCase, eventually, forget_ended, nodes
+from roslib.packages import find_node
+from std_msgs.msg import Header
 
-import rosgraph  # noqa: E402
-import rospy  # noqa: E402
-from processes import TellingCase, eventually, forget_ended, nodes  # noqa: E402
-from roslib.packages import find_node  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-
-from dyknow.errors import DyKnowError, Refused  # noqa: E402
-from dyknow.model.streams import StreamStatus  # noqa: E402
-from dyknow.ros.client import ManagerClient  # noqa: E402
-from dyknow.ros.os_process import ProcessId  # noqa: E402
+from dyknow.errors import DyKnowError, Refused
+from dyknow.model.streams import StreamStatus
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.os_process import ProcessId
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"

@@ -2,13 +2,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""An outside node: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
+"""An outside node: `peer.py COMMAND ARGUMENT...`, with the functions below as commands.
 
-A talker publishes headers, numbered, each number on every topic, the topics in turn. A hesitant
-one does the same, but pauses between its greeting of a subscriber and sending to it. A listener
-prints "TOPIC NUMBER" for each header, and the number of bytes for each image; a dozer sleeps after
-each header, and does not notice lost connections meanwhile. rospy calls it on a thread for each
-connection, so each line is printed in a single write.
+rospy calls a listener on a thread for each connection, so each line is printed in a single write.
 """
 
 from __future__ import annotations
@@ -23,6 +19,10 @@ from rospy.impl.transport import OUTBOUND
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+import dyknow
+
+#: Seconds without a message after which a stream is reported as still.
+PATIENCE = 1.0
 _printing = threading.Lock()
 
 
@@ -33,6 +33,7 @@ def say(*words: object) -> None:
 
 
 def talk(rate: str, *topics: str) -> None:
+    """Publish headers, numbered, each number on every topic, the topics in turn."""
     # Without a queue: publishing sends at once, so the topics keep in step.
     publishers = [rospy.Publisher(topic, Header, queue_size=None) for topic in topics]
     number = 0
@@ -46,6 +47,7 @@ def talk(rate: str, *topics: str) -> None:
 
 
 def hesitate(seconds: str, rate: str, *topics: str) -> None:
+    """Talk, but pause between the greeting of a subscriber and sending to it."""
     greet = TCPROSTransport.write_header
 
     def greet_and_pause(transport: TCPROSTransport) -> None:
@@ -58,6 +60,8 @@ def hesitate(seconds: str, rate: str, *topics: str) -> None:
 
 
 def listen(*topics: str) -> None:
+    """Print "TOPIC NUMBER" for each header."""
+
     def note(message: Header, topic: str) -> None:
         say(topic, message.seq)
 
@@ -67,6 +71,8 @@ def listen(*topics: str) -> None:
 
 
 def doze(seconds: str, *topics: str) -> None:
+    """Sleep after each header; lost connections are not noticed meanwhile."""
+
     def note(message: Header, topic: str) -> None:
         say(topic, message.seq)
         time.sleep(float(seconds))
@@ -77,6 +83,8 @@ def doze(seconds: str, *topics: str) -> None:
 
 
 def watch(*topics: str) -> None:
+    """Print the height and the number of bytes of each image."""
+
     def note(message: Image, topic: str) -> None:
         say(topic, message.height, len(message.data))
 
@@ -85,10 +93,54 @@ def watch(*topics: str) -> None:
     rospy.spin()
 
 
+def claim(tag: str, lease: str = "") -> None:
+    """Hold a stream, and print its state, and whether messages come, whenever that changes."""
+    options = {"lease": float(lease)} if lease else {}
+    with dyknow.acquire(tag, Header, **options) as stream:
+        arrived = [0.0]
+        rospy.Subscriber(
+            stream.topic, Header, lambda message: arrived.__setitem__(0, time.monotonic())
+        )
+        said = None
+        while not rospy.is_shutdown():
+            flows = time.monotonic() - arrived[0] < PATIENCE
+            news = f"{stream.state.name} {stream.topic} {'flows' if flows else 'still'}"
+            if news != said:
+                say(news, stream.detail)
+                said = news
+            time.sleep(0.05)
+
+
+def bond(topic: str, *bond_ids: str) -> None:
+    """Be the other end of bonds, made with python3-bondpy; SIGINT breaks them from this side."""
+    from bondpy.bondpy import Bond  # the others need not wait for it
+
+    bonds = [
+        Bond(
+            topic,
+            bond_id,
+            on_broken=lambda b=bond_id: say("broken", b),
+            on_formed=lambda b=bond_id: say("formed", b),
+        )
+        for bond_id in bond_ids
+    ]
+
+    def part() -> None:
+        for each in bonds:
+            each.break_bond()
+        for each in bonds:  # rospy may drop what is still queued when it ends
+            each.wait_until_broken(rospy.Duration(5))
+
+    rospy.on_shutdown(part)
+    for each in bonds:
+        each.start()
+    rospy.spin()
+
+
+COMMANDS = {each.__name__: each for each in (bond, claim, doze, hesitate, listen, talk, watch)}
+
 if __name__ == "__main__":
     sys.stdout.reconfigure(line_buffering=True)
     rospy.init_node("peer", anonymous=True)
     command, *arguments = rospy.myargv()[1:]
-    {"doze": doze, "hesitate": hesitate, "listen": listen, "talk": talk, "watch": watch}[command](
-        *arguments
-    )
+    COMMANDS[command](*arguments)

@@ -58,6 +58,7 @@ class WindowTest(ManagerCase):
         return set(widget.graph.view.scene().vertices)
 
     def test_the_window_waits_for_a_manager_and_changes_its_graph(self) -> None:
+        self.end_idle()
         window = self.window()
         sign = window.graph.sign
         until(lambda: sign.text() == "waiting for /dyknow_manager", "it says that nobody is there")

@@ -17,8 +17,9 @@ from xml.sax.saxutils import escape
 
 import rdflib
 import rospy
+from graph import PACKAGES
 from lxml import etree
-from manager_suite import CHILD, PACKAGES, ManagerProcess, eventually
+from manager_suite import CHILD, ManagerProcess, eventually
 from nodelet.srv import NodeletUnload
 from roslib.message import get_message_class
 from std_msgs.msg import String

@@ -10,11 +10,9 @@ import dataclasses
 import itertools
 import queue
 import signal
-import sys
 import threading
 import time
 import unittest
-from pathlib import Path
 from unittest import mock
 
 import graph
@@ -28,7 +26,7 @@ from processes import BUSY, STOCK_NODELET, Running, eventually
 from dyknow.ros.bonding.bond_table import DuplicateBond
 from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
 
-SISTERS = str(Path(__file__).with_name("bond_sisters.py"))
+SISTERS = [*graph.PEER, "bond"]
 #: A bond that breaks within a minute does so because its sister said so.
 PATIENT = dataclasses.replace(STOCK_TIMINGS, connect_timeout=60.0, heartbeat_timeout=60.0)
 #: One that breaks because its sister is silent, and not because she took long to start.
@@ -59,7 +57,7 @@ class BondsTest(unittest.TestCase):
 
     def sisters(self, *bond_ids):
         """Start sisters in another process, and let the bonds form."""
-        process = Running(sys.executable, SISTERS, self.topic, *bond_ids)
+        process = Running(*SISTERS, self.topic, *bond_ids)
         self.addCleanup(process.__exit__)
         self.let_form(process, *bond_ids)
         return process
@@ -120,7 +118,7 @@ class BondsTest(unittest.TestCase):
         late = self.make(dataclasses.replace(STOCK_TIMINGS, disconnect_timeout=20.0))
         self.add("one", bonds=late)
         late.remove("one")
-        process = Running(sys.executable, SISTERS, self.topic, "one")
+        process = Running(*SISTERS, self.topic, "one")
         self.addCleanup(process.__exit__)
         process.wait_for("broken one", 5.0)
         self.assertTrue(self.broken.empty())
@@ -147,7 +145,7 @@ class BondsTest(unittest.TestCase):
 
     def test_forty_bonds_cost_no_more_threads_than_one(self):
         first, *others = bond_ids = [f"bond{number}" for number in range(40)]
-        process = Running(sys.executable, SISTERS, self.topic, *bond_ids)
+        process = Running(*SISTERS, self.topic, *bond_ids)
         self.addCleanup(process.__exit__)
         bonds = self.make(WATCHFUL)
         self.add(first, bonds=bonds)

@@ -2,21 +2,397 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Everything is back after any end of everything."""
+"""Ends the manager, or it and all its processes, at any moment, and compares what comes back.
+
+Three threads work until then: two make, connect, protect and destroy nodelets of every kind, one
+acquires and releases streams. What was acknowledged has to be there afterwards, once, and nothing
+else; a change that was under way was made completely or not at all.
+"""
 
 from __future__ import annotations
 
+import collections
 import random
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Optional, Tuple
 
+import rosgraph
 import rospy
 import rostest
-from boot_suite import BootCase
+from manager_suite import ManagerCase, ManagerProcess, parameters, specification
+from nodelet.srv import NodeletList
+from processes import eventually
+from stream_suite import CAMERA, CEILING, FILTER, TRACKER
+
+from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.model.graph import NodeletStatus, State
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import Parameter
+from dyknow.ros.hosting import child_records
+from dyknow.ros.master import Master
+
+LIBRARY = (
+    (
+        "<transformations>"
+        + specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0)
+        + specification("half", "image_proc/resize", ">image ~image>", use_scale=True)
+        + specification("talker", "dyknow_test/talker.py", "words>", rate=10)
+        + specification("copier", "topic_tools/relay words copy", ">words copy>", lazy=False)
+        + CAMERA
+        + CEILING
+        + FILTER
+        + TRACKER
+        + "</transformations>"
+    )
+    .replace("><label>talker", ' type="node"><label>talker')
+    .replace("><label>copier", ' type="node"><label>copier')
+)
+#: Label, in-port or none, out-port, and whether it has a process of its own.
+KINDS = (
+    ("relay", "in", "out", False),
+    ("relay", "in", "out", True),
+    ("half", "image", "~image", False),
+    ("half", "image", "~image", True),
+    ("talker", "", "words", False),
+    ("talker", "", "words", True),
+    ("copier", "words", "copy", False),
+)
+#: Last parts of the names of parameters.
+SET_BY_DYKNOW = ("owner", "crash_record", "rate", "use_scale", "lazy", "note")
+#: Without and with a variable.
+TAGS = ("Raw(own)", "Position(ball)")
 
 
-class BootTest(BootCase):
-    def test_everything_is_back(self):
+@dataclass(frozen=True)
+class Made:
+    """A nodelet as it should be."""
+
+    label: str
+    is_isolated: bool
+    is_protected: bool
+    topics: Tuple[Tuple[str, str], ...]
+    parameters: Tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, nodelet: NodeletStatus) -> Made:
+        declared = {port for kind in KINDS for port in kind[1:3]}
+        topics = sorted((p.name, p.topic) for p in nodelet.ports if p.name in declared)
+        isolated = nodelet.isolated and nodelet.transformation != "copier"
+        return cls(
+            nodelet.transformation,
+            isolated,
+            nodelet.is_protected,
+            tuple(topics),
+            nodelet.parameters,
+        )
+
+
+class Promises:
+    """What was acknowledged, and what was under way: then it is as before, or as it was to be."""
+
+    def __init__(self) -> None:
+        self.nodelets: Dict[str, Made] = {}
+        self.claims: Dict[str, str] = {}  # topics by id
+        self.doubtful: Dict[str, Tuple[Optional[Made], ...]] = {}
+        self.doubtful_claims: Dict[str, str] = {}  # tags by id, "" for one that has none yet
+
+
+class Work:
+    """Changes of one sort, until the manager is gone."""
+
+    def __init__(self, manager: ManagerProcess, promises: Promises, seed: int) -> None:
+        self.client = manager.client
+        self.promises = promises
+        self.dice = random.Random(seed)
+        self.over = threading.Event()
+
+    def run(self, kinds: range) -> None:
+        change = self.change_nodelet if kinds else self.change_claim
+        while not self.over.is_set():
+            try:
+                change(kinds)
+            except DyKnowError as error:
+                assert self.over.wait(20.0), f"refused: {error}"
+
+    def change_nodelet(self, kinds: range) -> None:
+        number = self.dice.choice(kinds)
+        label, port_in, port_out, isolated = KINDS[number]
+        name = f"/hand_{number}_{self.dice.randrange(2)}"
+        old = self.promises.nodelets.get(name)
+        topics = {port_out: self.dice.choice(["", f"{name}/a", f"{name}/b"])}
+        if port_in:
+            topics[port_in] = self.dice.choice(["", "/x", "/y"])
+        pairs = tuple(sorted(topics.items()))
+        if old is None:
+            given = (Parameter("note", "string", str(self.dice.random())),)
+            new: Optional[Made] = Made(label, isolated, self.dice.random() < 0.3, pairs, given)
+        elif self.dice.random() < 0.6:
+            new = Made(label, isolated, old.is_protected, pairs, old.parameters)
+        elif old.is_protected:
+            new = Made(label, isolated, False, old.topics, old.parameters)
+        else:
+            new = None
+        self.promises.doubtful[name] = (old, new)
+        if old is None:
+            assert new is not None
+            self.client.spawn(
+                label,
+                name,
+                {port: topic for port, topic in topics.items() if topic},
+                new.is_protected,
+                isolated,
+                parameters=new.parameters,
+            )
+        elif new is None:
+            self.client.destroy(name)
+        elif new.topics != old.topics:
+            self.client.set_config(name, topics)
+            while self.shown(name) != new and not self.over.is_set():
+                time.sleep(0.02)  # its own proxy has acknowledged it, the manager has not yet
+            if self.over.is_set():
+                return
+        else:
+            self.client.set_protection(name, new.is_protected)
+        if new is None:
+            self.promises.nodelets.pop(name)
+        else:
+            self.promises.nodelets[name] = new
+        del self.promises.doubtful[name]
+
+    def shown(self, name: str) -> Optional[Made]:
+        found = self.client.get_graph().nodelet(name)
+        return Made.of(found) if found is not None else None
+
+    def change_claim(self, kinds: range) -> None:
+        promises = self.promises
+        if len(promises.claims) < 3 and self.dice.random() < 0.7:
+            tag = self.dice.choice(TAGS)
+            promises.doubtful_claims[""] = tag
+            found = self.client.acquire_stream(StreamRequest(tag))
+            promises.claims[found.claim_id] = found.topic
+            del promises.doubtful_claims[""]
+        elif promises.claims:
+            claim_id = self.dice.choice(sorted(promises.claims))
+            promises.doubtful_claims[claim_id] = "released"
+            self.client.release_stream(claim_id)
+            del promises.claims[claim_id], promises.doubtful_claims[claim_id]
+        self.over.wait(self.dice.uniform(0.0, 0.3))
+
+
+class BootTest(ManagerCase):
+    """Lives of one manager, with all that it has made."""
+
+    def test_everything_is_back_after_the_end_of_everything(self):
         seed = rospy.get_param("~seed", 0) or random.randrange(10000)
-        self.lives(rospy.get_param("~lives"), seed)
+        print(f"seed {seed}")
+        dice = random.Random(seed)
+        self.promises = Promises()
+        self.manager = self.make()
+        self.manager.start()
+        self.manager.client.add_transformation(LIBRARY)
+        eventually(lambda: self.hosted_by_children() == [], 20.0, "its nodelet manager is up")
+        self.before = self.at_the_master()
+        for life in range(rospy.get_param("~lives", 2)):
+            print(f"life {life}", flush=True)
+            self.work(dice)
+            while dice.random() < 0.25:  # once more, while it comes back
+                self.manager.start(wait=False)
+                time.sleep(dice.uniform(0.0, 4.0))
+                self.end(everything=dice.random() < 0.5)
+            self.manager.start()
+            self.resolve()
+            eventually(lambda: not self.wrong(), 30.0, "all is there again", self.told)
+        self.undo()
+        eventually(lambda: self.at_the_master() == self.before, 20.0, "nothing is left", self.left)
+
+    def work(self, dice: random.Random) -> None:
+        """Make changes until everything ends at once."""
+        works = [Work(self.manager, self.promises, dice.randrange(1 << 30)) for _ in range(3)]
+        kinds = (range(4), range(4, len(KINDS)), range(0))
+        threads = [
+            threading.Thread(target=self.guarded, args=(work, kind))
+            for work, kind in zip(works, kinds)
+        ]
+        self.troubles: List[str] = []
+        for thread in threads:
+            thread.start()
+        time.sleep(dice.uniform(0.1, 6.0))
+        self.end(everything=dice.random() < 0.7, works=works)
+        for thread in threads:
+            thread.join()
+        self.assertEqual(self.troubles, [], self.manager.output)
+
+    def guarded(self, work: Work, kinds: range) -> None:
+        try:
+            work.run(kinds)
+        except Exception as error:
+            self.troubles.append(repr(error))
+
+    def end(self, everything: bool, works: Tuple[Work, ...] | List[Work] = ()) -> None:
+        """Kill the manager, and perhaps all processes that it started, in one moment."""
+        self.manager.process.send_signal(signal.SIGSTOP)
+        running = self.running() if everything else []
+        for work in works:
+            work.over.set()
+        for record in running:
+            record.process.signal(signal.SIGKILL)
+        self.manager.kill()
+        for record in running:
+            record.process.wait(10.0)
+
+    def running(self) -> List[Any]:
+        """The processes of the manager, as the system knows them."""
+        for lock in Path(self.manager.state).glob("*.lock"):
+            return child_records.running(str(lock))
+        return []
+
+    # What is there
+
+    def resolve(self) -> None:
+        """Accept either outcome of the changes that were under way."""
+        promises, client = self.promises, self.manager.client
+        eventually(self.is_calm, 60.0, "nothing is starting any more", self.told)
+        found = {each.name: Made.of(each) for each in client.get_graph().nodelets}
+        for name, outcomes in promises.doubtful.items():
+            self.assertIn(found.get(name), outcomes, name)
+            promises.nodelets.pop(name, None)
+            if name in found:
+                promises.nodelets[name] = found[name]
+        living = {each.claim_id: each for each in self.claims()}
+        for claim_id, tag in promises.doubtful_claims.items():
+            if claim_id and claim_id not in living:
+                promises.claims.pop(claim_id)
+            strange = [each for each in living.values() if each.claim_id not in promises.claims]
+            if not claim_id and strange:
+                self.assertEqual([each.tag for each in strange], [tag])
+                promises.claims[strange[0].claim_id] = strange[0].topic
+        promises.doubtful.clear()
+        promises.doubtful_claims.clear()
+
+    def is_calm(self) -> bool:
+        nodelets = self.manager.client.get_graph().nodelets
+        return all(each.state is State.RUNNING for each in nodelets) and all(
+            each.state is ClaimState.ACTIVE for each in self.claims()
+        )
+
+    def claims(self) -> List[Any]:
+        return [each for each in self.manager.client.list_streams() if not each.state.ended]
+
+    def wrong(self) -> List[str]:
+        """What is lost, doubled, orphaned, or left behind."""
+        client, promises = self.manager.client, self.promises
+        nodelets = {each.name: each for each in client.get_graph().nodelets}
+        claims = self.claims()
+        found = [f"{name} is {each}" for name, each in nodelets.items() if each.state != 1]
+        made = {name: Made.of(each) for name, each in nodelets.items() if "/hand_" in name}
+        found += differences("nodelet", promises.nodelets, made)
+        found += differences("claim", promises.claims, {e.claim_id: e.topic for e in claims})
+        found += [f"{each}" for each in claims if each.state is not ClaimState.ACTIVE]
+        needed = {name for each in claims for name in each.nodelets}
+        parts = dict.fromkeys(set(nodelets) - set(made))
+        found += differences("part", dict.fromkeys(needed), parts)
+
+        running = self.running()
+        counted = collections.Counter(each.name for each in running)
+        found += [f"{name} runs {times} times" for name, times in counted.items() if times > 1]
+        processes = {each.name: each.process for each in running}
+        found += differences("child", self.manager.children(), processes)
+        alone = {name for name, each in nodelets.items() if each.isolated}
+        for_one = {each.isolated_for for each in running} - {""}
+        found += differences("process of", dict.fromkeys(alone), dict.fromkeys(for_one))
+        hosted = self.hosted_by_children()
+        found += differences("hosted", dict.fromkeys(nodelets), collections.Counter(hosted))
+        found += [f"{name} is hosted twice" for name in hosted if hosted.count(name) > 1]
+
+        living = {each.name for each in running} | {self.manager.node, rospy.get_name(), "/rosout"}
+        found += [f"{what} is dead" for what in self.dead() if what not in living]
+        owners = living | set(nodelets)
+        for key in set_by_dyknow():
+            if not any(key.startswith(name + "/") for name in owners):
+                found.append(f"parameter {key}")
+        return found
+
+    def hosted_by_children(self) -> List[str]:
+        return [name for each in self.running() for name in self.hosted(each)]
+
+    def hosted(self, record: Any) -> List[str]:
+        if record.kind.is_node:
+            return [record.name]
+        try:
+            return list(rospy.ServiceProxy(f"{record.name}/list", NodeletList)().nodelets)
+        except rospy.ServiceException as error:
+            return [f"{record.name}: {error}"]
+
+    def dead(self) -> List[str]:
+        """Nodes at the master that do not answer."""
+        state = rosgraph.Master(rospy.get_name()).getSystemState()
+        master = Master(rospy.get_name())
+        found = []
+        for node in sorted({node for kind in state for _, nodes in kind for node in nodes}):
+            try:
+                master.pid(node, master.node(node), 5.0)
+            except (PeerTimeout, LookupError):
+                found.append(node)
+        return found
+
+    def at_the_master(self) -> Dict[str, List[str]]:
+        """All registrations and parameters, without the test's own and shared C++ processes."""
+        state = rosgraph.Master(rospy.get_name()).getSystemState()
+        cpp = "/dyknow_cpp_nodelet_manager"
+        own = {rospy.get_name(), cpp}
+        found = {
+            f"{kind} {name}": sorted(set(nodes) - own)
+            for kind, part in zip(("publisher", "subscriber", "service"), state)
+            for name, nodes in part
+            if set(nodes) - own and not name.startswith(cpp)
+        }
+        found["parameters"] = [key for key in set_by_dyknow() if not key.startswith(cpp)]
+        return found
+
+    def undo(self) -> None:
+        client = self.manager.client
+        for claim_id in self.promises.claims:
+            client.release_stream(claim_id)
+        for name, made in self.promises.nodelets.items():
+            if made.is_protected:
+                client.set_protection(name, False)
+            client.destroy(name)
+
+    # What a failure shows
+
+    def told(self) -> str:
+        return "\n".join([*self.wrong(), "", self.manager.output[-20000:]])
+
+    def left(self) -> str:
+        return "\n".join(differences("", self.before, self.at_the_master()))
+
+
+def set_by_dyknow() -> List[str]:
+    """Parameters that the manager sets; those that a nodelet sets for itself are its own."""
+    return [
+        key
+        for key in parameters("/")
+        if key.rpartition("/")[2] in SET_BY_DYKNOW or "/guards/" in key
+    ]
+
+
+def differences(what: str, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> List[str]:
+    """Say what is missing, too much, or other than it should be."""
+    return (
+        [f"{what} {name} is missing" for name in sorted(set(wanted) - set(found))]
+        + [f"{what} {name} is too much" for name in sorted(set(found) - set(wanted))]
+        + [
+            f"{what} {name} is {found[name]}, not {wanted[name]}"
+            for name in sorted(set(wanted) & set(found))
+            if isinstance(found, dict)
+            and not isinstance(found, collections.Counter)
+            and wanted[name] != found[name]
+        ]
+    )
 
 
 if __name__ == "__main__":

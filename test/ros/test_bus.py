@@ -12,13 +12,13 @@ import signal
 import graph  # first: it makes the test package known
 import rospy
 import rostest
-from graph import PEER, ManagerCase, call, port_statistics, set_config
+from graph import PEER, NodeletManagerCase, call, port_statistics, set_config
 from processes import HELD_UP, Running, eventually, finished
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 
-class BusTest(ManagerCase):
+class BusTest(NodeletManagerCase):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()

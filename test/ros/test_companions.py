@@ -14,12 +14,12 @@ import tf2_ros
 from actionlib.msg import TestActionGoal, TestGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
-from graph import ManagerCase, call
+from graph import NodeletManagerCase, call
 from processes import eventually
 from sensor_msgs.msg import Image
 
 
-class FilterTest(ManagerCase):
+class FilterTest(NodeletManagerCase):
     def test_a_time_synchroniser_on_ports(self):
         self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
         publishers = {}
@@ -43,7 +43,7 @@ class FilterTest(ManagerCase):
         eventually(lambda: call("/n", "received")[-1] == [4, 4], 5.0, "across the re-wiring")
 
 
-class TransformTest(ManagerCase):
+class TransformTest(NodeletManagerCase):
     def setUp(self):
         for name in ("/one", "/two"):
             self.manager.load("Frames", name)
@@ -119,7 +119,7 @@ class TransformTest(ManagerCase):
         eventually(lambda: call("/two", "look_up", "map", "robot", 1.0) == 2.0, 5.0, "old")
 
 
-class DiagnosticsTest(ManagerCase):
+class DiagnosticsTest(NodeletManagerCase):
     def test_an_updater(self):
         heard = []
         subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, heard.append)
@@ -135,7 +135,7 @@ class DiagnosticsTest(ManagerCase):
         self.assertEqual(status.values[0].value, "71")
 
 
-class ReconfigureTest(ManagerCase):
+class ReconfigureTest(NodeletManagerCase):
     def test_a_server_in_the_nodelets_namespace(self):
         rospy.set_param("/robot/n/gain", 2.5)
         self.manager.load("Reconfigurable", "/robot/n")
@@ -153,7 +153,7 @@ class ReconfigureTest(ManagerCase):
         self.assertEqual(call("/robot/n", "seen"), [[10.0, 7]])
 
 
-class CarelessTest(ManagerCase):
+class CarelessTest(NodeletManagerCase):
     """What nodelets leave to DyKnow to take back."""
 
     def test_libraries_act_in_the_name_of_their_nodelet(self):

@@ -15,12 +15,13 @@ import numpy as np
 import rospy
 import rostest
 from geometry_msgs.msg import Point, PointStamped, Twist, Vector3, Vector3Stamped
+from processes import BUSY
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import SetBool
 
 VERSIONS = ("before", "after")
-TIMEOUT = 20.0  # s
+TIMEOUT = 5.0 * BUSY  # s
 HEIGHT, WIDTH, RADIUS = 120, 160, 9
 
 

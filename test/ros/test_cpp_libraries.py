@@ -54,8 +54,10 @@ class LibrariesCase:
             self.assertEqual(topics_of_ports(self.name)["camera/camera_info"], topic)
             eventually(lambda w=width: report(self.name)["width"] == w, 10.0, "it sees it")
         self.assertTrue(set_config(self.name, **{"out/image": "/shown/image"}).success)
-        self.assertEqual(rospy.wait_for_message("/shown/image", Image, 10.0).width, 16)
-        self.assertEqual(rospy.wait_for_message("/shown/camera_info", CameraInfo, 10.0).width, 16)
+        self.assertEqual(rospy.wait_for_message("/shown/image", Image, 10.0 * BUSY).width, 16)
+        self.assertEqual(
+            rospy.wait_for_message("/shown/camera_info", CameraInfo, 10.0 * BUSY).width, 16
+        )
         answer = set_config(self.name, left="/cam/camera_info", right="/cam/camera_info")
         self.assertTrue(answer.success, answer.message)
         eventually(lambda: report(self.name)["pairs"] > 2, 10.0, "pairs are made")
@@ -116,7 +118,7 @@ class NodeLibrariesTest(LibrariesCase, ManagerCase):
             with graph.Ended(*LIBRARIES, "__name:=ending") as process:
                 rospy.wait_for_service("/ending/get_config", 20.0 * BUSY)
                 process.stop(number)
-                self.assertEqual(process.exit_code(5.0 * BUSY), code)
+                self.assertEqual(process.exit_code(5.0), code)
                 if number == signal.SIGINT:
                     left = graph.registrations("/ending")
                     self.assertEqual((left["publishers"], left["subscribers"]), ([], []))

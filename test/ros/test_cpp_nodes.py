@@ -65,7 +65,7 @@ class NodeTest(ManagerCase):
         with self.assertRaisesRegex(Refused, "process of its own; end it with: rosnode kill"):
             self.manager.client.destroy("/copier")
         process.stop()
-        self.assertEqual(process.exit_code(5.0 * BUSY), 0)
+        self.assertEqual(process.exit_code(5.0), 0)
         eventually(lambda: self.manager.nodelet("/copier") is None, 2.0, "it is shown no more")
         self.assertEqual(graph.registrations("/copier")["publishers"], [])
         self.assertFalse(rospy.has_param(f"/copier/{guards_key('/dyknow_manager')}"))
@@ -115,10 +115,10 @@ class NodeTest(ManagerCase):
                 for port in self.shown("/painter").ports
                 if port.datatype == "sensor_msgs/Image"
             )
-            self.assertEqual(rospy.wait_for_message(port.topic, Image, 20.0).width, 2)
+            self.assertEqual(rospy.wait_for_message(port.topic, Image, 20.0 * BUSY).width, 2)
             self.manager.client.set_config("/painter", {port.name: "/moved/image"})
-            self.assertEqual(rospy.wait_for_message("/moved/image", Image, 10.0).width, 2)
-            rospy.wait_for_message("/moved/camera_info", CameraInfo, 10.0)
+            self.assertEqual(rospy.wait_for_message("/moved/image", Image, 10.0 * BUSY).width, 2)
+            rospy.wait_for_message("/moved/camera_info", CameraInfo, 10.0 * BUSY)
 
 
 if __name__ == "__main__":

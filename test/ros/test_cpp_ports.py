@@ -302,7 +302,7 @@ class PortTest(CppCase):
 
 
 def width_on(topic: str) -> int:
-    return rospy.wait_for_message(topic, Image, 20.0).width
+    return rospy.wait_for_message(topic, Image, 20.0 * BUSY).width
 
 
 class ReconfigureTest(CppCase):

@@ -19,8 +19,8 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped
-from graph import ManagerCase, set_config, topics_of_ports
-from processes import DYKNOW, HELD_UP, eventually
+from graph import NodeletManagerCase, set_config, topics_of_ports
+from processes import BUSY, DYKNOW, HELD_UP, eventually
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Header, Int32, String
 from tf2_msgs.msg import TFMessage
@@ -87,7 +87,7 @@ class Scripts:
 
     def has_ports(self, name: str, **topics: str) -> None:
         """Wait until it has ports on these topics."""
-        rospy.wait_for_service(f"{name}/get_config", 40.0)
+        rospy.wait_for_service(f"{name}/get_config", 40.0 * BUSY)
         eventually(
             lambda: topics.items() <= topics_of_ports(name).items(),
             10.0,
@@ -194,7 +194,7 @@ class Scripts:
         return lambda array: any(re.search(pattern, status.name) for status in array.status)
 
 
-class SharedTest(Scripts, ManagerCase):
+class SharedTest(Scripts, NodeletManagerCase):
     """In one nodelet manager, beside a neighbour that is not to notice."""
 
     def setUp(self):

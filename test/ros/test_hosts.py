@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import tempfile
 from pathlib import Path
 
 import hosts_suite
 import rospy
+from graph import PEER
 from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, ClaimOverHosts, HostsCase, Split
 from manager_suite import LIBRARY, ManagerProcess, eventually
@@ -25,7 +25,7 @@ from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.master import Master
 
-CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
+CLIENT = [*PEER, "claim"]
 
 
 class AbsentHostsTest(HostsCase):

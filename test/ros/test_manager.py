@@ -237,8 +237,9 @@ class ServicesTest(ManagerCase):
 
 
 class GuardsTest(ManagerCase):
-    def test_the_deny_list_holds_in_the_manager_and_in_the_proxy(self):
-        manager = self.started(denied_topics=["/e_stop", "*/cmd_vel"])
+    def test_the_deny_list_and_limits_hold_in_the_manager_and_in_the_proxy(self):
+        limits = {"nodelets": 2, "string_length": 50, "array_length": 3}
+        manager = self.started(denied_topics=["/e_stop", "*/cmd_vel"], limits=limits)
         client = manager.client
         with self.assertRaisesRegex(Refused, "e_stop"):
             client.spawn("relay", "/relay", {"out": "/e_stop"})
@@ -251,6 +252,17 @@ class GuardsTest(ManagerCase):
         with self.assertRaises(rospy.ServiceException):
             load("/theirs", "dyknow_manager_test/Relay", ["/out"], ["/e_stop"], [], "")
         self.assertEqual(registrations("/e_stop"), [])
+
+        client.spawn("relay", "/one")
+        for arguments in (
+            ("relay", "/two"),
+            ("relay", "/" + "n" * 60),
+            ("relay", "/two", {str(port): "" for port in range(4)}),
+        ):
+            with self.assertRaisesRegex(Refused, "too many"):
+                client.spawn(*arguments)
+        with self.assertRaisesRegex(Refused, "too many"):
+            client.set_config("/one", {"in": "/" + "t" * 60})
 
         # After a restart with other guards: they reach the running nodelets.
         manager.kill()
@@ -286,24 +298,10 @@ class GuardsTest(ManagerCase):
         found = manager.nodelet(name)
         return found.state is State.RUNNING and found.port("out") and not found.detail
 
-    def test_limits(self):
-        manager = self.started(limits={"nodelets": 2, "string_length": 50, "array_length": 3})
-        manager.client.spawn("relay", "/one")
-        manager.client.spawn("relay", "/two")
-        for arguments in (
-            ("relay", "/three"),
-            ("relay", "/" + "n" * 60),
-            ("relay", "/three", {str(port): "" for port in range(4)}),
-        ):
-            with self.assertRaisesRegex(Refused, "too many"):
-                manager.client.spawn(*arguments)
-        with self.assertRaisesRegex(Refused, "too many"):
-            manager.client.set_config("/one", {"in": "/" + "t" * 60})
-
 
 class StartTest(ManagerCase):
     def test_transformations_of_files_are_not_those_of_the_next_manager(self):
-        manager = self.make()
+        manager = self.make(num_nodelet_managers=0)
         good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
         Path(good).write_text(LIBRARY)
         Path(bad).write_text("<transformations>")
@@ -315,7 +313,7 @@ class StartTest(ManagerCase):
         self.assertTrue(rospy.has_param(f"{MANAGER}/transformations"))
         manager.start()
         manager.stop()
-        other = self.make()
+        other = self.make(num_nodelet_managers=0)
         other.start()
         self.assertEqual(other.client.get_model().transformations, ())
 
@@ -372,7 +370,7 @@ class StartTest(ManagerCase):
         self.assertEqual(registrations("/asked"), [])
 
     def test_a_bad_parameter_or_state_is_explained(self):
-        manager = self.make(spawn_timeout="soon")
+        manager = self.make(spawn_timeout="soon", num_nodelet_managers=0)
         manager.start(wait=False)
         self.assertNotEqual(manager.process.wait(20.0), 0)
         said = "parameter '~spawn_timeout' is 'soon': expected seconds, at least 0.001"
@@ -392,7 +390,7 @@ class StartTest(ManagerCase):
         self.assertEqual(aside.read_bytes(), b"not a database" * 1000)
 
     def test_terms_in_the_language_that_was_asked_for(self):
-        manager = self.make(language="de")
+        manager = self.make(language="de", num_nodelet_managers=0)
         owl, library = Path(manager.state, "lab.ttl"), Path(manager.state, "library.xml")
         catalogue = Path(manager.state, "elsewhere.xml")
         manager.parameters.update(

@@ -63,7 +63,7 @@ _RELAY = """
 """
 
 
-def size_on(topic: str, timeout: float = 10.0) -> tuple[int, int]:
+def size_on(topic: str, timeout: float = 10.0 * BUSY) -> tuple[int, int]:
     image = rospy.wait_for_message(topic, Image, timeout)
     return image.width, image.height
 
@@ -173,11 +173,15 @@ class CppTest(ManagerCase):
         config = {"camera/image_raw": "/cam/image_raw", "camera_out/image_raw": "/half/image_raw"}
         self.client.spawn("crop_decimate", "/crop", config)
         self.assertEqual(size_on("/half/image_raw"), (4, 3))
-        self.assertEqual(rospy.wait_for_message("/half/camera_info", CameraInfo, 5.0).width, 8)
+        self.assertEqual(
+            rospy.wait_for_message("/half/camera_info", CameraInfo, 5.0 * BUSY).width, 8
+        )
         self.client.set_config("/crop", {"camera/image_raw": "/cam2/image_raw"})
         self.client.set_config("/crop", {"camera_out/image_raw": "/other/image_raw"})
         self.assertEqual(size_on("/other/image_raw"), (4, 3))
-        self.assertEqual(rospy.wait_for_message("/other/camera_info", CameraInfo, 5.0).width, 8)
+        self.assertEqual(
+            rospy.wait_for_message("/other/camera_info", CameraInfo, 5.0 * BUSY).width, 8
+        )
         topics = {port.name: port.topic for port in self.client.get_config("/crop")}
         self.assertEqual(topics["camera/camera_info"], "/cam2/camera_info")
 

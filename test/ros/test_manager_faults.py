@@ -17,7 +17,6 @@ from unittest import mock
 import rosgraph
 import rospy
 import rostest
-from boot_suite import BootCase
 from manager_suite import (
     CHILD,
     ManagerCase,
@@ -30,6 +29,7 @@ from manager_suite import (
 )
 from processes import BUSY, HELD_UP, Running, free_port
 from std_msgs.msg import Header
+from test_boot import BootTest
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.model.graph import State
@@ -312,9 +312,7 @@ class ManagerFaultsTest(ManagerCase):
         return doubtful
 
 
-class BootTest(BootCase):
-    def test_everything_is_back_after_the_end_of_everything(self):
-        self.lives(2, random.randrange(10000))
+__all__ = ["BootTest"]  # is run here for two lives, and for many in the long run
 
 
 def offers(master: rosgraph.Master, service: str) -> bool:

@@ -12,13 +12,13 @@ import graph  # first: it makes the test package known
 import rospy
 import rostest
 from dyknow_test.puppet import Echo
-from graph import ManagerCase, call
-from processes import eventually
+from graph import NodeletManagerCase, call
+from processes import BUSY, eventually
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Header
 
 
-class HandleTest(ManagerCase):
+class HandleTest(NodeletManagerCase):
     def speak(self, topic):
         """A publisher that is connected to the manager."""
         publisher = rospy.Publisher(topic, Header, queue_size=1000)
@@ -118,7 +118,7 @@ class MessageTest(HandleTest):
         thread.start()
         eventually(lambda: graph.nodes_on("/wired")[1], 5.0, "it waits")
         self.manager.unload("/n")
-        thread.join(5.0)
+        thread.join(5.0 * BUSY)
         self.assertFalse(thread.is_alive())
         self.assertIn("unloaded", str(answers))
 
@@ -139,7 +139,7 @@ class ServiceTest(HandleTest):
         thread.start()
         eventually(lambda: "/n waits for /nowhere" in self.manager.output, 5.0, "it waits")
         self.manager.unload("/n")
-        thread.join(5.0)
+        thread.join(5.0 * BUSY)
         self.assertEqual(answers, ["service '/nowhere': nodelet /n was unloaded"])
 
     def test_a_service_ends_with_its_nodelet(self):
@@ -168,7 +168,7 @@ class StrandTest(HandleTest):
 
     def wait_for_all(self):
         for caller in self.callers:
-            caller.join(20.0)
+            caller.join(20.0 * BUSY)
             self.assertFalse(caller.is_alive())
         eventually(
             lambda: {**call("/n", "counts"), "timer": 0}

@@ -46,7 +46,7 @@ class WithManager:
         self.manager = self.start(
             *self.nodelet, "manager", "__name:=manager", "__ns:=/command_test"
         )
-        rospy.wait_for_service(f"{MANAGER}/list", 10.0)
+        rospy.wait_for_service(f"{MANAGER}/list", 10.0 * BUSY)
 
     def load(self, *arguments, name="nodelet"):
         process = self.start(

@@ -19,7 +19,15 @@ import rosgraph
 import rospy
 import rostest
 from dyknow_msgs.msg import NodeletChanges
-from graph import Ended, Manager, ManagerCase, call, let_the_bond_form, registrations, set_config
+from graph import (
+    Ended,
+    Manager,
+    NodeletManagerCase,
+    call,
+    let_the_bond_form,
+    registrations,
+    set_config,
+)
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from processes import (
     BUSY,
@@ -95,7 +103,7 @@ class StartTest(Started):
             ["rosrun", "dyknow", "nodelet", "manager"],
         ):
             process = self.start(*command, "__name:=started")
-            rospy.wait_for_service("/started/list", 10.0)
+            rospy.wait_for_service("/started/list", 10.0 * BUSY)
             process.stop()
             self.assertEqual(process.exit_code(20.0), 0, process.output)
             self.assertNotIn("/started", nodes())
@@ -140,7 +148,7 @@ class StartTest(Started):
             self.assertNotIn("Traceback", process.output)
 
 
-class RobotCase(Started, ManagerCase):
+class RobotCase(Started, NodeletManagerCase):
     manager_name = "/robot/manager"
 
 
@@ -441,7 +449,7 @@ class StandaloneTest(Started):
             "__ns:=/robot",
             "_answer:=42",
         )
-        rospy.wait_for_service("/robot/alone/call", 10.0)
+        rospy.wait_for_service("/robot/alone/call", 10.0 * BUSY)
         description = call("/robot/alone", "describe")
         self.assertEqual(description["name"], "/robot/alone")
         self.assertEqual(description["argv"], ["one", "two"])
@@ -455,7 +463,7 @@ class StandaloneTest(Started):
         process = self.start(
             *NODELET, "standalone", "dyknow_test/Relay", "in:=/a", "out:=/b", "__name:=relay"
         )
-        rospy.wait_for_service("/relay/call", 10.0)
+        rospy.wait_for_service("/relay/call", 10.0 * BUSY)
         connected = {"in": "/a", "out": "/b"}
         eventually(lambda: graph.topics_of_ports("/relay") == connected, 5.0, "they are connected")
         process.stop(signal.SIGTERM)
@@ -499,7 +507,7 @@ class LaunchTest(Started):
             file.flush()
             launch = self.start("roslaunch", file.name, "rate:=7")
             for nodelet in ("relay", "alone", "introspector"):
-                rospy.wait_for_service(f"/rover/{nodelet}/call", 20.0)
+                rospy.wait_for_service(f"/rover/{nodelet}/call", 20.0 * BUSY)
             topics = {"in": "/rover/source", "out": "/result"}
             eventually(
                 lambda: graph.topics_of_ports("/rover/relay") == topics, 5.0, "it is connected"
@@ -536,7 +544,7 @@ class DescriptorsTest(Started):
         command = " ".join(NODELET)
         self.start("bash", "-c", f"ulimit -n 64; exec {command} manager __name:=few")
         master = Master(rospy.get_name())
-        rospy.wait_for_service("/few/unload_nodelet", 10.0)
+        rospy.wait_for_service("/few/unload_nodelet", 10.0 * BUSY)
         load = ServiceClient(master, "/few/load_nodelet", NodeletLoad)
         load.call(10.0, name="/relay", type="dyknow_test/Relay")
         clients = []

@@ -6,18 +6,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import graph  # first: it makes the test packages known
 import rospy
 import rostest
 from dyknow_test.puppet import Echo
-from graph import ManagerCase, call, registrations, set_config, set_config_pairs
-from processes import NODELET, Running, eventually
+from graph import NodeletManagerCase, call, registrations, set_config, set_config_pairs
+from processes import BUSY, NODELET, Running, eventually
 from std_msgs.msg import Header, String
 
 
-class Refusals(ManagerCase):
+class Refusals(NodeletManagerCase):
     def setUp(self):
         self.before = registrations("/manager"), graph.parameters()
 
@@ -38,82 +39,49 @@ class Refusals(ManagerCase):
 
 
 class LoadTest(Refusals):
-    def test_unknown_types(self):
+    def test_bad_requests(self):
+        def request(name="/n", type_name="dyknow_test/Talker", remappings=()):
+            return {
+                "name": name,
+                "type": type_name,
+                "remap_source_args": [source for source, _ in remappings],
+                "remap_target_args": [target for _, target in remappings if target is not None],
+            }
+
         for type_name in ("dyknow_test/Nothing", "nowhere/Talker", "Talker", "", "os.path"):
-            self.assert_refused(
-                f"'{type_name}'",
-                "declared types",
-                "dyknow_test/Talker",
-                name="/n",
-                type=type_name,
-            )
-
-    def test_a_description_that_is_no_xml(self):
-        self.assert_refused(
-            "dyknow_test_broken/Broken", "nodelets.xml", "not well-formed",
-            name="/n", type="dyknow_test_broken/Broken",
-        )  # fmt: skip
-        self.manager.load("Talker", "/n")  # it hides no other
-
-    def test_classes_that_cannot_be_used(self):
+            texts = f"'{type_name}'", "declared types", "dyknow_test/Talker"
+            self.assert_refused(*texts, **request("/n", type_name))
+        broken = "dyknow_test_broken/Broken"
+        self.assert_refused(broken, "nodelets.xml", "not well-formed", **request("/n", broken))
         for type_name, text in {
             "Unimportable": "RuntimeError: this module needs a camera",
             "Missing": "has no class 'Missing'",
             "NoNodelet": "does not derive from dyknow.Nodelet",
         }.items():
-            self.assert_refused(
-                f"dyknow_test/{type_name}",
-                text,
-                "nodelets.xml",
-                name="/n",
-                type=f"dyknow_test/{type_name}",
-            )
-
-    def test_a_name_that_is_taken(self):
-        self.manager.load("Talker", "/n", {"/out": "/topic"})
-        self.before = registrations("/manager"), graph.parameters()
-        self.assert_refused("/n", "already loaded", name="/n", type="dyknow_test/Listener")
-        self.assert_refused("/n", "already loaded", name="n", type="dyknow_test/Listener")
-        self.assertEqual(self.manager.list(), ["/n"])
-        self.assertEqual(call("/n", "connections"), 0)
-
-    def test_names_that_are_none(self):
+            type_name = f"dyknow_test/{type_name}"
+            self.assert_refused(type_name, text, "nodelets.xml", **request("/n", type_name))
         for name in ("", "1st", "a b", "/a//b", "/", "~", "/a-b"):
-            with self.subTest(name):
-                self.assert_refused(
-                    f"'{name}'",
-                    "not a valid nodelet name",
-                    name=name,
-                    type="dyknow_test/Talker",
-                )
-
-    def test_remappings_that_do_not_pair_up(self):
-        self.assert_refused(
-            "/n",
-            "2 remap_source_args but 1 remap_target_args",
-            "one target for each source",
-            name="/n",
-            type="dyknow_test/Talker",
-            remap_source_args=["out", "in"],
-            remap_target_args=["/a"],
-        )
-
-    def test_remappings_that_are_no_names(self):
+            self.assert_refused(f"'{name}'", "not a valid nodelet name", **request(name))
+        unpaired = request(remappings=[("out", "/a"), ("in", None)])
+        texts = "/n", "2 remap_source_args but 1 remap_target_args", "one target for each source"
+        self.assert_refused(*texts, **unpaired)
         for source, target, wrong in (
             ("out", "no name", "no name"),
             ("1st", "/a", "1st"),
             ("", "/a", ""),
             ("out", "", ""),
         ):
-            with self.subTest((source, target)):
-                self.assert_refused(
-                    f"'{wrong}'",
-                    "not a valid remap",
-                    name="/n",
-                    type="dyknow_test/Talker",
-                    remap_source_args=[source],
-                    remap_target_args=[target],
-                )
+            bad = request(remappings=[(source, target)])
+            self.assert_refused(f"'{wrong}'", "not a valid remap", **bad)
+        self.manager.load("Talker", "/n")  # nothing of that hides it
+
+    def test_a_name_that_is_taken(self):
+        self.manager.load("Talker", "/n", {"/out": "/topic"})
+        self.before = registrations("/manager"), graph.parameters()
+        for name in ("/n", "n"):
+            self.assert_refused("/n", "already loaded", name=name, type="dyknow_test/Listener")
+        self.assertEqual(self.manager.list(), ["/n"])
+        self.assertEqual(call("/n", "connections"), 0)
 
     def test_on_init_that_raises(self):
         for type_name, text in {
@@ -142,15 +110,19 @@ class LoadTest(Refusals):
         self.assertEqual(rospy.get_param("/n/gain"), 3)
         rospy.delete_param("/n")
 
-    def test_unloaded_in_the_middle_of_on_init(self):
+    @contextlib.contextmanager
+    def waiting_client(self):
+        """A client that loads /n, whose on_init waits for the parameter /go_on."""
         rospy.set_param("/go_on", False)
         self.before = registrations("/manager"), graph.parameters()
-        with Running(
-            *NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n"
-        ) as client:
-            eventually(
-                lambda: "/n/get_config" in graph.services_of("/manager"), 10.0, "on_init has begun"
-            )
+        words = ("load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n")
+        with Running(*NODELET, *words) as client:
+            begun = "on_init has begun"
+            eventually(lambda: "/n/get_config" in graph.services_of("/manager"), 10.0, begun)
+            yield client
+
+    def test_unloaded_in_the_middle_of_on_init(self):
+        with self.waiting_client() as client:
             self.assertEqual(self.manager.list(), [])
             self.manager.unload("/n")
             self.assertEqual(client.exit_code(20.0), 255)
@@ -164,13 +136,7 @@ class LoadTest(Refusals):
         self.assert_untouched()
 
     def test_two_loads_of_one_name_at_once(self):
-        rospy.set_param("/go_on", False)
-        with Running(
-            *NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n"
-        ) as client:
-            eventually(
-                lambda: "/n/get_config" in graph.services_of("/manager"), 10.0, "on_init has begun"
-            )
+        with self.waiting_client() as client:
             with self.assertRaises(rospy.ServiceException) as caught:
                 self.manager.load("Talker", "/n")
             self.assertIn("being loaded", str(caught.exception))
@@ -204,33 +170,27 @@ class SetConfigTest(Refusals):
         self.assertEqual(graph.get_statistics("/n").reconfigurations, 0)
         self.assert_untouched()
 
-    def test_unknown_port(self):
-        self.assert_config_refused(
-            set_config("/n", out="/x", lens="/y"), "unknown port 'lens'", "known ports: in, out"
-        )
-
-    def test_a_port_that_is_named_twice(self):
-        self.assert_config_refused(
-            set_config_pairs("/n", ("in", "/x"), ("out", "/y"), ("in", "/z")),
-            "port 'in' is named twice or more",
-        )
-
-    def test_names_that_are_no_topics(self):
-        for name in ("1st", "a b", "/a//b", "~", "/", "/a-b"):
-            with self.subTest(name):
-                self.assert_config_refused(
-                    set_config_pairs("/n", ("in", "/x"), ("out", name)),
-                    f"'{name}' is not a valid topic name",
-                    "expected",
+    def test_bad_requests(self):
+        for pairs, texts in (
+            ([("out", "/x"), ("lens", "/y")], ["unknown port 'lens'", "known ports: in, out"]),
+            (
+                [("in", "/x"), ("out", "/y"), ("in", "/z")],
+                ["port 'in' is named twice or more"],
+            ),
+            *(
+                (
+                    [("in", "/x"), ("out", name)],
+                    [f"'{name}' is not a valid topic name", "expected"],
                 )
-
-    def test_all_problems_at_once(self):
-        self.assert_config_refused(
-            set_config_pairs("/n", ("lens", "/x"), ("in", "a b"), ("in", "/y")),
-            "unknown port 'lens'",
-            "'a b' is not a valid",
-            "named twice or more",
-        )
+                for name in ("1st", "a b", "/a//b", "~", "/", "/a-b")
+            ),
+            (
+                [("lens", "/x"), ("in", "a b"), ("in", "/y")],
+                ["unknown port 'lens'", "'a b' is not a valid", "named twice or more"],
+            ),
+        ):
+            with self.subTest(pairs):
+                self.assert_config_refused(set_config_pairs("/n", *pairs), *texts)
 
     def test_a_topic_that_is_live_outside_with_another_type(self):
         publisher = rospy.Publisher("/outside", String, queue_size=1)
@@ -267,7 +227,7 @@ class SetConfigTest(Refusals):
         self.assertFalse([name for name in graph.services_of("/manager") if "/n/" in name])
 
 
-class CallbackTest(ManagerCase):
+class CallbackTest(NodeletManagerCase):
     """What goes wrong in a callback stays there."""
 
     def setUp(self):
@@ -397,7 +357,7 @@ class CallbackTest(ManagerCase):
             self.order(number)
         eventually(lambda: call("/n", "received") == [1], 5.0, "it hangs")
         waker = rospy.ServiceProxy("/n/call", graph.Call, persistent=True)
-        waker.wait_for_service(2.0)
+        waker.wait_for_service(2.0 * BUSY)
         waker(String('["received", []]'))
         within(2.0, lambda: self.manager.unload("/n"))
         self.assertEqual(graph.nodes_on("/late")[0], set())
@@ -443,7 +403,7 @@ class CallbackTest(ManagerCase):
         asking.start()
         eventually(lambda: call("/n", "received") == [1], 5.0, "it hangs")
         within(2.0, lambda: self.manager.unload("/n"))
-        asking.join(2.0)
+        asking.join(2.0 * BUSY)
         self.assertFalse(asking.is_alive(), "the caller is told")
         self.assertEqual(len(caught), 1)
 
@@ -460,7 +420,7 @@ def within(seconds, function):
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    thread.join(seconds)
+    thread.join(seconds * BUSY)
     if not outcome:
         raise AssertionError(f"not within {seconds:g} s")
     result, error = outcome[0]

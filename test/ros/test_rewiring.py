@@ -18,8 +18,16 @@ import rospy
 import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
-from graph import PEER, Ended, ManagerCase, call, get_statistics, port_statistics, set_config
-from processes import HELD_UP, eventually
+from graph import (
+    PEER,
+    Ended,
+    NodeletManagerCase,
+    call,
+    get_statistics,
+    port_statistics,
+    set_config,
+)
+from processes import BUSY, HELD_UP, eventually
 
 #: Seconds that a set_config waits for peers outside.
 PATIENCE = 0.5
@@ -30,7 +38,7 @@ def missing(numbers):
     return set(range(min(numbers), max(numbers) + 1)) - set(numbers)
 
 
-class RewiringTest(ManagerCase):
+class RewiringTest(NodeletManagerCase):
     def start_peer(self, *arguments):
         peer = Ended(*PEER, *arguments)
         self.addCleanup(peer.__exit__)
@@ -227,7 +235,7 @@ class AcrossProcessesTest(RewiringTest):
         thread.start()
         eventually(lambda: "/manager" in graph.nodes_on("/a")[1], 5.0, "it is being made")
         self.manager.unload("/n")
-        thread.join(5.0)
+        thread.join(5.0 * BUSY)
         self.assertFalse(answers[0].success)
         self.assertIn("unloaded during its reconfiguration", answers[0].message)
         eventually(lambda: graph.registrations("/manager") == before, 2.0, "nothing is left")

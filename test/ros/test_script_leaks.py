@@ -11,7 +11,7 @@ import os
 import graph  # first: it makes the test package known
 import rospy
 import rostest
-from graph import ManagerCase
+from graph import NodeletManagerCase
 from processes import eventually
 
 SCRIPTS = {
@@ -27,7 +27,7 @@ SPARE = 6
 PAGE = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
-class ScriptLeakTest(ManagerCase):
+class ScriptLeakTest(NodeletManagerCase):
     def test_nothing_is_left(self):
         # Until caches are full, pools of threads are as large as they become, and the heap has
         # holes for all that comes and goes: it grows by 18 MB in 60 cycles, and by 2 MB from the

@@ -20,8 +20,8 @@ import rospy
 import rostest
 from dyknow_msgs.msg import Port
 from dyknow_msgs.srv import GetCounts
-from graph import ManagerCase, get_config, hearing, hears, set_config, topics_of_ports
-from processes import DYKNOW, HELD_UP, NODELET, eventually
+from graph import NodeletManagerCase, get_config, hearing, hears, set_config, topics_of_ports
+from processes import BUSY, DYKNOW, HELD_UP, NODELET, eventually
 from roslib.packages import find_node
 from sensor_msgs.msg import JointState
 
@@ -67,7 +67,7 @@ def connected(topic: str, publisher: str) -> None:
     )
 
 
-class SharedTest(ManagerCase):
+class SharedTest(NodeletManagerCase):
     """In one nodelet manager."""
 
     def load(self, script: str, name: str, *arguments: str, **remappings: str) -> float:
@@ -304,7 +304,7 @@ class CommandTest(graph.TellingCase):
 
     def test_last_words_are_sent_alone(self):
         node = self.start(*RUN, "dyknow_test", "habits.py", "spin", "__name:=habits")
-        rospy.wait_for_service("/habits/get_config", 40.0)
+        rospy.wait_for_service("/habits/get_config", 40.0 * BUSY)
         with hearing("/habits/words") as heard:
             connected("/habits/words", "/habits")
             node.stop(signal.SIGTERM)

@@ -208,6 +208,7 @@ class TopicsTest(ManagerCase):
             )
             return "deny list" in answer.message
 
+        eventually(lambda: rospy.has_param(f"{CHILD}/guards"), 10.0, "they are set again")
         eventually(is_denied, 10.0, "it is denied again")
 
 

@@ -8,23 +8,20 @@ from __future__ import annotations
 
 import threading
 import time
-import unittest
 
 import graph
 import rospy
 import rostest
 from dyknow_msgs.srv import GetCounts
-from graph import Manager, call, set_config
+from graph import NodeletManagerCase, call, set_config
 from processes import HELD_UP, eventually
 from rosgraph_msgs.msg import Clock
 
 CLOCK = None
 
 
-class SimTimeTest(unittest.TestCase):
+class SimTimeTest(NodeletManagerCase):
     def setUp(self):
-        self.manager = Manager("/manager")
-        self.addCleanup(self.manager.__exit__)
         eventually(
             lambda: "/manager" in graph.nodes_on("/clock")[1], 5.0, "the manager has a clock"
         )

@@ -6,20 +6,26 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import sys
+import tempfile
 import time
-from pathlib import Path
+from unittest import mock
 
 import rospy
 import rostest
-from manager_suite import eventually
-from processes import Running
-from stream_suite import GOAL, StreamCase
+from graph import PEER
+from manager_suite import MANAGER, eventually
+from processes import Running, free_port
+from roslib.packages import find_node
+from stream_suite import GOAL, LIBRARY, StreamCase
 
+from dyknow.errors import DyKnowError
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.master import Master
 
-CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
+CLIENT = [*PEER, "claim"]
 
 
 class ProcessesTest(StreamCase):
@@ -98,6 +104,108 @@ class ProcessesTest(StreamCase):
             manager.start()
             self.assertEqual(manager.claims(), [])
             self.assertEqual(manager.client.get_model().nodelets, ())
+
+
+class RoscoreTest(StreamCase):
+    """All processes of this test have a separate master, which can be killed."""
+
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.state = folder.name
+        self.port = free_port()
+        environment = {"ROS_MASTER_URI": f"http://localhost:{self.port}"}
+        patch = mock.patch.dict(os.environ, environment)
+        patch.start()
+        self.addCleanup(patch.stop)
+        self.client = ManagerClient(MANAGER, rospy.get_name())
+        self.addCleanup(self.end_processes)
+        self.processes = []
+
+    def end_processes(self):
+        for process in reversed(self.processes):
+            if not process.has_ended:
+                process.stop()
+                try:
+                    process.exit_code(20.0)
+                except AssertionError:
+                    process.__exit__()
+
+    def run_it(self, *command):
+        process = Running(*command)
+        self.processes.append(process)
+        return process
+
+    def roscore(self):
+        core = self.run_it("rosmaster", "--core", "-p", self.port)
+        eventually(is_online, 10.0, "a master")
+        return core
+
+    def manager(self):
+        manager = self.run_it(find_node("dyknow", "manager")[0], f"_state_dir:={self.state}")
+        eventually(self.answers, 20.0, "the manager is up")
+        return manager
+
+    def answers(self):
+        try:
+            self.client.get_model(1.0)
+        except DyKnowError:
+            return False
+        return True
+
+    def flows_on(self, listener):
+        """Wait until its stream flows; it has always been active."""
+
+        def said():
+            return [line for line in listener.output.splitlines() if line[0] != "["]
+
+        eventually(lambda: said()[-1].split()[2] == "flows", 5.0, "it flows")
+        self.assertEqual({line.split()[0] for line in said()}, {"ACTIVE"}, said())
+
+    def test_the_roscore_goes_and_comes_back(self):
+        core = self.roscore()
+        manager = self.manager()
+        self.client.add_transformation(LIBRARY)
+        kept = self.client.acquire_stream(StreamRequest("Filtered(ball)"))
+        listener = self.run_it(*CLIENT, GOAL)
+        listener.wait_for("flows")
+
+        # Without a master, streams flow on, and their claims are still renewed.
+        core.stop(9)
+        core.exit_code(5.0)
+        time.sleep(35.0)
+        self.flows_on(listener)
+        self.assertNotIn("EXPIRED", manager.output)
+        self.assertFalse(self.answers())  # nothing can be looked up or requested
+
+        # A new master has no registrations: streams flow on, but there are no new requests.
+        self.roscore()
+        time.sleep(3.0)
+        self.assertFalse(self.answers())
+        self.flows_on(listener)
+
+        # A restarted manager makes the streams again, behind the same topics.
+        manager.stop(9)
+        manager.exit_code(5.0)
+        manager = self.manager()
+
+        def is_back():
+            (claim,) = [c for c in self.client.list_streams() if c.claim_id == kept.claim_id]
+            return claim.state is ClaimState.ACTIVE and claim.topic == kept.topic
+
+        eventually(is_back, 40.0, "the stream is back", lambda: manager.output)
+        again = self.run_it(*CLIENT, GOAL)
+        again.wait_for("flows")
+        # Clients that are not registered at the new master are no longer heard: their claims end.
+        listener.wait_for("EXPIRED", 40.0)
+
+
+def is_online():
+    try:
+        Master("/test").ask("getPid")
+    except DyKnowError:
+        return False
+    return True
 
 
 if __name__ == "__main__":
