@@ -12,7 +12,7 @@ import sphinx
 
 _root = Path(__file__).resolve().parent.parent
 _package = ElementTree.parse(_root / "package.xml").getroot()
-sys.path.insert(0, str(_root))
+sys.path[:0] = [str(_root), str(_root / "doc")]
 
 project = "DyKnow"
 author = "the DyKnow developers"
@@ -22,6 +22,7 @@ release = version = _package.findtext("version")
 # The pages in Markdown; Ubuntu 20.04 has the older of the two.
 extensions = [
     "myst_parser" if importlib.util.find_spec("myst_parser") else "recommonmark",
+    "command_help",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
 ]

@@ -3,7 +3,7 @@
 
 """What TAB offers: argcomplete finds the argument at the cursor, this module its possible values.
 
-Each completer is attached to an argument by `complete_with`. It asks the manager and the master,
+`argument` adds an argument with its completer. It asks the manager and the master,
 and offers nothing if they do not answer quickly.
 """
 
@@ -13,7 +13,7 @@ import argparse
 import functools
 import os
 import signal
-from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Optional, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
@@ -37,9 +37,30 @@ _LIMIT = 1.0
 Completer = Callable[..., List[str]]
 
 
-def complete_with(action: argparse.Action, completer: Completer) -> None:
-    """Tell argcomplete how to complete the values of an argument."""
-    action.completer = completer  # type: ignore[attr-defined]
+#: An option that takes several values, and may be repeated.
+SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
+
+
+def argument(
+    parser: Any,
+    names: str,
+    metavar: Optional[str],
+    help_text: str,
+    completer: Completer,
+    **kwds: Any,
+) -> None:
+    """Add an argument whose values argcomplete completes.
+
+    Args:
+        parser: gets it.
+        names: its name, or its options, separated by blanks.
+        metavar: what stands for its value in the help.
+        help_text: what it is.
+        completer: returns possible values.
+        **kwds: as argparse takes them.
+    """
+    kwds.update(metavar=metavar, help=help_text)
+    parser.add_argument(*names.split(), **kwds).completer = completer
 
 
 def autocomplete(parser: argparse.ArgumentParser) -> None:

@@ -23,6 +23,7 @@ from dyknow.cli.arguments import (
     seconds,
 )
 from dyknow.cli.commands import GROUPS
+from dyknow.cli.completion import argument
 from dyknow.cli.shell import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, UNREACHABLE, Command, Shell
 from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.similar import did_you_mean
@@ -165,15 +166,14 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         default=argparse.SUPPRESS,
         help="print the result as JSON",
     )
-    completion.complete_with(
-        group.add_argument(
-            "--manager-node",
-            metavar="NAME",
-            type=manager_node,
-            default=argparse.SUPPRESS,
-            help=f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
-        ),
+    argument(
+        group,
+        "--manager-node",
+        "NAME",
+        f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
         completion.managers,
+        type=manager_node,
+        default=argparse.SUPPRESS,
     )
     group.add_argument(
         "--timeout",

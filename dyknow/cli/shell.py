@@ -9,9 +9,10 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, TextIO
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, TextIO
 
 from dyknow import names
+from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -71,6 +72,35 @@ class Shell:
         else:
             for line in lines:
                 self.out.write(line + "\n")
+
+    def for_each(
+        self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], object]
+    ) -> Optional[int]:
+        """Act on every subject, also after one was refused, and show the outcome.
+
+        Args:
+            kind: what a subject is: its key in the JSON of a failure.
+            done: what became of it, in words and as key.
+            subjects: names, labels or ids.
+            act: acts on one; raises DyKnowError.
+
+        Returns:
+            The exit code.
+        """
+        acted: List[str] = []
+        failed: List[Dict[str, str]] = []
+        for subject in subjects:
+            try:
+                act(subject)
+            except ManagerUnreachable:
+                raise
+            except DyKnowError as error:
+                self.error(error)
+                failed.append({kind: subject, "message": str(error)})
+            else:
+                acted.append(subject)
+        self.show({done: acted, "failed": failed}, [f"{done} {each}" for each in acted])
+        return FAILED if failed else None
 
     def error(self, message: object) -> None:
         """Print an error."""

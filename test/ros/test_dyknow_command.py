@@ -2,10 +2,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The command line `dyknow`, as processes, against a real manager."""
+"""The command line `dyknow` against a real manager.
+
+Commands run in this process, which takes a hundredth of the time; those whose process matters
+(signals, pipes, completion) run in one of their own.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import signal
@@ -14,6 +20,7 @@ import sys
 import tempfile
 import unittest
 from pathlib import Path
+from unittest.mock import patch
 
 import rospy
 import rostest
@@ -30,6 +37,8 @@ from manager_suite import (
 from processes import Running
 from roslib.packages import find_node
 
+from dyknow.cli.main import main
+
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 
 
@@ -37,16 +46,18 @@ class Done:
     """A command that has ended."""
 
     def __init__(self, *words, stdin="", **environment):
-        done = subprocess.run(
-            [*DYKNOW, *words],
-            input=stdin,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            env={**os.environ, **environment},
+        out, err, given = (
+            io.StringIO(),
+            io.StringIO(),
+            io.TextIOWrapper(io.BytesIO(stdin.encode())),
         )
-        self.code, self.out, self.err = done.returncode, done.stdout, done.stderr
+        interrupt = signal.getsignal(signal.SIGINT)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), patch.dict(
+            os.environ, environment
+        ), patch("sys.stdin", given):
+            self.code = main(words)
+        signal.signal(signal.SIGINT, interrupt)
+        self.out, self.err = out.getvalue(), err.getvalue()
 
     @property
     def lines(self):
@@ -384,6 +395,21 @@ class CommandTest(unittest.TestCase):
         self.assertIn("warning: no transformation is labelled 'tagget'", done.err)
 
     # Conventions
+
+    def test_a_process_has_the_exit_code_and_the_output_of_its_command(self):
+        self.done("spawn", "relay", "r")
+        for words, code, out, err in (
+            (["list"], 0, "/r\n", ""),
+            (["info", "x"], 1, "", "dyknow: no nodelet named '/x' runs; see 'dyknow list'\n"),
+            (["list", "--manager-node", "n", "--timeout", "x"], 2, "", None),
+            (["list", "--manager-node", "n"], 3, "", None),
+        ):
+            done = subprocess.run(
+                [*DYKNOW, *words], capture_output=True, text=True, timeout=60, check=False
+            )
+            self.assertEqual((done.returncode, done.stdout), (code, out), done.stderr)
+            self.assertEqual(done.stderr, done.stderr if err is None else err)
+            self.assertEqual(done.stderr.count("\n"), int(code > 0), done.stderr)
 
     def test_no_node_is_started(self):
         self.done("spawn", "relay", "r")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import hertz, seconds, seconds_or_none
+from dyknow.cli.completion import SEVERAL, argument
 from dyknow.cli.output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
 
 def demand_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    completion.complete_with(
-        parser.add_argument(
-            "tag", metavar="TAG", help="the tag of the stream, such as 'FieldPosition(ball)'"
-        ),
+    argument(
+        parser,
+        "tag",
+        "TAG",
+        "the tag of the stream, such as 'FieldPosition(ball)'",
         completion.tags,
     )
     parser.add_argument(
@@ -39,16 +41,13 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--exclude",
-            metavar="LABEL",
-            nargs="+",
-            action="extend",
-            default=[],
-            help="transformations that must not be used",
-        ),
+    argument(
+        parser,
+        "--exclude",
+        "LABEL",
+        "transformations that must not be used",
         completion.labels,
+        **SEVERAL,
     )
 
     parser.add_argument(
@@ -70,16 +69,13 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         ("--prefer", "use these where there is a choice"),
         ("--avoid", "use these only where there is no choice"),
     ):
-        completion.complete_with(
-            parser.add_argument(
-                option,
-                metavar="NAME",
-                nargs="+",
-                action="extend",
-                default=[],
-                help=f"{what}: transformations by label, or concepts of their tags",
-            ),
+        argument(
+            parser,
+            option,
+            "NAME",
+            f"{what}: transformations by label, or concepts of their tags",
             completion.labels,
+            **SEVERAL,
         )
     parser.add_argument(
         "--budget",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import namespace
+from dyknow.cli.completion import argument
 from dyknow.cli.output import nodelet_json, state_of, write_file
 from dyknow.cli.shell import Command, Shell
 from dyknow.graphviz import CannotDraw, quote, render
@@ -34,21 +35,14 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--dot", action="store_true", help="print it in graphviz's DOT language")
     for kind in ("svg", "png"):
-        completion.complete_with(
-            form.add_argument(
-                f"--{kind}", metavar="FILE", default=None, help=f"draw it into a file ({kind})"
-            ),
-            completion.files,
-        )
-    completion.complete_with(
-        parser.add_argument(
-            "--namespace",
-            metavar="NS",
-            type=namespace,
-            default=None,
-            help="only nodelets of this namespace, with the topics that they are connected to",
-        ),
+        argument(form, f"--{kind}", "FILE", f"draw it into a file ({kind})", completion.files)
+    argument(
+        parser,
+        "--namespace",
+        "NS",
+        "only nodelets of this namespace, with the topics that they are connected to",
         completion.namespaces,
+        type=namespace,
     )
 
 

@@ -22,6 +22,7 @@ from typing import (
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, namespace, positive, seconds
+from dyknow.cli.completion import argument
 from dyknow.cli.output import (
     Screen,
     columns,
@@ -45,11 +46,14 @@ _Ends = Dict[str, List[Tuple[str, str, str]]]
 
 
 def _list_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "namespace", nargs="?", type=namespace, help="list only nodelets of this namespace"
-        ),
+    argument(
+        parser,
+        "namespace",
+        None,
+        "list only nodelets of this namespace",
         completion.namespaces,
+        nargs="?",
+        type=namespace,
     )
     parser.add_argument(
         "-l", "--long", action="store_true", help="show transformation, state, ports and manager"
@@ -89,10 +93,7 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
 
 
 def _info_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument("names", nargs="+", metavar="NAME", type=graph_name, help="a nodelet"),
-        completion.nodelets,
-    )
+    argument(parser, "names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
 
 
 def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
@@ -164,11 +165,14 @@ Answer = Union["NodeletStatistics", DyKnowError]
 
 
 def _stats_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "names", nargs="*", metavar="NAME", type=graph_name, help="nodelets (default: all)"
-        ),
+    argument(
+        parser,
+        "names",
+        "NAME",
+        "nodelets (default: all)",
         completion.nodelets,
+        nargs="*",
+        type=graph_name,
     )
     parser.add_argument(
         "-w",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import positive, seconds
+from dyknow.cli.completion import argument
 from dyknow.cli.output import columns, count
 from dyknow.cli.shell import Command, Shell
 from dyknow.errors import CannotLaunch
@@ -22,15 +23,14 @@ if TYPE_CHECKING:
 
 def _launch_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "dyknow launch [OPTION ...] [PKG] FILE ... [NAME:=VALUE ...]"
-    completion.complete_with(
-        parser.add_argument(
-            "words",
-            nargs="+",
-            metavar="FILE",
-            help="launch files, the first of PKG if that is given; - is standard input. "
-            "NAME:=VALUE are their arguments",
-        ),
+    argument(
+        parser,
+        "words",
+        "FILE",
+        "launch files, the first of PKG if that is given; - is standard input. "
+        "NAME:=VALUE are their arguments",
         completion.launch_words,
+        nargs="+",
     )
     parser.add_argument("--given", action="append", default=[], help=argparse.SUPPRESS)
     parser.add_argument(
@@ -63,10 +63,7 @@ def _roslaunch_arguments(group: Any) -> None:
     group.add_argument(
         "-p", "--port", metavar="PORT", type=positive, help="port of the master, if it starts one"
     )
-    completion.complete_with(
-        group.add_argument("--pid", metavar="FILE", default="", help="write its process id there"),
-        completion.files,
-    )
+    argument(group, "--pid", "FILE", "write its process id there", completion.files, default="")
     group.add_argument("--run_id", metavar="ID", help="id of the run")
     group.add_argument("-v", "--verbose", action="store_true", help="say what is read")
     group.add_argument("--no-summary", action="store_true", help="no summary of roslaunch's")

@@ -11,9 +11,10 @@ import sys
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.cli import completion
+from dyknow.cli.completion import argument
 from dyknow.cli.output import columns, count, transformation_json, write_file
 from dyknow.cli.shell import FAILED, Command, Shell
-from dyknow.errors import DyKnowError, ManagerUnreachable, Problem, Refused, UnknownTransformation
+from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.similar import did_you_mean
 
@@ -25,17 +26,17 @@ STDIN = "-"
 
 
 def _labels(parser: argparse.ArgumentParser, nargs: str, text: str) -> None:
-    completion.complete_with(
-        parser.add_argument("labels", nargs=nargs, metavar="LABEL", help=text), completion.labels
-    )
+    argument(parser, "labels", "LABEL", text, completion.labels, nargs=nargs)
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
-        ),
+    argument(
+        parser,
+        "files",
+        "FILE",
+        f"specifications; {STDIN} for standard input",
         completion.files,
+        nargs="+",
     )
 
 
@@ -125,12 +126,7 @@ def _named(file: str, words: str) -> str:
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
     _labels(parser, "*", "what to export (default: all)")
-    completion.complete_with(
-        parser.add_argument(
-            "-o", "--output", metavar="FILE", default=None, help="write here (default: print)"
-        ),
-        completion.files,
-    )
+    argument(parser, "-o --output", "FILE", "write here (default: print)", completion.files)
 
 
 def _export(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -158,51 +154,35 @@ def _remove_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    removed: List[str] = []
-    failed: List[Dict[str, Any]] = []
-    for label in arguments.labels:
-        try:
-            shell.client.remove_transformation(label)
-        except ManagerUnreachable:
-            raise
-        except DyKnowError as error:
-            shell.error(error)
-            failed.append({"label": label, "message": str(error)})
-        else:
-            removed.append(label)
-    shell.show({"removed": removed, "failed": failed}, [f"removed {label}" for label in removed])
-    return FAILED if failed else None
-
-
-STDIN = "-"
+    return shell.for_each("label", "removed", arguments.labels, shell.client.remove_transformation)
 
 
 def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
-        ),
+    argument(
+        parser,
+        "files",
+        "FILE",
+        f"specifications; {STDIN} for standard input",
         completion.files,
+        nargs="+",
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--ontology",
-            metavar="OWL",
-            action="append",
-            default=[],
-            help="file in which templates find the individuals of a concept; may be repeated",
-        ),
+    argument(
+        parser,
+        "--ontology",
+        "OWL",
+        "file in which templates find the individuals of a concept; may be repeated",
         completion.files,
+        action="append",
+        default=[],
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--catalogue",
-            metavar="XML",
-            action="append",
-            default=[],
-            help="XML catalogue of the ontologies that these import; may be repeated",
-        ),
+    argument(
+        parser,
+        "--catalogue",
+        "XML",
+        "XML catalogue of the ontologies that these import; may be repeated",
         completion.files,
+        action="append",
+        default=[],
     )
     parser.add_argument(
         "--language",

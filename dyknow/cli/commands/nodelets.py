@@ -6,62 +6,54 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, Optional
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import given_parameter, graph_name, port_topic
+from dyknow.cli.completion import SEVERAL, argument
 from dyknow.cli.output import nodelet_json, state_of
-from dyknow.cli.shell import FAILED, Command, Shell
-from dyknow.errors import DuplicatePort, DyKnowError, ManagerUnreachable
+from dyknow.cli.shell import Command, Shell
+from dyknow.errors import DuplicatePort
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
 
 
 def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument("label", metavar="LABEL", help="the transformation to make it from"),
-        completion.spawnable_labels,
+    argument(
+        parser, "label", "LABEL", "the transformation to make it from", completion.spawnable_labels
     )
     parser.add_argument("name", metavar="NAME", type=graph_name, help="its name")
     parser.add_argument(
         "--protected", action="store_true", help="refuse to destroy it before 'unprotect'"
     )
     parser.add_argument("--isolated", action="store_true", help="give it a process of its own")
-    completion.complete_with(
-        parser.add_argument(
-            "--manager",
-            metavar="M",
-            type=graph_name,
-            default=None,
-            help="the nodelet manager to load it into (default: the DyKnow manager's choice)",
-        ),
+    argument(
+        parser,
+        "--manager",
+        "M",
+        "the nodelet manager to load it into (default: the DyKnow manager's choice)",
         completion.nodelet_managers,
+        type=graph_name,
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--connect",
-            metavar="PORT:TOPIC",
-            type=port_topic,
-            nargs="+",
-            action="extend",
-            default=[],
-            help="connect its ports from the start; relative topics begin in its own namespace",
-        ),
+    argument(
+        parser,
+        "--connect",
+        "PORT:TOPIC",
+        "connect its ports from the start; relative topics begin in its own namespace",
         completion.ports_of_label,
+        type=port_topic,
+        **SEVERAL,
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--param",
-            metavar="NAME=VALUE",
-            type=given_parameter,
-            nargs="+",
-            action="extend",
-            default=[],
-            help="override parameters of the transformation; '?camera=cam1' says what ?camera "
-            "in its tags and parameters stands for; _NAME:=VALUE does the same",
-        ),
+    argument(
+        parser,
+        "--param",
+        "NAME=VALUE",
+        "override parameters of the transformation; '?camera=cam1' says what ?camera "
+        "in its tags and parameters stands for; _NAME:=VALUE does the same",
         completion.parameters_of_label,
+        type=given_parameter,
+        **SEVERAL,
     )
 
 
@@ -100,49 +92,21 @@ def _runs(model: Model, name: str) -> bool:
 
 
 def _names_argument(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument("names", nargs="+", metavar="NAME", type=graph_name, help="a nodelet"),
-        completion.nodelets,
-    )
+    argument(parser, "names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
 
 
 def _destroy(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    return _each(shell, arguments.names, shell.client.destroy, "destroyed")
+    names = map(shell.resolve, arguments.names)
+    return shell.for_each("nodelet", "destroyed", names, shell.client.destroy)
 
 
 def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    return _each(
-        shell, arguments.names, lambda name: shell.client.set_protection(name, True), "protected"
+    """Do what `protect` and `unprotect` are for."""
+    done, names = f"{arguments.command}ed", map(shell.resolve, arguments.names)
+    is_protected = arguments.command == "protect"
+    return shell.for_each(
+        "nodelet", done, names, lambda name: shell.client.set_protection(name, is_protected)
     )
-
-
-def _unprotect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    return _each(
-        shell,
-        arguments.names,
-        lambda name: shell.client.set_protection(name, False),
-        "unprotected",
-    )
-
-
-def _each(
-    shell: Shell, names: Sequence[str], act: Callable[[str], None], done: str
-) -> Optional[int]:
-    """Act on every nodelet, also after one was refused."""
-    acted: List[str] = []
-    failed: List[Dict[str, Any]] = []
-    for name in map(shell.resolve, names):
-        try:
-            act(name)
-        except ManagerUnreachable:
-            raise
-        except DyKnowError as error:
-            shell.error(error)
-            failed.append({"nodelet": name, "message": str(error)})
-        else:
-            acted.append(name)
-    shell.show({done: acted, "failed": failed}, [f"{done} {name}" for name in acted])
-    return FAILED if failed else None
 
 
 COMMANDS = (
@@ -182,6 +146,6 @@ COMMANDS = (
         "Let protected nodelets be destroyed again.",
         "dyknow unprotect camera",
         _names_argument,
-        _unprotect,
+        _protect,
     ),
 )

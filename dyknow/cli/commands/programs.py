@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import seconds
+from dyknow.cli.completion import argument
 from dyknow.cli.output import transformation_json
 from dyknow.cli.rewirable import become
 from dyknow.cli.shell import Command, Shell
@@ -33,9 +34,7 @@ if TYPE_CHECKING:
 
 def program_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare a program and its arguments, as for rosrun."""
-    completion.complete_with(
-        parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
-    )
+    argument(parser, "package", "PKG", "a package", completion.packages)
     parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
     parser.add_argument(
         "words",

@@ -10,6 +10,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
 
 from dyknow.cli import completion
+from dyknow.cli.completion import argument
 from dyknow.cli.output import count, write_file
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import Problem, SpecificationError
@@ -27,11 +28,8 @@ STDIO = "-"
 
 
 def _save_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "file", metavar="FILE", help=f"where to write it; {STDIO} for standard output"
-        ),
-        completion.files,
+    argument(
+        parser, "file", "FILE", f"where to write it; {STDIO} for standard output", completion.files
     )
 
 
@@ -61,11 +59,8 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _load_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "file", metavar="FILE", help=f"what 'save' wrote; {STDIO} for standard input"
-        ),
-        completion.files,
+    argument(
+        parser, "file", "FILE", f"what 'save' wrote; {STDIO} for standard input", completion.files
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="check, and show what would be changed"

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set
 
 from dyknow.cli import completion
 from dyknow.cli.commands.acquire import demand_arguments, request_of
+from dyknow.cli.completion import argument
 from dyknow.cli.output import columns, stream_json
-from dyknow.cli.shell import FAILED, Command, Shell
-from dyknow.errors import DyKnowError, ManagerUnreachable, Refused
+from dyknow.cli.shell import Command, Shell
+from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.transformation import OUT
@@ -221,39 +222,22 @@ def _stream_details(streams: Sequence[StreamStatus]) -> List[str]:
 
 
 def _claims_argument(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument("claims", nargs="+", metavar="ID", help="a claim; see 'streams'"),
-        completion.claims,
-    )
+    argument(parser, "claims", "ID", "a claim; see 'streams'", completion.claims, nargs="+")
 
 
 def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    released: List[str] = []
-    failed: List[Dict[str, str]] = []
     known = {each.claim_id for each in shell.client.list_streams()}
-    for claim in arguments.claims:
-        try:
-            if claim not in known:
-                raise DyKnowError(f"there is no claim '{claim}'; see 'dyknow streams'")
-            shell.client.release_stream(claim)
-        except ManagerUnreachable:
-            raise
-        except DyKnowError as error:
-            shell.error(error)
-            failed.append({"claim": claim, "message": str(error)})
-        else:
-            released.append(claim)
-    shell.show(
-        {"released": released, "failed": failed}, [f"released {claim}" for claim in released]
-    )
-    return FAILED if failed else None
+
+    def release(claim: str) -> None:
+        if claim not in known:
+            raise DyKnowError(f"there is no claim '{claim}'; see 'dyknow streams'")
+        shell.client.release_stream(claim)
+
+    return shell.for_each("claim", "released", arguments.claims, release)
 
 
 def _replan_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument("claim", metavar="ID", help="a claim; see 'streams'"),
-        completion.claims,
-    )
+    argument(parser, "claim", "ID", "a claim; see 'streams'", completion.claims)
     parser.add_argument(
         "-n", "--dry-run", action="store_true", help="show the plan, change nothing"
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
+from dyknow.cli.completion import argument
 from dyknow.cli.output import Json, state_of, unknown_nodelet
 from dyknow.cli.shell import Command, Shell
 from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
@@ -33,34 +34,29 @@ class PortMove:
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "source",
-            metavar="FROM",
-            type=port_or_topic,
-            help="where the stream comes from: an out-port, NODELET:PORT, or a topic",
-        ),
+    argument(
+        parser,
+        "source",
+        "FROM",
+        "where the stream comes from: an out-port, NODELET:PORT, or a topic",
         completion.stream_sources,
+        type=port_or_topic,
     )
-    completion.complete_with(
-        parser.add_argument(
-            "target",
-            metavar="TO",
-            type=port_or_topic,
-            help="where it goes to: an in-port, NODELET:PORT, or a topic",
-        ),
+    argument(
+        parser,
+        "target",
+        "TO",
+        "where it goes to: an in-port, NODELET:PORT, or a topic",
         completion.stream_targets,
+        type=port_or_topic,
     )
-    completion.complete_with(
-        parser.add_argument(
-            "--topic",
-            metavar="T",
-            type=graph_name,
-            default=None,
-            help="the topic between two ports (default: the out-port's, else the in-port's, else "
-            "/A/OUT)",
-        ),
+    argument(
+        parser,
+        "--topic",
+        "T",
+        "the topic between two ports (default: the out-port's, else the in-port's, else /A/OUT)",
         completion.topics,
+        type=graph_name,
     )
 
 
@@ -144,11 +140,14 @@ def _connect_to_topic(
 
 
 def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
-    completion.complete_with(
-        parser.add_argument(
-            "ports", nargs="+", metavar="A:PORT", type=port_reference, help="a port: NODELET:PORT"
-        ),
+    argument(
+        parser,
+        "ports",
+        "A:PORT",
+        "a port: NODELET:PORT",
         completion.ports,
+        nargs="+",
+        type=port_reference,
     )
 
 

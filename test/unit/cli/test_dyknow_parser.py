@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -183,3 +184,10 @@ def test_help_and_check_do_without_ros() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=True
     )
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_page_has_the_help_of_every_command() -> None:
+    page = (Path(__file__).parents[3] / "doc" / "command_line.rst").read_text()
+    assert sorted(re.findall(r"^\.\. command-help:: (\w+)$", page, re.MULTILINE)) == sorted(
+        all_commands()
+    )
