@@ -11,7 +11,8 @@ import shlex
 from dataclasses import dataclass
 from typing import Any, Callable, Sequence
 
-from unit.manager.world import World
+from unit.manager.hand_clock import HandClock
+from unit.manager.world import LIBRARY, World
 
 from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
@@ -48,7 +49,9 @@ class FakeClient(SimulatedManagerClient):
     namespace = "/"
 
     def __init__(self, world: World) -> None:
-        super().__init__(world.host, world.manager, clock=lambda: 0.0, now=lambda: 0.0)
+        super().__init__(world.host, HandClock(), now=lambda: 0.0)
+        world.manager = self.core
+        self.core.add_transformation(LIBRARY)
         self.world = world
         self.fail: Callable[[str, str], None] = lambda call, subject: None
         self.asked: Callable[[str], None] = lambda method: None
