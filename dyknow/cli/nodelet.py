@@ -1,39 +1,142 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`rosrun dyknow nodelet`: nodelet_core's command line.
+"""`rosrun dyknow nodelet`, argument by argument the command line of nodelet_core.
 
 A manager or standalone process of this command hosts nodelets in Python; as a client (`load`,
-`unload`) it serves managers in Python and in C++.
+`unload`) it serves managers in Python and in C++. Launch files written for `pkg="nodelet"
+type="nodelet"` work with another package name, so nothing is added between the stock arguments,
+and everything behind them goes to the nodelet as its `my_argv`.
 """
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
-from typing import Sequence
+from dataclasses import dataclass
+from typing import Dict, Sequence, Tuple
 
 from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
-from dyknow.cli.nodelet_arguments import (
-    USAGE,
-    Command,
-    Help,
-    LoadNodelet,
-    RunManager,
-    RunScript,
-    RunStandalone,
-    UsageError,
-    parse,
-)
 from dyknow.errors import CannotRun
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+
+#: The nodelet that runs scripts.
+SCRIPT_TYPE = "dyknow/Script"
+#: The words that each command demands.
+_WORDS: Dict[str, Tuple[str, ...]] = {
+    "manager": (),
+    "load": ("PKG/CLASS", "MANAGER"),
+    "load_script": ("PKG", "SCRIPT", "MANAGER"),
+    "standalone": ("PKG/CLASS",),
+    "standalone_script": ("PKG", "SCRIPT"),
+    "unload": ("NAME", "MANAGER"),
+}
+
+USAGE = """\
+usage: nodelet manager
+       nodelet load PKG/CLASS MANAGER [--no-bond] [ARGUMENT ...]
+       nodelet load_script PKG SCRIPT MANAGER [--no-bond] [ARGUMENT ...]
+       nodelet standalone PKG/CLASS [ARGUMENT ...]
+       nodelet standalone_script PKG SCRIPT [ARGUMENT ...]
+       nodelet unload NAME MANAGER
+
+  manager     run a nodelet manager, a process that hosts nodelets
+  load        load a nodelet into a running manager, wait for the manager if it
+              is not up yet, and unload the nodelet when this command is stopped
+  load_script load an unchanged script of rospy as a nodelet
+  standalone  run one nodelet in a process of its own
+  standalone_script
+              run an unchanged script of rospy in a process of its own, with
+              ports that can be connected elsewhere while it runs
+  unload      unload the nodelet NAME (/front/camera) from a manager
+
+  PKG/CLASS   the nodelet's class as its package declares it, for instance
+              dyknow/Relay
+  SCRIPT      a script in Python, as for rosrun
+  MANAGER     the manager's node name
+  ARGUMENT    handed to the nodelet (my_argv), or to the script
+  --no-bond   do not watch each other: otherwise the nodelet is unloaded when
+              this command dies, and this command ends when the manager does
+
+As everywhere in ROS, __name:=NAME names the manager or nodelet, __ns:=NS puts it
+into a namespace, FROM:=TO remaps a name, and _PARAMETER:=VALUE sets a private
+parameter. For example:
+
+  rosrun dyknow nodelet manager __name:=cameras
+  rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
+  rosrun dyknow nodelet load_script topic_tools transform cameras /a /b std_msgs/Float64 2*m.data
+"""
+
+
+class UsageError(Exception):
+    """The command line is wrong; the text says how."""
+
+
+@dataclass(frozen=True)
+class NodeletCommand:
+    """A command line that was read.
+
+    Attributes:
+        action: a command; `load` for `load_script`, too; `help`.
+        type: the nodelet's class or, for `standalone_script`, the script, `PKG/SCRIPT`.
+        name: the nodelet to unload, or the name of one that was given none.
+        manager: the nodelet manager to ask.
+        bond: whether the nodelet and this command watch each other.
+        my_argv: the words that the nodelet or script gets.
+    """
+
+    action: str
+    type: str = ""
+    name: str = ""
+    manager: str = ""
+    bond: bool = True
+    my_argv: Tuple[str, ...] = ()
+
+
+def parse(arguments: Sequence[str]) -> NodeletCommand:
+    """Parse a command line.
+
+    Args:
+        arguments: all but the program's name. ROS's own (`a:=b`) may stand anywhere and are left
+            out.
+
+    Raises:
+        UsageError: the command is unknown, or something is missing.
+    """
+    words = tuple(word for word in arguments if ":=" not in word)
+    if any(word in ("-h", "--help") for word in words[:2]):
+        return NodeletCommand("help")
+    if not words:
+        raise UsageError("a command is missing")
+    action, words = words[0], words[1:]
+    if action not in _WORDS:
+        raise UsageError(f"there is no command '{action}'")
+    demanded = _WORDS[action]
+    missing = demanded[len(words) :]
+    if missing:
+        raise UsageError(f"{action}: {' and '.join(missing)} missing")
+    given, rest = dict(zip(demanded, words)), words[len(demanded) :]
+    manager, script = given.get("MANAGER", ""), f"{given.get('PKG')}/{given.get('SCRIPT')}"
+    if action == "unload":
+        return NodeletCommand(action, name=given["NAME"], manager=manager)
+    if action in ("manager", "standalone", "standalone_script"):
+        kind = script if "SCRIPT" in given else given.get("PKG/CLASS", "")
+        return NodeletCommand(action, kind, my_argv=rest)
+    bond = rest[:1] != ("--no-bond",)
+    rest = rest if bond else rest[1:]
+    if action == "load":
+        kind = given["PKG/CLASS"]
+        return NodeletCommand(action, kind, kind.replace("/", "_"), manager, bond, rest)
+    name = re.sub(r"\W", "_", script.rpartition("/")[2].partition(".")[0])
+    return NodeletCommand("load", SCRIPT_TYPE, name, manager, bond, (script, *rest))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `nodelet` and return its exit code.
 
     Args:
-        argv: The command line, program name first; by default the process's.
+        argv: the command line, program name first; by default the process's.
     """
     argv = list(sys.argv if argv is None else argv)
     try:
@@ -58,62 +161,43 @@ def manager_main(argv: Sequence[str] | None = None) -> int:
     return main([argv[0], "manager", *argv[1:]])
 
 
-def _run(command: Command, argv: Sequence[str]) -> int:
-    # Each command imports what it needs: --help and a wrong usage answer without waiting for
-    # rospy.
-    if isinstance(command, Help):
+def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
+    # Each command imports what it needs: --help and a wrong usage do not wait for rospy.
+    if command.action == "help":
         print(USAGE, end="")
         return DONE
-    if isinstance(command, RunManager):
-        _end_at_once_when_interrupted()
-        from dyknow.ros.nodelets.nodelet_manager import run_manager
+    if command.action == "standalone_script":
+        return _become_script(command, argv)
+    if command.action in ("load", "unload"):
+        from dyknow.ros.nodelets import nodelet_client
 
-        return run_manager(argv)
-    if isinstance(command, RunStandalone):
-        _end_at_once_when_interrupted()
-        from dyknow.ros.nodelets.nodelet_manager import run_standalone
-
-        print(f"type is {command.type}", flush=True)
-        return run_standalone(command.type, command.my_argv, argv)
-    if isinstance(command, RunScript):
-        return run_script(command, argv)
-    if isinstance(command, LoadNodelet):
-        from dyknow.ros.nodelets.nodelet_client import run_load
-
-        return run_load(
-            command.default_name,
-            command.type,
-            command.manager,
-            command.my_argv,
-            command.bond,
-            argv,
+        if command.action == "unload":
+            return nodelet_client.run_unload(command.name, command.manager, argv)
+        return nodelet_client.run_load(
+            command.name, command.type, command.manager, command.my_argv, command.bond, argv
         )
-    from dyknow.ros.nodelets.nodelet_client import run_unload
+    # SIGINT ends the process until the node handles it: a KeyboardInterrupt may get lost in an
+    # import.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from dyknow.ros.nodelets import nodelet_manager
 
-    return run_unload(command.name, command.manager, argv)
+    if command.action == "manager":
+        return nodelet_manager.run_manager(argv)
+    print(f"type is {command.type}", flush=True)
+    return nodelet_manager.run_standalone(command.type, command.my_argv, argv)
 
 
-def run_script(command: RunScript, argv: Sequence[str]) -> int:
-    """Become a script; returns the exit code only if that fails."""
+def _become_script(command: NodeletCommand, argv: Sequence[str]) -> int:
+    """Become a script; return the exit code only if that fails."""
     from dyknow.cli.rewirable import become_script
     from dyknow.ros.programs import find_script
 
-    names = [word for word in argv if ":=" in word]
+    remappings = [word for word in argv if ":=" in word]
     try:
-        become_script(
-            [find_script(f"{command.package}/{command.script}"), *command.my_argv, *names]
-        )
+        become_script([find_script(command.type), *command.my_argv, *remappings])
     except CannotRun as error:
         print(f"nodelet: {error}", file=sys.stderr)
         return FAILED
-
-
-def _end_at_once_when_interrupted() -> None:
-    """Let SIGINT end the process until the node handles it.
-
-    A KeyboardInterrupt that is raised during an import may be lost.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -10,48 +10,50 @@ import sys
 
 import pytest
 
-from dyknow.cli.nodelet import main
-from dyknow.cli.nodelet_arguments import (
-    Help,
-    LoadNodelet,
-    RunManager,
-    RunScript,
-    RunStandalone,
-    UnloadNodelet,
-    UsageError,
-    default_node_name,
-    parse,
-)
+from dyknow.cli.nodelet import NodeletCommand, UsageError, main, parse
 
 
 @pytest.mark.parametrize(
     ("line", "command"),
     [
-        ("manager", RunManager(())),
-        ("manager __name:=m _num_worker_threads:=4", RunManager(())),
-        ("load p/C m", LoadNodelet("p/C", "m", True, (), "p_C")),
-        ("load p/C m --no-bond", LoadNodelet("p/C", "m", False, (), "p_C")),
-        ("load p/C m --no-bond a b", LoadNodelet("p/C", "m", False, ("a", "b"), "p_C")),
-        ("load p/C m a --no-bond", LoadNodelet("p/C", "m", True, ("a", "--no-bond"), "p_C")),
-        ("load p/C m --help", LoadNodelet("p/C", "m", True, ("--help",), "p_C")),
+        ("manager", NodeletCommand("manager")),
+        ("manager __name:=m _num_worker_threads:=4", NodeletCommand("manager")),
+        ("load p/C m", NodeletCommand("load", "p/C", "p_C", "m", True, ())),
+        ("load p/C m --no-bond", NodeletCommand("load", "p/C", "p_C", "m", False, ())),
+        ("load p/C m --no-bond a b", NodeletCommand("load", "p/C", "p_C", "m", False, ("a", "b"))),
+        (
+            "load p/C m a --no-bond",
+            NodeletCommand("load", "p/C", "p_C", "m", True, ("a", "--no-bond")),
+        ),
+        ("load p/C m --help", NodeletCommand("load", "p/C", "p_C", "m", True, ("--help",))),
         (
             "load p/C m in:=/image a _rate:=5 __log:=x.log",
-            LoadNodelet("p/C", "m", True, ("a",), "p_C"),
+            NodeletCommand("load", "p/C", "p_C", "m", True, ("a",)),
         ),
-        ("__name:=n load p/C m", LoadNodelet("p/C", "m", True, (), "p_C")),
-        ("load_script p s.py m", LoadNodelet("dyknow/Script", "m", True, ("p/s.py",), "s")),
+        ("__name:=n load p/C m", NodeletCommand("load", "p/C", "p_C", "m", True, ())),
+        (
+            "load image_proc/resize m",
+            NodeletCommand("load", "image_proc/resize", "image_proc_resize", "m", True, ()),
+        ),
+        (
+            "load_script p s.py m",
+            NodeletCommand("load", "dyknow/Script", "s", "m", True, ("p/s.py",)),
+        ),
         (
             "load_script p scripts/a-b.py m --no-bond x",
-            LoadNodelet("dyknow/Script", "m", False, ("p/scripts/a-b.py", "x"), "a_b"),
+            NodeletCommand("load", "dyknow/Script", "a_b", "m", False, ("p/scripts/a-b.py", "x")),
         ),
-        ("standalone_script p s.py a _rate:=5", RunScript("p", "s.py", ("a",))),
-        ("standalone p/C", RunStandalone("p/C", ())),
-        ("standalone p/C a b", RunStandalone("p/C", ("a", "b"))),
-        ("unload /n m", UnloadNodelet("/n", "m")),
-        ("unload /n m ignored", UnloadNodelet("/n", "m")),
-        ("--help", Help()),
-        ("-h", Help()),
-        ("load --help", Help()),
+        (
+            "standalone_script p s.py a _rate:=5",
+            NodeletCommand("standalone_script", "p/s.py", my_argv=("a",)),
+        ),
+        ("standalone p/C", NodeletCommand("standalone", "p/C", my_argv=())),
+        ("standalone p/C a b", NodeletCommand("standalone", "p/C", my_argv=("a", "b"))),
+        ("unload /n m", NodeletCommand("unload", name="/n", manager="m")),
+        ("unload /n m ignored", NodeletCommand("unload", name="/n", manager="m")),
+        ("--help", NodeletCommand("help")),
+        ("-h", NodeletCommand("help")),
+        ("load --help", NodeletCommand("help")),
     ],
 )
 def test_command_lines(line, command):
@@ -77,10 +79,6 @@ def test_what_is_missing_is_said(line, missing):
     with pytest.raises(UsageError) as raised:
         parse(line.split())
     assert str(raised.value) == missing
-
-
-def test_default_node_name():
-    assert default_node_name("image_proc/resize") == "image_proc_resize"
 
 
 def test_wrong_usage_shows_the_line_and_the_usage(capsys):
