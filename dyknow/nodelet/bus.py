@@ -63,8 +63,8 @@ class _Part:
     """One endpoint's part in a switch, filled in as the steps are taken.
 
     Attributes:
-        endpoint: what moves.
-        topic: where to; empty for nowhere.
+        endpoint: which moves.
+        topic: its new topic; empty for none.
         link: the new connection of a subscription.
         registration: on the new topic.
         is_late: whether that is made after the switch.
@@ -92,7 +92,7 @@ class Bus:
         transport: the outside.
         clock: steady time.
         check_topic: raises Denied if nothing must be connected to a topic. It is called for
-            every endpoint of the process, whatever connects it.
+            every endpoint of the process.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Bus:
     def release(self, endpoints: Sequence[Endpoint]) -> None:
         """Take endpoints off the bus for good: messages that wait for them are dropped.
 
-        What they have published is sent first, as far as the network takes it soon.
+        Messages that they have published are sent first, as far as the network takes them soon.
         """
         made: List[Optional[Registration]] = []
         with self._lock:
@@ -274,7 +274,7 @@ class Bus:
             try:
                 if part.is_late:
                     self._register(part)
-            except BaseException as error:  # the others are switched too and need theirs
+            except BaseException as error:  # further parts are switched too and need theirs
                 failures.append(error)
             registration, endpoint, owed = part.registration, part.endpoint, NOTHING
             with self._lock:
@@ -291,7 +291,7 @@ class Bus:
             elif isinstance(endpoint, Publication) and isinstance(registration, OutsidePublisher):
                 while owed is not NOTHING:
                     registration.latch(owed)
-                    # What was published meanwhile may have overtaken it: the last is to stay.
+                    # A message published meanwhile may have overtaken it: the last is to stay.
                     owed = NOTHING if endpoint.latched is owed else endpoint.latched
         if failures:
             raise failures[0]

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What one nodelet owns in the runtime, and returns when it is unloaded.
+"""The possessions of one nodelet in the runtime, which its unload returns.
 
-Who owns what: there is one ``Runtime`` for the process; a ``Context`` is one for a nodelet and
+Ownership: there is one ``Runtime`` for the process; a ``Context`` is one for a nodelet and
 owns its strands, endpoints, services and timers. Handles only refer to it.
 """
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import threading
 import traceback
-from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 from dyknow import names
@@ -21,13 +20,13 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
-from dyknow.nodelet.middleware import Closable, Middleware, Node, Services, Transport
-from dyknow.nodelet.scheduler import Clock, Executor, Strand
+from dyknow.nodelet.middleware import Closable, Middleware
+from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
 
 #: Seconds between two log entries of the same error at the same place.
 _LOG_PAUSE = 1.0
-#: Errors that are told apart; with one more the counts start again.
+#: Errors that are counted apart; with one more the counts start again.
 _LOG_PLACES = 100
 
 Part = TypeVar("Part", bound=Closable)
@@ -41,32 +40,17 @@ def check_message_class(what: str, datatype: Any) -> None:
         raise NoMessageClass(what, datatype)
 
 
-@dataclass(frozen=True)
 class Runtime:
     """The parts of the process that all nodelets share."""
 
-    node: Node
-    services: Services
-    transport: Transport
-    bus: Bus
-    executor: Executor
-    timers: TimerQueue
-    #: Runs callbacks that may block for long.
-    blocking: Executor
-    #: Steady time.
-    clock: Clock
-    #: Returns the guards currently in force.
-    guards: Callable[[], Guards]
-
-    @classmethod
-    def make(
-        cls,
+    def __init__(
+        self,
         middleware: Middleware,
         executor: Executor,
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
         blocking: Optional[Executor] = None,
         bound: bool = True,
-    ) -> Runtime:
+    ) -> None:
         """Put a runtime together.
 
         Args:
@@ -74,20 +58,18 @@ class Runtime:
             executor: runs callbacks, and has the clock.
             guards: returns the guards currently in force.
             blocking: runs callbacks that may block for long; by default the ``executor`` does.
-            bound: whether the guards bind every endpoint, not only what ``set_config`` connects.
+            bound: whether the guards bind every endpoint, not only ``set_config``.
         """
+        self.node = middleware.node
+        self.services = middleware.services
+        self.transport = middleware.transport
+        self.executor = executor
+        self.blocking = blocking or executor
+        self.guards = guards
+        self.clock = executor.clock
         check = (lambda topic: guards().check_topic(topic)) if bound else None
-        return cls(
-            middleware.node,
-            middleware.services,
-            middleware.transport,
-            Bus(middleware.transport, executor.clock, check),
-            executor,
-            TimerQueue(middleware.ticker),
-            blocking or executor,
-            executor.clock,
-            guards,
-        )
+        self.bus = Bus(self.transport, self.clock, check)
+        self.timers = TimerQueue(middleware.ticker)
 
     def close(self) -> None:
         """End the threads."""
@@ -123,7 +105,7 @@ class Context:
         self.started_at = runtime.clock()
         #: Set by the host: unloads this nodelet.
         self.unload: Callable[[], None] = self.close
-        #: Set by the host: called with what is attached, returns what it opened for it.
+        #: Set by the host: opens services for the attachment.
         self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
         self.attached: Any = None
         self.shutdown_hooks: List[Callable[[], None]] = []
@@ -147,7 +129,7 @@ class Context:
             strand.resume()
 
     def new_strand(self, what: str, at_once: bool = False) -> Strand:
-        """Make a further strand, for what may overlap with the nodelet's other callbacks.
+        """Make a further strand, for callbacks that may overlap with the nodelet's other ones.
 
         Args:
             what: names it in the log.
@@ -277,7 +259,7 @@ class Context:
     def attachment(self, kind: Callable[[Context], Part]) -> Part:
         """Return the part of the nodelet that lies above this layer, its proxy.
 
-        The first call makes it from the context, and lets the host open what belongs to it.
+        The first call makes it from the context, and lets the host open its services.
         """
         with self._lock:
             part: Optional[Part] = self.attached

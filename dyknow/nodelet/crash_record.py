@@ -5,11 +5,11 @@
 
 A process that ended by a native crash can no longer say which nodelet was at work. So each thread
 that runs code of nodelets notes whose it is, in a word of its own of a small mapped file. The
-kernel keeps the file, whatever ends the process.
+kernel keeps the file after any end of the process.
 
 The file is an array of 64-bit words. The first is the id of the process, 0 once that has ended in
-order; the others belong to threads and hold the mark of a nodelet (``names.mark``), or 0. A mark
-is even: during an unload that was asked for, its last bit is set.
+order; further ones belong to threads and hold the mark of a nodelet (``names.mark``), or 0. A mark
+is even: during a requested unload, its last bit is set.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import FrozenSet, Iterator, List
 
 from dyknow.locks import state_lock
 
-#: Threads that can be told apart; further ones share the last word.
+#: Threads with a word of their own; further ones share the last word.
 _THREADS = 511
 _WORD = struct.Struct("=Q")
 _SIZE = (1 + _THREADS) * _WORD.size
@@ -72,7 +72,7 @@ class CrashRecord:
 
         Args:
             mark: of the nodelet.
-            unloading: whether it runs because its unload was asked for.
+            unloading: whether it runs because its unload was requested.
         """
         index = self.take()
         self.words[index] = as_word(mark | _UNLOADING if unloading else mark)
@@ -92,7 +92,7 @@ class AtWork:
 
     Attributes:
         running: whose code ran.
-        unloading: those of them whose unload was asked for.
+        unloading: those of them whose unload was requested.
     """
 
     running: FrozenSet[int] = frozenset()

@@ -6,10 +6,10 @@
 A ``Publication`` hands each message, by reference, to the ``Connection`` of every subscription
 of its topic. A connection is one subscription's link to one topic and has a queue of the messages
 that it has yet to deliver. When a subscription moves to another topic it gets a new connection:
-the old one takes no more but still delivers what it holds, and all of that stands in the nodelet's
+the old one takes no more but still delivers its queue, and all of that stands in the nodelet's
 strand before anything of the new one.
 
-Who owns what: the bus makes and links these objects; ports and handles hold them.
+Ownership: the bus makes and links these objects; ports and handles hold them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Traffic:
         longest: seconds that the longest of them took.
     """
 
-    __slots__ = ("_before", "_begin", "_clock", "_last", "busy", "dropped", "longest", "messages")
+    __slots__ = tuple("_before _begin _clock _last busy dropped longest messages".split())
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -103,16 +103,7 @@ class Connection:
     It is itself the task that delivers its oldest message: nothing else is touched on the way.
     """
 
-    __slots__ = (
-        "_arrived",
-        "_limit",
-        "_queue",
-        "_state",
-        "_strand",
-        "_subscription",
-        "outside",
-        "topic",
-    )
+    __slots__ = tuple("_arrived _limit _queue _state _strand _subscription outside topic".split())
 
     def __init__(self, subscription: Subscription, topic: str) -> None:
         self.topic = topic
@@ -181,7 +172,7 @@ class Connection:
         return self._arrived.wait(seconds)
 
     def open(self) -> None:
-        """Deliver what was held, and everything from now on."""
+        """Deliver the held messages, and all further ones."""
         with message_lock:
             if self._state is _HELD:
                 self._state = _OPEN
@@ -199,18 +190,9 @@ class Connection:
 class Subscription:
     """A callback with a queue on a strand, connected to one topic or to none."""
 
-    __slots__ = (
-        "callbacks",
-        "closed",
-        "connection",
-        "datatype",
-        "failed",
-        "options",
-        "owner",
-        "queue_size",
-        "receive",
-        "strand",
-        "traffic",
+    __slots__ = tuple(
+        """callbacks closed connection datatype failed options owner queue_size receive strand
+        traffic""".split()
     )
 
     def __init__(
@@ -228,7 +210,7 @@ class Subscription:
             datatype: message class.
             queue_size: messages that wait at most; None or 0 for no bound, as in rospy.
             strand: runs the callbacks.
-            failed: called with what a callback raises.
+            failed: called with an error of a callback.
             options: further arguments for the registration outside.
             owner: name of the nodelet.
         """
@@ -279,32 +261,15 @@ class Subscription:
 
 
 class Publication:
-    """What a nodelet publishes through: connected to one topic or to none.
+    """The sending end of a nodelet, connected to one topic or to none.
 
     ``publish`` looks at the route once, so a message goes wholly where the publication was
     connected at that moment.
     """
 
-    __slots__ = (
-        "_age",
-        "_age_of",
-        "_build",
-        "_fence",
-        "_is_age_wanted",
-        "_is_plain",
-        "_outside",
-        "_route",
-        "_watchers",
-        "closed",
-        "datatype",
-        "latch",
-        "latched",
-        "options",
-        "owner",
-        "queue_size",
-        "refusal",
-        "topic",
-        "traffic",
+    __slots__ = tuple(
+        """_age _age_of _build _fence _is_age_wanted _is_plain _outside _route _watchers closed
+        datatype latch latched options owner queue_size refusal topic traffic""".split()
     )
 
     def __init__(
@@ -454,7 +419,7 @@ class Publication:
         self._changed()
 
     def let_go(self) -> None:
-        """Drop what is kept for subscribers, after the release."""
+        """Drop the latched message and the watchers, after the release."""
         self.latched, self._watchers = NOTHING, ()
 
     @property
@@ -479,7 +444,7 @@ class Publication:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """End the calls that ``watch`` asked for."""
+        """End the calls that ``watch`` requested."""
         with message_lock:
             self._watchers = tuple(each for each in self._watchers if each != changed)
 
@@ -490,7 +455,7 @@ class Publication:
     # Under the lock:
 
     def _admit(self, message: Any) -> bool:
-        """Note what is kept of a message; returns whether it may be sent."""
+        """Latch a message, sample its age; returns whether it may be sent."""
         if self.closed:
             raise self.refusal()
         if self._route is None or (self._fence is not None and not self._fence(self.owner)):
@@ -534,7 +499,7 @@ def _ignore(message: Any) -> None:
 
 
 def _hand_over(outside: OutsidePublisher, send: Callable[..., None], *what: Any) -> None:
-    """Send outside what was counted as in flight under the lock."""
+    """Send a message outside that was counted as in flight under the lock."""
     try:
         send(*what)
     finally:

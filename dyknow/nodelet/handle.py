@@ -227,7 +227,7 @@ def _given(**options: Any) -> Any:
 
 
 class Inbox(Closable):
-    """One message, handed from a callback to a thread that waits for it."""
+    """Hands one message from a callback to a thread that waits for it."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -256,9 +256,6 @@ class Inbox(Closable):
         return entry[0]
 
 
-_Reply = Tuple[Any, Optional[BaseException]]
-
-
 class Service(Closable):
     """An offered service; use it as a ``rospy.Service``.
 
@@ -280,7 +277,7 @@ class Service(Closable):
             context: the nodelet that answers.
             resolved_name: global name.
             service_class: class with the request and response types.
-            handler: makes the response of a request, with rospy's rules for what it returns.
+            handler: makes the response of a request, with rospy's rules for its result.
             concurrent: whether calls may overlap with each other and with other callbacks.
             options: further arguments for ``rospy.Service``.
         """
@@ -289,7 +286,7 @@ class Service(Closable):
         self.handler = handler
         self._context = context
         self._concurrent = concurrent
-        self._waiting: Set[queue.SimpleQueue[Optional[_Reply]]] = set()
+        self._waiting: Set[Inbox] = set()
         self._offered = context.runtime.services.offer(
             resolved_name, service_class, self._call, options
         )
@@ -304,34 +301,29 @@ class Service(Closable):
         """Withdraw the service, as part of the unload."""
         self._offered.close()
         self.handler = _withdrawn  # the handler refers to the nodelet, and that to the service
-        for reply in list(self._waiting):
-            reply.put(None)
+        for inbox in list(self._waiting):
+            inbox.close()
 
     def _call(self, request: Any) -> Any:
         context = self._context
-        reply: queue.SimpleQueue[Optional[_Reply]] = queue.SimpleQueue()
-        self._waiting.add(reply)
+        inbox = Inbox(context)
+        self._waiting.add(inbox)
         strand = context.new_strand(self.resolved_name) if self._concurrent else context.strand
         try:
-            strand.post(lambda: reply.put(self._answer(request)))
-            outcome = None if context.closed else reply.get()
+            strand.post(lambda: inbox.put(self._answer(request)))
+            response, error = inbox.get(f"service '{self.resolved_name}'", None)
         finally:
-            self._waiting.discard(reply)
+            self._waiting.discard(inbox)
             if self._concurrent:
                 context.drop_strand(strand)
-        if outcome is None:
-            raise context.runtime.node.interrupted(
-                f"service '{self.resolved_name}': nodelet {context.name} was unloaded"
-            )
-        response, error = outcome
         try:
             if error is not None:
                 raise error
             return response
         finally:
-            del error, outcome  # its traceback refers to this frame
+            del error  # its traceback refers to this frame
 
-    def _answer(self, request: Any) -> _Reply:
+    def _answer(self, request: Any) -> Tuple[Any, Optional[BaseException]]:
         try:
             return self.handler(request), None
         except Exception as error:  # the boundary: raised again where the caller waits
@@ -349,7 +341,7 @@ def _withdrawn(request: Any) -> Any:
 class Nodelet:
     """Derive from this, set things up in ``on_init`` and return; callbacks do the rest.
 
-    ``on_init`` runs once, before any callback; what it raises makes the load fail and is the
+    ``on_init`` runs once, before any callback; its exception makes the load fail and is the
     answer to the request. ``on_shutdown`` runs once at the unload, which waits for it at most 1 s.
     """
 
@@ -360,7 +352,7 @@ class Nodelet:
         raise NotImplementedError(f"{type(self).__name__} does not define on_init()")
 
     def on_shutdown(self) -> None:
-        """Put away what is not made through a handle; publishing still works here."""
+        """Release resources that no handle made; publishing still works here."""
 
     def bind(self, context: Context) -> None:
         """Give the nodelet its place; the loader calls this before ``on_init``."""

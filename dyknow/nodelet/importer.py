@@ -6,7 +6,7 @@
 Code that is executed with ``__builtins__`` of its own imports by the ``__import__`` in there.
 Functions keep the globals that they were defined in, so every thread that runs such code finds
 the same modules. An ``Importer`` is that ``__import__``: it executes copies of some modules, puts
-*views* in place of others (rospy as one nodelet is to see it), and leaves the rest to Python.
+*views* in place of some (rospy as one nodelet is to see it), and leaves the rest to Python.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ Fence = Callable[[str], bool]
 
 
 class Sight(enum.Enum):
-    """What a look at a manager's host shows."""
+    """The result of a look at a manager's host."""
 
     AT_WORK = enum.auto()
     NOT_AT_WORK = enum.auto()
@@ -103,7 +103,7 @@ class Leases:
         """Take a renewal, and return the time of our clock.
 
         Args:
-            manager: who grants the lease.
+            manager: the node that grants the lease.
             uri: address of its node.
             confirmed: the result of an earlier call; 0 if none has been answered yet.
             duration: seconds from then until the lease runs out.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What remains of nodelets after their unload, and callbacks that do not return.
+"""The remains of nodelets after their unload, and callbacks that do not return.
 
 An unload waits for no callback, so code of a nodelet may run on after it. And a nodelet may be
 part of a reference cycle. As long as either is so, the nodelet is kept in a list here, without

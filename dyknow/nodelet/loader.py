@@ -3,7 +3,7 @@
 
 """Loads nodelets into this process and unloads them.
 
-Who owns what: the loader owns a table of names; an entry owns one nodelet and its context. A name
+Ownership: the loader owns a table of names; an entry owns one nodelet and its context. A name
 is taken from the first moment of its load to the last of its unload. No lock is held while code
 of a nodelet runs, so a slow ``on_init`` blocks neither ``list`` nor other loads.
 """
@@ -80,7 +80,7 @@ class _Run(Closable):
             self.error = error.with_traceback(trace.tb_next if trace is not None else None)
             del trace
         finally:
-            del call  # first: whoever sees the end finds no reference to the nodelet here
+            del call  # first: after the end, no reference to the nodelet is left here
             self._is_running = False
             self._over.set()
 
@@ -114,9 +114,9 @@ class Loader:
         """Make an empty loader.
 
         Args:
-            runtime: what the nodelets share.
+            runtime: shared by the nodelets.
             find_class: imports the class of a declared type, for a nodelet.
-            on_attach: opens what belongs to a nodelet's proxy.
+            on_attach: opens the services of a nodelet's proxy.
             on_unloaded: called with the name after a running nodelet was unloaded.
         """
         self.runtime = runtime

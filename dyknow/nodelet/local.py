@@ -42,7 +42,7 @@ class ManualTicker(Ticker):
     """Time that stands still until ``advance``.
 
     The thread of the timers waits here. ``next_due`` returns only once that thread has fired
-    what is due and waits again, so a test never races with it.
+    the due timers and waits again, so a test never races with it.
     """
 
     def __init__(self) -> None:

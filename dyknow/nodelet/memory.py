@@ -20,7 +20,7 @@ from typing import Any, Dict, List, Optional, Set, Tuple, Type
 _M_ARENA_MAX = -8
 #: Objects that are examined to free one; with more it is left to Python.
 _MOST = 20_000
-#: Types that are not looked into: they refer to what the whole process shares, or to running code.
+#: Types that are not looked into: they refer to shared objects, or to running code.
 _OPAQUE: Tuple[Type[Any], ...] = (
     type,
     types.ModuleType,
@@ -35,8 +35,8 @@ _OPAQUE: Tuple[Type[Any], ...] = (
 def use_one_heap() -> None:
     """Have all threads share one heap of the C library; call it before threads start.
 
-    By default each thread may get a heap of its own, up to eight for each core. What is free at
-    its end stays with the process, some 40 MB once a block of 20 MB was freed, and nothing but the
+    By default each thread may get a heap of its own, up to eight for each core. Its free memory
+    stays with the process, some 40 MB once a block of 20 MB was freed, and nothing but the
     next free in the same heap returns it. With one heap all of it can be returned at any time.
     Threads hardly contend for it, since most of them wait for the interpreter's lock anyway.
     """
@@ -92,7 +92,7 @@ def clear_frames(error: BaseException) -> None:
 
 
 def _is_garbage(found: List[Any], opaque: Tuple[Type[Any], ...]) -> bool:
-    """Whether nothing holds the one object in ``found`` but what it refers to, which is added."""
+    """Whether only its own referents, which are added, hold the one object in ``found``."""
     places = {id(found[0]): 0}
     edges: List[List[int]] = []
     held: Dict[int, int] = {}

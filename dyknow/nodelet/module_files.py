@@ -94,7 +94,7 @@ def _without_relay(spec: ModuleSpec) -> ModuleSpec:
 
 
 def _completes(spec: ModuleSpec, home: str) -> bool:
-    """Whether a package holds only what was generated for the one in a source folder."""
+    """Whether a package holds only the generated modules of the one in a source folder."""
     if any(os.path.realpath(source) == os.path.realpath(home) for source in _sources(spec)):
         return True
     try:
@@ -213,7 +213,7 @@ def stamps(files: Collection[str]) -> Dict[str, Stamp]:
 
 
 class Dependents:
-    """Which top-level modules import a library, directly or through others.
+    """Which top-level modules import a library, directly or not.
 
     Args:
         library: top-level name of the library.

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``Publisher`` and ``Subscriber``: what a nodelet holds of its streams.
+"""``Publisher`` and ``Subscriber``: a nodelet's handles on its streams.
 
-They are handles: what a switch changes, the topic and the registrations, belongs to the
-publication or subscription behind them. The same classes serve topics here and, derived, ports
+The state that a switch changes, the topic and the registrations, belongs to the publication or
+subscription behind them. The same classes serve topics here and, derived, ports
 in ``dyknow.proxy``.
 """
 
@@ -22,7 +22,7 @@ Callback = Callable[..., Any]
 
 
 class Publisher:
-    """What a nodelet publishes through; use it as a ``rospy.Publisher``."""
+    """Publishes messages; use it as a ``rospy.Publisher``."""
 
     def __init__(
         self, context: Context, name: str, publication: Publication, listener: Any = None
@@ -31,8 +31,8 @@ class Publisher:
 
         Args:
             context: the owner.
-            name: what it is called in errors and logs.
-            publication: what the handle publishes through.
+            name: for errors and logs.
+            publication: the state behind the handle.
             listener: is notified of subscribers, as rospy's ``subscriber_listener``; may be None.
         """
         #: Publish a message or its fields. It is the publication's own method: no call in between.
@@ -79,7 +79,7 @@ class Publisher:
 
 
 class Subscriber:
-    """What a nodelet receives through; use it as a ``rospy.Subscriber``."""
+    """Receives messages; use it as a ``rospy.Subscriber``."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class Subscriber:
 
         Args:
             context: the owner.
-            name: what it is called in errors and logs.
+            name: for errors and logs.
             datatype: message class.
             callback: called with each message; more can be added.
             callback_args: given to ``callback`` after the message, unless None, as in rospy.
@@ -166,7 +166,7 @@ class SubscriberEvents(Closable):
             publication: whose peers.
             listener: has ``peer_subscribe`` and ``peer_unsubscribe``.
             strand: where they are called, so that they never overlap with the nodelet's callbacks.
-            failed: called with what they raise.
+            failed: called with their errors.
         """
         self._publication = publication
         self._listener = listener
@@ -188,7 +188,7 @@ class SubscriberEvents(Closable):
             self._strand.post(self._compare)
 
     def _compare(self) -> None:
-        self._due = False  # first: what changes from now on is compared again
+        self._due = False  # first: a later change is compared again
         listener = self._listener
         if listener is None:
             return

@@ -81,25 +81,16 @@ _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.
 class Strand:
     """Runs at most one of its tasks at any time, in the order of ``post``."""
 
-    __slots__ = (
-        "__weakref__",
-        "_busy",
-        "_held",
-        "_is_end_logged",
-        "_ready",
-        "_tasks",
-        "alive",
-        "began",
-        "clock",
-        "mark",
-        "name",
+    __slots__ = tuple(
+        """__weakref__ _busy _held _is_end_logged _ready _tasks
+        alive began clock mark name""".split()
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
         """Create a strand on ``executor``.
 
         Args:
-            executor: what runs it.
+            executor: runs it.
             name: for the log.
             held: whether it only collects tasks until ``resume``.
             mark: of the nodelet whose code it runs, for the crash record.
@@ -251,7 +242,7 @@ class _Worker:
     """One thread of a pool.
 
     Attributes:
-        strand: what it works on; None while it waits.
+        strand: which it runs; None while it waits.
         replaced: whether it is to end as soon as it can, since another was hired in its place.
         wake: taken while it sleeps, released to wake it.
     """
@@ -340,7 +331,7 @@ class WorkerPool(Executor):
                 self._drainers -= 1
 
     def close(self) -> None:
-        """End the free workers at once, and the others with the callbacks that they run."""
+        """End the free workers at once, and the busy ones with their callbacks."""
         with message_lock:
             self._closed = True
             while self._idle:

@@ -12,7 +12,7 @@ from dyknow.ros.parameters import get_datatype
 
 
 class Relay(dyknow.Nodelet):
-    """Publishes what it receives; the messages pass by reference, none is copied.
+    """Publishes the messages that it receives, by reference: none is copied.
 
     Ports:
         in: any type.

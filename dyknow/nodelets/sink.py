@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The nodelet dyknow/Sink: what arrives, and how late."""
+"""The nodelet dyknow/Sink: the rate and the latency of messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dyknow.ros.parameters import get_datatype, get_positive
 
 
 class Sink(dyknow.Nodelet):
-    """Logs the rate of what it receives and, if the messages are stamped, their latency.
+    """Logs the rate of the messages that it receives and, if they are stamped, their latency.
 
     Ports:
         in: any type.
@@ -41,7 +41,7 @@ class Sink(dyknow.Nodelet):
             self.latencies.append(self.nh.get_time() - self.stamp.read(message).to_sec())
 
     def on_timer(self, event: Any) -> None:
-        """Log what came since the last time."""
+        """Log the messages since the last time."""
         line = f"{self.count} messages, {self.count / self.period:.1f} Hz"
         if self.latencies:
             mean = 1000 * sum(self.latencies) / len(self.latencies)

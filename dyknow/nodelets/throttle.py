@@ -12,7 +12,7 @@ from dyknow.ros.parameters import get_datatype, get_positive
 
 
 class Throttle(dyknow.Nodelet):
-    """Publishes what it receives, at most at a given rate on average; the rest is left out.
+    """Publishes the messages that it receives, at most at a given rate; drops the rest.
 
     Ports:
         in: any type.

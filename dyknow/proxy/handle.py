@@ -21,7 +21,7 @@ class NodeHandle(PlainNodeHandle):
     """
 
     _place = "at port"
-    #: What keeps the ports.
+    #: Keeps the ports.
     proxy_class = NodeletProxy
 
     def __init__(self, node_handle: PlainNodeHandle) -> None:
@@ -35,7 +35,7 @@ class NodeHandle(PlainNodeHandle):
         self._proxy = self.proxy_class.of(node_handle.context)
 
     def get_statistics(self) -> NodeletStatistics:
-        """Return what the nodelet and its ports have done since it was loaded.
+        """Return the counts of the nodelet and its ports since it was loaded.
 
         The service ``get_statistics`` answers the same: ``uptime``, ``reconfigurations``,
         ``callback_errors``, and for each of ``ports`` its ``messages``, ``rate``, ``dropped`` …
@@ -47,8 +47,8 @@ class NodeHandle(PlainNodeHandle):
 
         The callback gets two maps from port to topic, of in-ports and of out-ports; a topic is
         empty where the port is disconnected. It runs on the nodelet's queue, after the last
-        message of the old and before the first of the new connection. What it raises is logged
-        and does not undo the switch.
+        message of the old and before the first of the new connection. Its errors are logged
+        and do not undo the switch.
         """
         self._proxy.set_reconfigure_callback(callback)
 

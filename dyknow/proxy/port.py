@@ -37,7 +37,7 @@ class ProxyPort:
 
     @property
     def state(self) -> PortState:
-        """The port at this moment; its tags are the transformation's to tell."""
+        """The port at this moment, without tags: only the transformation knows those."""
         return PortState(self.name, self.direction, self.datatype._type, self.topic)
 
     @property
@@ -46,11 +46,11 @@ class ProxyPort:
         return f"{self.direction}-port of type {self.datatype._type}"
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """What moves when the port is connected elsewhere."""
+        """The endpoints that move when the port is connected elsewhere."""
         raise NotImplementedError
 
     def count(self, endpoint: Endpoint) -> None:
-        """Count what goes through ``endpoint``, going on where one that has left stopped."""
+        """Count the messages of ``endpoint``, continuing the counts of one that has left."""
         if self._free:
             endpoint.traffic = self._free.pop()
         else:
@@ -61,7 +61,7 @@ class ProxyPort:
         self._free.append(endpoint.traffic)
 
     def statistics(self) -> PortStatistics:
-        """What went through all that share the port."""
+        """The counts of all endpoints of the port."""
         traffics = self._traffics
         calls = sum(each.messages for each in traffics)
         busiest = max(traffics, key=lambda each: each.messages, default=None)
@@ -78,7 +78,7 @@ class ProxyPort:
 
 
 class OutPort(ProxyPort):
-    """What the nodelet publishes through; all handles share one publication."""
+    """A port that sends; all handles share one publication."""
 
     direction = OUT
 
@@ -96,7 +96,7 @@ class OutPort(ProxyPort):
         return () if self.publication is None else (self.publication,)
 
     def statistics(self) -> PortStatistics:
-        """What went through, what is kept, and how old a message was."""
+        """The counts, whether a message is latched, and the age of one."""
         statistics, publication = super().statistics(), self.publication
         if publication is None:
             return statistics
@@ -105,7 +105,7 @@ class OutPort(ProxyPort):
 
 
 class InPort(ProxyPort):
-    """What the nodelet receives through; each handle has its own callbacks and queue."""
+    """A port that receives; each handle has its own callbacks and queue."""
 
     direction = IN
 
@@ -149,7 +149,7 @@ class PortSubscriber(Subscriber):
     """A handle on an in-port."""
 
     def join(self, port: InPort) -> None:
-        """Receive what the port receives."""
+        """Receive the messages of a port."""
         self._port = port
         port.handles.append(self)
         port.count(self.subscription)

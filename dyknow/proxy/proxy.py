@@ -78,7 +78,7 @@ class NodeletProxy(Closable):
         self._callback = None
         self.on_change = lambda: None
 
-    # What the services offer
+    # For the services
 
     def get_config(self) -> List[PortState]:
         """Return the ports, in the order of their declaration."""
@@ -117,7 +117,7 @@ class NodeletProxy(Closable):
             ports=tuple(port.statistics() for port in list(self._ports.values())),
         )
 
-    # What the handle uses
+    # For the handle
 
     def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
         """Call back after every reconfiguration with the maps of in-ports and of out-ports."""
@@ -190,7 +190,7 @@ class NodeletProxy(Closable):
         self.on_change()
         return subscriber
 
-    # What a derived proxy may do in another way
+    # For derived proxies to override
 
     def _find(self, name: str) -> Optional[ProxyPort]:
         """Return the port that a change names, if there is one."""
@@ -258,7 +258,7 @@ class NodeletProxy(Closable):
         return topic
 
     def _check_type(self, port: ProxyPort, topic: str, types: Dict[str, str]) -> None:
-        # ``types`` has what is known of topics: what lives there, or the first port to come.
+        # ``types`` has the type of each topic, or of the first port that comes to it.
         wanted = port.datatype._type
         if wanted == "*":
             return

@@ -12,10 +12,9 @@ nodelet, connect its ports, publish and listen.
 are their counterparts for unittest.
 """
 
-from dyknow.testing.cases import NodeletTestCase, RosTestCase
-from dyknow.testing.harness import CallbackFailed, NodeletHarness
+from dyknow.testing.harness import CallbackFailed, NodeletHarness, NodeletTestCase
 from dyknow.testing.middleware import LogEntry
-from dyknow.testing.ros_harness import RosHarness
+from dyknow.testing.ros_harness import RosHarness, RosTestCase
 
 __all__ = [
     "CallbackFailed",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import unittest
 from typing import Any, Collection, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
 
 import rospy
@@ -37,6 +38,7 @@ _GLANCE = 0.001
 _ROUNDING = 1e-6
 
 NodeletType = TypeVar("NodeletType", bound=Nodelet)
+HarnessType = TypeVar("HarnessType", bound="Harness")
 
 
 class CallbackFailed(AssertionError):
@@ -49,15 +51,29 @@ class _Anything:
     _type = _md5sum = "*"
 
 
-class NodeletHarness:
-    """Loads nodelets, connects their ports, gives them messages and shows what comes out.
+class Harness:
+    """A harness closes at the end of a ``with`` block."""
+
+    def close(self) -> None:
+        """Unload every nodelet."""
+        raise NotImplementedError
+
+    def __enter__(self: HarnessType) -> HarnessType:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.close()
+
+
+class NodeletHarness(Harness):
+    """Loads nodelets, connects their ports, sends them messages and collects their output.
 
     Everything runs in the test's thread, when it calls ``drain``, ``advance`` or ``call``: no
     callback runs at any other moment. Time stands still but for ``advance``. Messages pass by
     reference, as they do in a nodelet manager. A callback that raises fails the test.
 
-    What blocks until something happens elsewhere cannot work in a callback here (``sleep``,
-    ``wait_for_message``); nor can what needs a master. ``RosHarness`` has both.
+    Calls that block until something happens elsewhere (``sleep``, ``wait_for_message``) cannot
+    work in a callback here, nor can anything that needs a master. ``RosHarness`` has both.
 
     Example::
 
@@ -76,7 +92,7 @@ class NodeletHarness:
         self._node = HarnessNode(self._ticker, self._services, self.call)
         self._executor = ManualExecutor(self._ticker.now)
         middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
-        self._runtime = Runtime.make(middleware, self._executor)
+        self._runtime = Runtime(middleware, self._executor)
         self._classes: Dict[str, Type[Nodelet]] = {}
         self._loader = Loader(self._runtime, lambda type_name, _: self._classes[type_name])
         self._publishers: Dict[str, Publisher] = {}
@@ -85,14 +101,6 @@ class NodeletHarness:
         self._handle = PlainNodeHandle(context, "/")
         self._failures = _FailureLog()
         self._raised = 0
-
-    def __enter__(self) -> NodeletHarness:
-        """Enter a block that closes the harness at its end."""
-        return self
-
-    def __exit__(self, *unused: object) -> None:
-        """Close the harness."""
-        self.close()
 
     def close(self) -> None:
         """Unload every nodelet."""
@@ -116,13 +124,13 @@ class NodeletHarness:
         Args:
             nodelet_class: what to load.
             name: global name.
-            ports: topics that ports are connected to from the start; others are disconnected.
+            ports: topics that ports are connected to from the start; the rest is disconnected.
             parameters: private parameters by their names without ``~``.
             remappings: of names that are not ports, as in a load request.
             my_argv: arguments for the nodelet.
 
         Raises:
-            LoadFailed: ``on_init`` raised; ``__cause__`` is what it raised.
+            LoadFailed: ``on_init`` raised; ``__cause__`` is its error.
             NameTaken: a nodelet of that name is loaded.
             UnknownPort: ``ports`` names one that the nodelet does not have.
         """
@@ -156,7 +164,7 @@ class NodeletHarness:
         """
         NodeletProxy.of(nodelet.context).set_config(list(ports.items()))
 
-    # What goes in and comes out
+    # Input and output
 
     @property
     def parameters(self) -> Dict[str, Any]:
@@ -165,7 +173,7 @@ class NodeletHarness:
 
     @property
     def log(self) -> List[LogEntry]:
-        """What nodelets logged, in order."""
+        """The log entries of the nodelets, in order."""
         return self._node.log
 
     def publish(self, topic: str, message: Any) -> None:
@@ -189,10 +197,10 @@ class NodeletHarness:
     def call(self, service: str, request: Any) -> Any:
         """Call a service of a nodelet and return its response; callbacks run meanwhile.
 
-        What its handler raises is raised here.
+        An error of its handler is raised here.
 
         Raises:
-            rospy.ServiceException: nobody offers it, or it has not answered within 10 s.
+            rospy.ServiceException: it is not offered, or has not answered within 10 s.
         """
         handler = self._services.handlers.get(_global(service))
         if handler is None:
@@ -204,7 +212,7 @@ class NodeletHarness:
             if time.monotonic() > deadline:
                 raise rospy.ServiceException(f"service [{service}] has not answered")
         if answer.error is not None:
-            self._raised = self._count_errors()  # it is known by what is raised here
+            self._raised = self._count_errors()  # the test knows it by this error
             raise answer.error
         return answer.response
 
@@ -221,7 +229,7 @@ class NodeletHarness:
         Raises:
             CallbackFailed: a callback raised.
         """
-        self._ticker.next_due(_PATIENCE)  # what is due has fired
+        self._ticker.next_due(_PATIENCE)  # due timers have fired
         self._executor.drain()
         self._raise_failures()
 
@@ -255,6 +263,15 @@ class NodeletHarness:
             raise CallbackFailed("\n".join(texts) or f"{more} callbacks raised, as before")
 
 
+class NodeletTestCase(unittest.TestCase):
+    """Each test has a ``NodeletHarness``, ``self.harness``."""
+
+    def setUp(self) -> None:
+        """Make the harness."""
+        self.harness = NodeletHarness()
+        self.addCleanup(self.harness.close)
+
+
 class _Call:
     """One call of a service, on a thread of its own: its handler runs in the test's."""
 
@@ -275,7 +292,7 @@ class _Call:
 
 
 class _FailureLog(logging.Handler):
-    """Keeps the errors that the runtime logs: what callbacks raised, with its traceback."""
+    """Keeps the errors that the runtime logs: those of callbacks, with their tracebacks."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -305,8 +322,8 @@ def _global(name: str) -> str:
 def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> Dict[str, str]:
     """Return the remappings, of global names, that connect ports of a nodelet at its load.
 
-    What a port's name resolves to depends on the handle that declares it, which is not known yet:
-    each is remapped in the namespace that the nodelet stands in and in its own.
+    A port's name resolves in the handle that declares it, which is not known yet: each is remapped
+    in the namespace that the nodelet stands in and in its own.
     """
     return {
         names.resolve(port, namespace, nodelet): names.resolve(topic, "/", nodelet)

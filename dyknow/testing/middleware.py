@@ -24,7 +24,7 @@ from dyknow.nodelet.local import (
 from dyknow.nodelet.middleware import Handler
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 
-#: What of rospy needs neither a node nor a master.
+#: Members of rospy that need neither a node nor a master.
 _PLAIN = frozenset(
     """Duration AnyMsg Message SubscribeListener Header DEBUG INFO WARN ERROR FATAL
     ROSException ROSInitException ROSInterruptException ROSSerializationException
@@ -41,7 +41,7 @@ _REQUIRED = object()
 
 @dataclass(frozen=True)
 class LogEntry:
-    """What a nodelet logged.
+    """A log entry of a nodelet.
 
     Attributes:
         level: ``debug``, ``info``, ``warn``, ``err`` or ``fatal``, as in ``loginfo``.
@@ -91,7 +91,7 @@ class HarnessNode(LocalNode):
         ticker: the time.
         services: those that nodelets offer.
         call_service: calls a service by its global name with a request.
-        log: what nodelets logged, in order.
+        log: the entries of the nodelets, in order.
     """
 
     closed = ClosedHandle
@@ -111,7 +111,7 @@ class HarnessNode(LocalNode):
         self.log: List[LogEntry] = []
 
     def member(self, name: str, handle: Any) -> Any:
-        """Return rospy's own where that needs no master, else what does the same here."""
+        """Return rospy's own where that needs no master, else a substitute."""
         if name in _PLAIN:
             return getattr(rospy, name)
         if name in _LOG_FUNCTIONS:
@@ -135,7 +135,7 @@ class HarnessNode(LocalNode):
 
 
 class _Members:
-    """What of rospy depends on names, time or a master, under rospy's names."""
+    """Members of rospy that depend on names, time or a master."""
 
     def __init__(self, node: HarnessNode, resolve: Callable[[str], str]) -> None:
         self._node = node
@@ -194,7 +194,7 @@ class _Members:
         return LocalServiceProxy(self._node, self._resolve(name), service_class)
 
     def wait_for_service(self, service: str, timeout: Any = None) -> None:
-        """Return if it is offered: nobody can come to offer it while the test's thread waits."""
+        """Return if it is offered: while the test's thread waits, no nodelet can offer it."""
         name = self._resolve(service)
         if name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{name}' is not offered in the harness")

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import tempfile
 import time
+import unittest
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence
 
 import rosgraph
@@ -24,7 +25,7 @@ from roslib.packages import find_node
 from dyknow import names
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.master import Master
-from dyknow.testing.harness import check_ports, remappings_of_ports
+from dyknow.testing.harness import Harness, check_ports, remappings_of_ports
 
 #: Seconds that anything may take on a busy machine.
 _PATIENCE = 30.0
@@ -37,7 +38,7 @@ _LONGEST_OUTPUT = 1_000_000
 _numbers = itertools.count(1)
 
 
-class RosHarness:
+class RosHarness(Harness):
     """Loads declared nodelets in a nodelet manager, connects their ports, and listens to them.
 
     The first harness of a process starts a ROS master on a free port and makes the process a ROS
@@ -74,14 +75,6 @@ class RosHarness:
             self.close()
             raise
 
-    def __enter__(self) -> RosHarness:
-        """Enter a block that closes the harness at its end."""
-        return self
-
-    def __exit__(self, *unused: object) -> None:
-        """Close the harness."""
-        self.close()
-
     def close(self) -> None:
         """End the nodelet manager; delete the parameters that were set for its nodelets."""
         self._process.send_signal(signal.SIGINT)
@@ -113,7 +106,7 @@ class RosHarness:
         Args:
             nodelet_type: ``package/Class``.
             name: global name.
-            ports: topics that ports are connected to from the start; others are disconnected.
+            ports: topics that ports are connected to from the start; the rest is disconnected.
             parameters: private parameters by their names without ``~``.
             remappings: as in a load request.
             my_argv: arguments for the nodelet.
@@ -159,27 +152,26 @@ class RosHarness:
     def _proxies() -> ProxyClient:
         return ProxyClient(Master(rospy.get_name()))
 
-    # What goes in and comes out
+    # Input and output
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message; the first on a topic waits until somebody is connected.
+        """Publish a message; the first on a topic waits until a subscriber is connected.
 
         Raises:
-            AssertionError: nobody listens to the topic.
+            AssertionError: the topic has no subscriber.
         """
         publisher = self._publishers.get(topic)
         if publisher is None:
             publisher = rospy.Publisher(topic, type(message), queue_size=1000)
             self._publishers[topic] = publisher
         connected = publisher.get_num_connections
-        self.wait_until(lambda: connected() > 0, what=f"somebody listens to {topic}")
+        self.wait_until(lambda: connected() > 0, what=f"{topic} has a subscriber")
         publisher.publish(message)
 
     def listen(self, topic: str, datatype: Any) -> List[Any]:
         """Return a list to which every message is appended that arrives from now on.
 
-        Returns:
-            The list, once those are connected who publish on the topic now.
+        It returns once the present publishers of the topic are connected.
         """
         received: List[Any] = []
         subscriber = rospy.Subscriber(topic, datatype, received.append, queue_size=1000)
@@ -196,8 +188,7 @@ class RosHarness:
         """Wait until ``condition()`` holds.
 
         Raises:
-            AssertionError: not within ``timeout`` seconds; the text has what the nodelet manager
-                printed.
+            AssertionError: not within ``timeout`` seconds; the text has ``output``.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -207,7 +198,7 @@ class RosHarness:
 
     @property
     def output(self) -> str:
-        """What the nodelet manager printed: its log and those of its nodelets."""
+        """The output of the nodelet manager: its log and those of its nodelets."""
         return os.pread(self._output.fileno(), _LONGEST_OUTPUT, 0).decode(errors="replace")
 
     def _is_up(self) -> bool:
@@ -216,6 +207,15 @@ class RosHarness:
         except rospy.ServiceException:
             return False
         return True
+
+
+class RosTestCase(unittest.TestCase):
+    """Each test has a ``RosHarness``, ``self.harness``."""
+
+    def setUp(self) -> None:
+        """Start the nodelet manager."""
+        self.harness = RosHarness()
+        self.addCleanup(self.harness.close)
 
 
 def _join_ros() -> None:

@@ -127,7 +127,7 @@ class Listener:
         self._subscribers: Dict[str, Any] = {}
 
     def follow(self, managers: Iterable[str]) -> None:
-        """Listen to these nodelet managers and to no others."""
+        """Listen to exactly these nodelet managers."""
         wanted: List[str] = sorted(managers)
         with self._turn:
             for manager in [each for each in self._subscribers if each not in wanted]:

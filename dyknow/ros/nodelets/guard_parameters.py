@@ -152,7 +152,7 @@ def _keep_apart(name: str, values: ParamServerCache) -> None:
     """Let rospy put notifications of parameters at and below ``name`` into a cache of ours.
 
     Its own cache refuses those of a parameter that it does not have yet. If it had ours, it would
-    answer ``get_param("~")`` with them alone: of a namespace it returns what it has.
+    answer ``get_param("~")`` with them alone.
     """
     cache = get_param_server_cache()
     update = cache.update

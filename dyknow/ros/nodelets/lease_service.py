@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What keeps a process from publishing beside its successor: leases, and the name of the node.
+"""Keeps a process from publishing beside its successor: leases, and the name of the node.
 
 The rules of leases are in ``dyknow.nodelet.leases``; here are the service with which DyKnow
 managers renew them, the thread that watches over them, and its look at a manager's host.

@@ -6,8 +6,8 @@
 They work with every manager that offers nodelet_core's services, in Python or C++. `load` is a
 node that carries the nodelet's name and stays as long as the nodelet shall: its main thread only
 waits for the next event (the nodelet is loaded, the bond broke, a signal to stop), and
-everything that may block has a thread of its own. So a signal is answered at once whatever the
-manager does.
+everything that may block has a thread of its own. So a signal is answered at once, even
+while the manager hangs.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 """The nodelet manager: a node that hosts nodelets on threads, in place of the C++ one.
 
-Who owns what: the manager owns the runtime, the loader, the bonds and its services. A load
+Ownership: the manager owns the runtime, the loader, the bonds and its services. A load
 or an unload that fails is a failed service call, with the cause as its text: stock clients rely
 on that.
 """
@@ -63,7 +63,7 @@ class Settings:
     Attributes:
         num_worker_threads: callbacks that can run at the same time; 0 for max(4, cores).
         switch_interval: seconds that a thread in Python code keeps the interpreter before it lets
-            others in. Python's own 5 ms would let one busy nodelet delay each hop of all others.
+            other threads in. Python's own 5 ms would let one busy nodelet delay each hop of all.
         stuck_after: seconds after which a callback that has not returned is reported.
     """
 
@@ -109,8 +109,8 @@ class NodeletManager(Closable):
         Args:
             settings: how it works.
             find_class: returns the class of the one thing that it hosts, whose callbacks have a
-                thread each; by default it hosts what packages declare, on worker threads.
-            bound: whether guards bind what nodelets connect themselves, not only set_config.
+                thread each; by default it hosts nodelets that packages declare, on worker threads.
+            bound: whether guards bind the nodelets' own connections, not only set_config.
         """
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
@@ -120,7 +120,7 @@ class NodeletManager(Closable):
         if find_class is None:
             pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = GuardParameters()
-        self._runtime = Runtime.make(
+        self._runtime = Runtime(
             rospy_middleware(pool),
             pool,
             guards=self._guards.current,
@@ -238,7 +238,7 @@ class NodeletManager(Closable):
         """
         logging.getLogger("rosout").addFilter(_is_no_late_connection)
         self._ending = True
-        # Ctrl-C of a launch file ends the clients too: they unload what they loaded.
+        # Ctrl-C of a launch file ends the clients too: they unload their nodelets.
         with self._bond_ended:
             self._bond_ended.wait_for(lambda: not self._bonded, CLIENTS_PATIENCE)
         for service in self._services:
@@ -314,7 +314,7 @@ class NodeletManager(Closable):
 
     def _list(self, request: Any) -> srv.NodeletListResponse:
         running = self.loader.list()
-        if self._ending:  # asked last: what this list lacks may have been unloaded by the end
+        if self._ending:  # checked last: the end may have unloaded some
             raise rospy.ServiceException("the nodelet manager ends")
         return srv.NodeletListResponse(running)
 

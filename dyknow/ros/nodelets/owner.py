@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Which DyKnow manager looks after a nodelet manager, and what happens when none does.
+"""Which DyKnow manager looks after a nodelet manager, and its end without one.
 
 A DyKnow manager holds a lock on a file as long as it lives; the kernel releases the lock
-whatever kills it. Each of its nodelet managers waits for that lock: as long as the owner lives
+at its death. Each of its nodelet managers waits for that lock: as long as the owner lives
 the wait costs nothing, and its end is noticed at once. An owner that returns in time takes the
 lock again. So there is no heartbeat, and a stopped owner is not a dead one.
 
@@ -99,7 +99,7 @@ def is_taken(path: str) -> bool:
 def _made(path: str) -> TextIO:
     """Open a file to be locked; it is made if need be, but may be on a read-only disk as well.
 
-    Only its owner may open it: whoever can could hold the lock.
+    Only its owner may open it, and so hold the lock.
     """
     try:
         file = open(path, "a", opener=only_for_owner)  # noqa: SIM115 - it is kept open

@@ -21,7 +21,7 @@ from dyknow.ros.nodelets.guard_parameters import caller_of
 
 
 class Proxy(Protocol):
-    """A nodelet's proxy, or what stands in for it."""
+    """A nodelet's proxy, or a substitute of it."""
 
     @property
     def name(self) -> str:

@@ -105,7 +105,7 @@ class World:
             middleware.ticker,
             middleware.node,
         )
-        self.runtime = Runtime.make(middleware, self.executor, **options)
+        self.runtime = Runtime(middleware, self.executor, **options)
         self.bus = self.runtime.bus
 
     def context(self, name: str = "/probe", **options: Any) -> Context:

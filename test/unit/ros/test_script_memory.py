@@ -93,7 +93,7 @@ def blocks(monkeypatch: pytest.MonkeyPatch) -> List[weakref.ReferenceType[object
 def loader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Loader]:
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
     blocking = WorkerPool(None)
-    runtime = Runtime.make(LocalMiddleware(), ManualExecutor(), blocking=blocking)
+    runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=blocking)
     yield Loader(runtime, lambda name, context: ScriptNodelet)
     runtime.close()
 
