@@ -395,15 +395,19 @@ class WorkerPool(Executor):
                 strand.run(task)
             elif strand is None:
                 words[word] = 0.0
-                if self._drainers:
-                    with self._quiet:
-                        self._quiet.notify_all()
+                self._notify_drainers()
                 if not worker.wake.acquire(timeout=self._stay) and self._has_retired(worker):
                     break
                 is_woken = True
         worker.strand = None
         self.record.give_back(word)
         self._workers.remove(worker)
+        self._notify_drainers()
+
+    def _notify_drainers(self) -> None:
+        if self._drainers:
+            with self._quiet:
+                self._quiet.notify_all()
 
     def _has_retired(self, worker: _Worker) -> bool:
         """Take a worker without work out of the line; False if it was woken just now."""

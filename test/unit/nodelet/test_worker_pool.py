@@ -187,6 +187,19 @@ def test_a_replaced_worker_ends_when_its_callback_returns(make_pool):
     wait_until(lambda: pool.threads == 1)
 
 
+def test_drain_notices_that_the_last_to_end_was_a_replaced_worker(make_pool):
+    pool, blocker, went_on = make_pool(1), Blocker(), threading.Event()
+    stuck, other = Strand(pool, "stuck"), Strand(pool, "other")
+    stuck.post(blocker)
+    blocker.wait_started()
+    other.post(went_on.set)
+    wait_for(went_on)
+    draining = in_thread(lambda: pool.drain(3 * PATIENCE))
+    wait_until(lambda: pool._drainers)
+    blocker.release.set()
+    join(draining)
+
+
 def test_workers_that_block_while_no_task_waits_are_kept(make_pool):
     clock, blocker = Clock(), Blocker()
     pool = make_pool(1, clock=clock)
