@@ -19,7 +19,7 @@ from typing import Dict, Sequence, Tuple
 
 from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
 from dyknow.errors import CannotRun
-from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+from dyknow.ros.signals import DONE, FAILED, INTERRUPTED
 
 #: The nodelet that runs scripts.
 SCRIPT_TYPE = "dyknow/Script"

@@ -13,14 +13,14 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
-from dataclasses import dataclass
+from concurrent.futures import Future, wait
 from functools import partial
 from typing import Callable, Dict, Optional, Tuple
 from urllib.parse import urlsplit
 
 import rosgraph.network
 
-from dyknow.locks import state_condition
+from dyknow.locks import state_lock
 from dyknow.periodic import in_background
 
 #: Seconds after which an address is looked up again.
@@ -40,16 +40,6 @@ def look_up(host: str) -> Tuple[str, ...]:
     return tuple(dict.fromkeys(str(address[0]) for *_, address in found))
 
 
-@dataclass
-class _Entry:
-    """What is known of a name; ``asking`` while a thread looks it up."""
-
-    addresses: Tuple[str, ...] = ()
-    since: float = 0.0
-    asking: bool = False
-    error: Optional[OSError] = None
-
-
 class Addresses:
     """Addresses by name; every method is safe from any thread."""
 
@@ -58,7 +48,7 @@ class Addresses:
         look_up: Callable[[str], Tuple[str, ...]] = look_up,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin without addresses.
+        """Make an empty table.
 
         Args:
             look_up: returns the addresses of a host or raises OSError; may take long.
@@ -66,11 +56,12 @@ class Addresses:
         """
         self._look_up = look_up
         self._clock = clock
-        self._changed = state_condition("addresses")
-        self._entries: Dict[str, _Entry] = {}
+        self._state_lock = state_lock("addresses")
+        self._known: Dict[str, Tuple[Tuple[str, ...], float]] = {}  # and when they were found
+        self._searches: Dict[str, Future[Tuple[str, ...]]] = {}
 
     def of(self, host: str, timeout: float) -> Tuple[str, ...]:
-        """Return the addresses of a host; what is an address already is returned as it is.
+        """Return the addresses of a host; an address is returned as it is.
 
         Raises:
             socket.timeout: they are not known in time.
@@ -78,29 +69,35 @@ class Addresses:
         """
         if _is_address(host):
             return (host,)
-        with self._changed:
-            entry = self._entries.setdefault(host, _Entry())
-            fresh = bool(entry.addresses) and self._clock() - entry.since < FRESH
-            if not fresh and not entry.asking:
-                entry.asking = True
-                in_background(f"address of {host}", partial(self._ask, host, entry))
-            self._changed.wait_for(lambda: entry.addresses or not entry.asking, timeout)
-            if entry.addresses:
-                return entry.addresses
-            raise socket.timeout("timed out") if entry.asking else entry.error or OSError(host)
+        with self._state_lock:
+            known, since = self._known.get(host, ((), 0.0))
+            search = self._searches.get(host)
+            started = None
+            if search is None and not (known and self._clock() - since < FRESH):
+                started = search = self._searches[host] = Future()
+        if started is not None:
+            in_background(f"address of {host}", partial(self._search, host, started))
+        if known or search is None:
+            return known
+        if not wait([search], timeout).done:
+            raise socket.timeout("timed out")
+        return search.result()
 
-    def _ask(self, host: str, entry: _Entry) -> None:
+    def _search(self, host: str, search: Future[Tuple[str, ...]]) -> None:
         found: Tuple[str, ...] = ()
         error: Optional[OSError] = None
         try:
             found = self._look_up(host)
-        except (OSError, UnicodeError) as failure:  # UnicodeError: it is no name of a host
+        except (OSError, UnicodeError) as failure:  # UnicodeError: it is not the name of a host
             error = failure if isinstance(failure, OSError) else OSError(str(failure))
-        with self._changed:
+        with self._state_lock:
+            del self._searches[host]
             if found:
-                entry.addresses, entry.since = found, self._clock()
-            entry.error, entry.asking = error, False
-            self._changed.notify_all()
+                self._known[host] = found, self._clock()
+        if found:
+            search.set_result(found)
+        else:
+            search.set_exception(error or OSError(host))
 
 
 def _is_address(host: str) -> bool:

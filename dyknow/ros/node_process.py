@@ -29,9 +29,7 @@ from dyknow.nodelet.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
 from dyknow.ros import descriptors
-from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
-from dyknow.ros.listening import enlarge_queue
-from dyknow.ros.signals import on_signals
+from dyknow.ros.signals import DONE, FAILED, INTERRUPTED, on_signals
 
 #: Seconds for a start that is going on to be complete, so that it can be closed.
 _START_PATIENCE = 2.0
@@ -124,7 +122,7 @@ class NodeProcess:
             descriptors.spare()
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
             _print_logs_at_least()
-            enlarge_queue()
+            descriptors.enlarge_queue()
             self._shut_down.clear()
             rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
             rospy.on_shutdown(self._on_shutdown)

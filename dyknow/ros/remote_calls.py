@@ -9,7 +9,7 @@ that stays stopped.
 
 from __future__ import annotations
 
-import queue
+from concurrent.futures import Future, wait
 from typing import Callable, TypeVar
 
 from dyknow.errors import PeerTimeout
@@ -20,33 +20,29 @@ T = TypeVar("T")
 
 
 def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
-    """Make a blocking call, and wait for its end at most so long.
+    """Make a blocking call in another thread, and wait for its result.
 
     A call that is late goes on in the background, and its result is dropped.
 
     Args:
-        seconds: How long to wait.
+        seconds: The time limit.
         what: Names the call in the exception, for instance the service.
         call: The call.
 
     Raises:
         PeerTimeout: It did not end in time.
-        Exception: Whatever the call raises.
+        Exception: Any exception of the call.
     """
     assert_no_state_lock(f"calling {what}")
-    results: queue.SimpleQueue[tuple[Exception | None, T | None]] = queue.SimpleQueue()
+    future: Future[T] = Future()
 
     def work() -> None:
         try:
-            results.put((None, call()))
+            future.set_result(call())
         except Exception as error:
-            results.put((error, None))
+            future.set_exception(error)
 
     in_background(f"call {what}", work)
-    try:
-        error, result = results.get(timeout=seconds)
-    except queue.Empty:
-        raise PeerTimeout(what, seconds) from None
-    if error is not None:
-        raise error
-    return result  # type: ignore[return-value]
+    if not wait([future], seconds).done:
+        raise PeerTimeout(what, seconds)
+    return future.result()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Signals, received by a thread that waits for nothing else.
+"""Signals, received by a thread that waits for nothing else; and the exit codes of processes.
 
 Python runs a handler in the main thread once that thread executes Python code again. A main thread
 that is just about to block misses a signal until something else wakes it up. The descriptor that
@@ -18,9 +18,18 @@ from typing import Any, Callable, Iterable
 
 from dyknow.periodic import attempt, in_background
 
+# Exit codes, those of nodelet_core's `nodelet`:
 
-def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
-    """Call ``told``, in a thread of its own, for each of these signals.
+#: Done, stopped on request, or no longer needed because the bond broke.
+DONE = 0
+#: A request was refused, or an argument is wrong; nodelet_core returns -1.
+FAILED = 255
+#: Stopped before it could do its work; as a shell shows for SIGINT.
+INTERRUPTED = 130
+
+
+def on_signals(numbers: Iterable[int], act: Callable[[], None]) -> None:
+    """Call ``act``, in a thread of its own, for each of these signals.
 
     Handlers that were set before are called as well, except Python's own, which would raise. One
     that is set later takes the place of this. Only the main thread may call this.
@@ -46,7 +55,7 @@ def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
         while True:
             for number in os.read(readable, 64):
                 if number in wanted and signal.getsignal(number) is handle:
-                    attempt("acting on a signal", told)
+                    attempt("acting on a signal", act)
 
     def let_go() -> None:
         """Leave a forked process alone: it would write into the same pipe."""

@@ -32,7 +32,7 @@ from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.external import may_be_there
-from dyknow.ros.log_tail import LogTail
+from dyknow.ros.logs import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock

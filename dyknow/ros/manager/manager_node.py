@@ -32,7 +32,6 @@ from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
@@ -50,6 +49,7 @@ from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
+from dyknow.ros.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.running_clock import started
 from dyknow.workers import Workers

@@ -20,7 +20,7 @@ from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.installed import missing_here
-from dyknow.ros.log_text import for_log
+from dyknow.ros.logs import for_log
 from dyknow.ros.messages import (
     acquire_from,
     acquisition_message,

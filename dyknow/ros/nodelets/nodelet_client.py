@@ -28,9 +28,8 @@ from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.remote_calls import call_within
-from dyknow.ros.signals import on_signals
+from dyknow.ros.signals import DONE, FAILED, INTERRUPTED, on_signals
 
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5

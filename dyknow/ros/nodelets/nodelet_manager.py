@@ -36,7 +36,7 @@ from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros import descriptors, programs
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.log_text import for_log
+from dyknow.ros.logs import for_log
 from dyknow.ros.messages import counts_message
 from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer

@@ -20,19 +20,17 @@ from dyknow.nodelet.middleware import (
     Closable,
     Handler,
     Middleware,
-    Node,
     Receive,
     Services,
     Transport,
 )
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros import ages
-from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.master import Master
-from dyknow.ros.transport import anymsg, members
+from dyknow.ros.transport import anymsg
 from dyknow.ros.transport.intraprocess import IntraProcess
+from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
-from dyknow.ros.transport.ticker import make_ticker
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
@@ -114,26 +112,6 @@ class RospyServices(Services):
         """Offer a rospy service."""
         assert_no_state_lock(f"offering {service}")
         return RospyService(service, service_class, handler, options)
-
-
-class RospyNode(Node):
-    """rospy's node, with exceptions that are rospy's too."""
-
-    closed = ClosedHandle
-    interrupted = Interrupted
-    timed_out = MessageTimeout
-
-    def is_shutdown(self) -> bool:
-        """Whether rospy was told to end."""
-        return bool(rospy.is_shutdown())
-
-    def remap(self, name: str) -> str:
-        """Apply the remappings of the command line."""
-        return str(rospy.resolve_name(name))
-
-    def member(self, name: str, handle: Any) -> Any:
-        """Return rospy's own."""
-        return members.member(name, handle)
 
 
 class RospyService(Closable):

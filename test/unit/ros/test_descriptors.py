@@ -1,21 +1,27 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Topics without descriptors of their own, and the limit of descriptors."""
+"""File descriptors of topics, their limit, and a server that accepts many connections at once."""
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import socket
-from typing import Iterator
+import struct
+from typing import Any, Iterator
 
 import pytest
 import rospy.topics
+from rospy.impl import tcpros_base
 from std_msgs.msg import Header
 
 from dyknow.errors import LimitExceeded
 from dyknow.ros import descriptors
+
+#: In the kernel's struct tcp_info: of a socket that listens this is the length of its queue.
+_QUEUE_AT = 28
 
 
 def used() -> int:
@@ -84,3 +90,58 @@ def test_a_connection_that_was_closed_here_is_forgotten() -> None:
     assert list(poller.error_iter()) == []
     there.close()
     assert list(poller.error_iter()) == []
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[tcpros_base.TCPROSServer]:
+    server = tcpros_base.TCPROSServer()
+    monkeypatch.setattr(tcpros_base, "_tcpros_server", server)
+    yield server
+    server.shutdown()
+
+
+def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer) -> None:
+    descriptors.enlarge_queue()
+    listener = server.tcp_ros_server.server_sock
+    information = listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 64)
+    assert struct.unpack_from("<I", information, _QUEUE_AT)[0] == descriptors.QUEUE
+
+
+def test_the_server_outlives_a_lack_of_descriptors() -> None:
+    class Exhausted:
+        """A socket whose process has no descriptor left until one is closed."""
+
+        def __init__(self) -> None:
+            self.outcomes: list[Any] = []
+
+        def accept(self) -> str:
+            outcome = self.outcomes.pop(0)
+            if isinstance(outcome, int):
+                raise OSError(outcome, os.strerror(outcome))
+            return str(outcome)
+
+        def getsockname(self) -> str:
+            return "here"
+
+    exhausted = Exhausted()
+    patient = descriptors.PatientSocket(exhausted)  # type: ignore[arg-type]
+    assert patient.getsockname() == "here"
+    exhausted.outcomes = ["a", errno.EMFILE, "b", errno.EINVAL]
+    assert [patient.accept(), patient.accept()] == ["a", "b"]
+    with pytest.raises(OSError, match="Invalid argument"):
+        patient.accept()
+
+
+def test_a_peer_that_connects_when_no_descriptor_is_left_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Full:
+        def accept(self) -> None:
+            raise OSError(errno.EMFILE, "full")
+
+    def refuse(*unused: object) -> int:
+        raise OSError(errno.EMFILE, "full")
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(socket.timeout):
+        descriptors.PatientSocket(Full()).accept()  # type: ignore[arg-type]

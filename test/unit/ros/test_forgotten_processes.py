@@ -23,7 +23,7 @@ from dyknow.ros.hosting.external import External
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.log_tail import LogTail
+from dyknow.ros.logs import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.os_process import ProcessId
 

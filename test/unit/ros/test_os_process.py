@@ -23,7 +23,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.log_tail import LogTail
+from dyknow.ros.logs import LogTail
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.os_process import ProcessId
 

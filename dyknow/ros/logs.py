@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Copies what a process prints into a file."""
+"""Output of processes: copied from files into other files, and cut for the log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ from typing import TextIO
 
 from dyknow.locks import turn_lock
 
+#: Characters of one text in the log. A list of problems may have many lines.
+LONGEST = 4096
 _CHUNK = 1 << 16
+
+
+def for_log(text: object) -> str:
+    """Return a text for the log; of a long one its beginning and its length."""
+    words = str(text)
+    if len(words) <= LONGEST:
+        return words
+    return f"{words[:LONGEST]}… ({len(words)} characters)"
 
 
 class LogTail:
