@@ -9,11 +9,9 @@ actionlib asks ``publisher.impl.has_connection(node)`` and ``subscriber.impl.con
 
 from __future__ import annotations
 
-import copy
 import functools
 import inspect
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Any, Callable, Dict, List, Optional, Tuple, Type
 
 import genpy
@@ -24,7 +22,7 @@ from dyknow.nodelet import pubsub
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.ros.scripts.sandbox import Sandbox, outside_of_finalizers
-from dyknow.ros.transport.anymsg import connection_header
+from dyknow.ros.transport.conversions import connection_header, copy_as, copy_of
 
 #: rospy's queues have no bound by default; ours have a generous one.
 _QUEUE = 1000
@@ -71,53 +69,6 @@ def _arguments(rospy_class: Type[Any], *args: Any, **kwds: Any) -> Dict[str, Any
     arguments = dict(bound.arguments)
     del arguments["self"]
     return arguments
-
-
-# Messages
-
-
-_FLAT = (int, float, str, bytes)
-
-
-def copy_of(message: Any) -> Any:
-    """Copy a message, so that code which changes it afterwards changes its own.
-
-    A copy is structural: messages and lists in it are new, and immutable values (bytes, strings,
-    numbers) are shared. So the copy of an image of any size takes microseconds.
-    """
-    new = _copied(message)
-    header = getattr(message, "_connection_header", None)
-    if header is not None:
-        new._connection_header = header
-    return new
-
-
-def copy_as(datatype: Any, message: Any) -> Any:
-    """Copy a message into another class of the same type, as ``rospy.numpy_msg`` makes them."""
-    if message.__class__ is datatype:
-        return copy_of(message)
-    buffer = BytesIO()
-    message.serialize(buffer)
-    new = datatype().deserialize(buffer.getvalue())
-    new._connection_header = getattr(message, "_connection_header", None)
-    return new
-
-
-def _copied(value: Any) -> Any:
-    if isinstance(value, genpy.Message):
-        new = value.__class__.__new__(value.__class__)
-        for slot in value.__slots__:
-            setattr(new, slot, _copied(getattr(value, slot)))
-        return new
-    if isinstance(value, (list, tuple)):
-        if not value or isinstance(value[0], _FLAT):
-            return value[:]
-        return [_copied(each) for each in value]
-    if isinstance(value, genpy.TVal):
-        return copy.copy(value)
-    if isinstance(value, (bytearray, memoryview)) or hasattr(value, "__array__"):
-        return copy.copy(value)
-    return value
 
 
 # Connections

@@ -25,7 +25,6 @@ from the first publication until rospy's publisher of that topic is gone.
 from __future__ import annotations
 
 import copy
-from io import BytesIO
 from typing import Any, Callable, Collection, Dict, List, Set, Tuple
 
 import rospy
@@ -39,8 +38,13 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.ros.master import Master
-from dyknow.ros.transport.anymsg import TypedReceiver, connection_header, serialised
-from dyknow.ros.transport.backlog import Backlog
+from dyknow.ros.transport.conversions import (
+    TypedReceiver,
+    connection_header,
+    copy_by_wire,
+    serialised,
+)
+from dyknow.ros.transport.late_subscribers import Backlog
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -68,13 +72,6 @@ class IntraProcessTransport(Transport):
         if not self.done:
             super().close()
             self._closed()
-
-
-def copy_by_wire(message: Any) -> Any:
-    """Copy a message the way the network does."""
-    buffer = BytesIO()
-    message.serialize(buffer)
-    return message.__class__().deserialize(buffer.getvalue())
 
 
 class LocalTopic:
@@ -143,7 +140,7 @@ class LocalTopic:
             implementation.acquire()  # nothing is published between what was missed and the rest
             try:
                 added = add(connection)
-                for message in self.backlog.greet(address):
+                for message in self.backlog.missed_by(address):
                     outwards(message, implementation.connections[-1])
                 return added
             finally:
@@ -172,9 +169,7 @@ class LocalTopic:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
         new = self._listening is not subscriber
         if new:
-            self._listen_with(
-                subscriber
-            )  # first: a peer that sees the connection is heard already
+            self._listen_with(subscriber)  # first: a peer that sees the link is heard already
         present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
         if not present:
             subscriber.add_connection(

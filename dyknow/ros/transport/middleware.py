@@ -27,7 +27,7 @@ from dyknow.nodelet.middleware import (
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros import ages
 from dyknow.ros.master import Master
-from dyknow.ros.transport import anymsg
+from dyknow.ros.transport.conversions import serialised
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
@@ -98,7 +98,7 @@ class RospyTransport(Transport):
             return receive
 
         def receive_any(message: Any) -> None:
-            receive(message if message._md5sum == "*" else anymsg.serialised(datatype, message))
+            receive(message if message._md5sum == "*" else serialised(datatype, message))
 
         return receive_any
 

@@ -32,7 +32,7 @@ from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.master import Master
-from dyknow.ros.transport.reminders import Reminders
+from dyknow.ros.transport.late_subscribers import Reminders
 
 #: Seconds between two attempts while the master is down.
 _AGAIN = 0.5
@@ -62,7 +62,7 @@ class Registrar(RegistrationListener):
         self._worker = PeriodicWorker(
             "registering", self._settle, lambda: _AGAIN if self._owed else None, 0.0, _log
         )
-        self._reminders = Reminders(self._tell_again, self._connected)
+        self._reminders = Reminders(self._register_again, self._connected)
         self._manager: Any = None
         for listener in list(get_registration_listeners().listeners):
             if isinstance(listener, RegManager):
@@ -127,12 +127,12 @@ class Registrar(RegistrationListener):
             self._manager.publisher_update(name, peers)
         return True
 
-    def _tell_again(self, topic: str, datatype: str) -> Optional[FrozenSet[str]]:
-        """Have all subscribers of a topic told once more; returns their addresses if it worked."""
+    def _register_again(self, topic: str, datatype: str) -> Optional[FrozenSet[str]]:
+        """Let the master notify all subscribers of a topic again; return their addresses."""
         try:
             peers = self._master.ask("registerPublisher", topic, datatype, self._uri)
         except (PeerTimeout, LookupError) as error:
-            _log.debug("the subscribers of %s are not told again: %s", topic, error)
+            _log.debug("the subscribers of %s are not notified again: %s", topic, error)
             return None
         if get_topic_manager().get_publisher_impl(topic) is None:  # withdrawn in between
             self._unregister((Registration.PUB, topic, ""))

@@ -21,7 +21,7 @@ import rospy
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.master import Master
-from dyknow.ros.transport.anymsg import TypedReceiver
+from dyknow.ros.transport.conversions import TypedReceiver
 from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
 from dyknow.ros.transport.registrar import Registrar
 

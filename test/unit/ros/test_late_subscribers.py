@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Which subscribers are notified again of a topic that is back, and for how long."""
+"""Subscribers that connect late: the messages kept for them, and the reminders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,55 @@ from typing import List, Optional
 
 import pytest
 
-from dyknow.ros.transport.reminders import LATELY, Addresses, Reminders
+from dyknow.ros.transport.late_subscribers import LATELY, LONGEST, Addresses, Backlog, Reminders
+
+ONE, TWO, THREE = "http://one", "http://two", "http://three"
+
+
+def test_each_late_subscriber_receives_once_the_messages_that_it_missed() -> None:
+    backlog = Backlog()
+    backlog.keep("early")
+    assert not backlog.waiting()
+    assert backlog.missed_by(ONE) == []
+    backlog.expect([ONE, TWO], 10)
+    backlog.keep(1)
+    assert backlog.missed_by(THREE) == []
+    assert backlog.missed_by("") == []
+    assert backlog.missed_by(ONE) == [1]
+    assert backlog.missed_by(ONE) == []
+    backlog.keep(2)
+    assert backlog.waiting()
+    assert backlog.missed_by(TWO) == [1, 2]
+    assert not backlog.waiting()
+    assert backlog.missed_by(THREE) == []
+
+
+def test_nothing_is_kept_where_no_subscriber_is_due() -> None:
+    backlog = Backlog()
+    backlog.expect([], 10)
+    assert not backlog.waiting()
+    backlog.keep(1)
+    assert backlog.missed_by(ONE) == []
+
+
+@pytest.mark.parametrize(("size", "kept"), [(2, 2), (0, 1000)])
+def test_the_oldest_messages_are_dropped(size: int, kept: int) -> None:
+    backlog = Backlog()
+    backlog.expect([ONE], size)
+    for number in range(5000):
+        backlog.keep(number)
+    assert backlog.missed_by(ONE) == list(range(5000 - kept, 5000))
+
+
+def test_a_dead_subscriber_is_given_up() -> None:
+    now = [100.0]
+    backlog = Backlog(lambda: now[0])
+    backlog.expect([ONE], 10)
+    backlog.keep(1)
+    now[0] += LONGEST
+    assert not backlog.waiting()
+    assert backlog.missed_by(ONE) == []
+
 
 FAST, SLOW = frozenset({"http://fast:1"}), frozenset({"http://slow:1"})
 BOTH = FAST | SLOW
@@ -22,14 +70,16 @@ class Surroundings:
         self.now = 0.0
         self.subscribed: Optional[Addresses] = BOTH
         self.connected = FAST
-        self.told: List[str] = []
-        self.reminders = Reminders(self.tell_again, lambda topic: self.connected, lambda: self.now)
+        self.notified: List[str] = []
+        self.reminders = Reminders(
+            self.register_again, lambda topic: self.connected, lambda: self.now
+        )
         monkeypatch.setattr(
             self.reminders._worker, "start", lambda: None
         )  # the test makes the looks
 
-    def tell_again(self, topic: str, datatype: str) -> Optional[Addresses]:
-        self.told.append(f"{topic} {datatype}")
+    def register_again(self, topic: str, datatype: str) -> Optional[Addresses]:
+        self.notified.append(f"{topic} {datatype}")
         return self.subscribed
 
     def come_back(self, away: float = 0.1) -> None:
@@ -39,11 +89,11 @@ class Surroundings:
 
     def wait(self, seconds: float) -> int:
         """Let time pass; returns how often all were notified again."""
-        before = len(self.told)
+        before = len(self.notified)
         for _ in range(round(seconds * 10)):
             self.now += 0.1
-            self.reminders.look()
-        return len(self.told) - before
+            self.reminders.remind()
+        return len(self.notified) - before
 
 
 @pytest.fixture
@@ -54,7 +104,7 @@ def around(monkeypatch: pytest.MonkeyPatch) -> Surroundings:
 def test_who_is_missing_is_told_until_it_has_come(around: Surroundings) -> None:
     around.come_back()
     assert around.wait(10.0) > 2
-    assert set(around.told) == {"/t pkg/T"}
+    assert set(around.notified) == {"/t pkg/T"}
     around.connected = BOTH
     assert around.wait(100.0) == 0
 

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Copies of messages, and conversion between ``rospy.AnyMsg`` and the classes of messages.
+
+rospy has one subscriber for each topic of a process, and its first user decides which class its
+messages have. They are converted here for its other users.
+"""
+
+from __future__ import annotations
+
+import copy
+from io import BytesIO
+from typing import Any, Dict, Optional
+
+import genpy
+import rospy
+
+from dyknow.nodelet.middleware import Receive
+
+_FLAT = (int, float, str, bytes)
+
+
+def _bytes(message: Any) -> bytes:
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def copy_by_wire(message: Any) -> Any:
+    """Copy a message the way the network does."""
+    return message.__class__().deserialize(_bytes(message))
+
+
+def copy_of(message: Any) -> Any:
+    """Copy a message, so that code which changes it afterwards changes its own.
+
+    A copy is structural: messages and lists in it are new, and immutable values (bytes, strings,
+    numbers) are shared. So the copy of an image of any size takes microseconds.
+    """
+    new = _copied(message)
+    header = getattr(message, "_connection_header", None)
+    if header is not None:
+        new._connection_header = header
+    return new
+
+
+def copy_as(datatype: Any, message: Any) -> Any:
+    """Copy a message into another class of the same type, as ``rospy.numpy_msg`` makes them."""
+    if message.__class__ is datatype:
+        return copy_of(message)
+    new = datatype().deserialize(_bytes(message))
+    new._connection_header = getattr(message, "_connection_header", None)
+    return new
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, genpy.Message):
+        new = value.__class__.__new__(value.__class__)
+        for slot in value.__slots__:
+            setattr(new, slot, _copied(getattr(value, slot)))
+        return new
+    if isinstance(value, (list, tuple)):
+        if not value or isinstance(value[0], _FLAT):
+            return value[:]
+        return [_copied(each) for each in value]
+    if isinstance(value, genpy.TVal):
+        return copy.copy(value)
+    if isinstance(value, (bytearray, memoryview)) or hasattr(value, "__array__"):
+        return copy.copy(value)
+    return value
+
+
+def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
+    """The connection header of messages from this process, without their topic."""
+    return {
+        "callerid": rospy.get_name(),
+        "latching": str(int(latching)),
+        "md5sum": datatype._md5sum,
+        "message_definition": datatype._full_text,
+        "type": datatype._type,
+    }
+
+
+def serialised(any_class: Any, message: Any, header: Optional[Dict[str, str]] = None) -> Any:
+    """Convert a message of this process to one of any type."""
+    wrapped = any_class()
+    wrapped._buff = _bytes(message)
+    wrapped._connection_header = header or connection_header(message, False)
+    return wrapped
+
+
+class TypedReceiver:
+    """Feeds a connection of a definite type from a rospy subscriber that may be of any type."""
+
+    def __init__(self, topic: str, datatype: Any, receive: Receive) -> None:
+        self._topic = topic
+        self._datatype = datatype
+        self._receive = receive
+
+    def push(self, message: Any) -> None:
+        """Pass a message on, in its class."""
+        if message._md5sum == "*":
+            present = message._connection_header
+            if present["md5sum"] != self._datatype._md5sum:
+                rospy.logwarn_throttle(
+                    10.0,
+                    f"{self._topic} carries {present['type']}, but {self._datatype._type} was "
+                    "asked for: dropping it",
+                )
+                return
+            message = self._datatype().deserialize(message._buff)
+            message._connection_header = present
+        self._receive(message)

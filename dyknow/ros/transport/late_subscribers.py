@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Subscribers that know of a publisher of this process and have yet to connect.
+
+A publisher that moves to a topic waits for its subscribers, but not for ever. `Backlog` keeps what
+it publishes before the last of them has connected, and delivers it to each that comes late. So a
+busy machine delays a stream and does not tear it.
+
+A rospy subscriber does not connect to an address to which it has a connection, and it does not
+connect again when that turns out to be closed. A subscriber whose callback takes long may learn
+that a topic is back before it notices that the topic was gone; then it stays deaf for ever. The
+master notifies all subscribers of a topic whenever a node registers for it. To register again does
+no harm to connected subscribers but may cost a message to one that is just connecting, so
+`Reminders` does it only for topics that were withdrawn lately, while a subscriber is missing.
+"""
+
+from __future__ import annotations
+
+import collections
+import logging
+import time
+from dataclasses import dataclass
+from typing import Any, Callable, Collection, Deque, Dict, FrozenSet, List, Optional, Set
+
+import rospy
+
+from dyknow.backoff import Backoff
+from dyknow.locks import state_lock
+from dyknow.periodic import PeriodicWorker
+
+#: Seconds in which a subscriber that the master notified has connected, if it lives.
+LONGEST = 10.0
+#: Messages kept at most where the publisher's own queue is unbounded.
+_MOST = 1000
+#: Seconds in which every subscriber has noticed that a topic is gone.
+LATELY = 60.0
+#: Seconds until the first reminder; the pauses double.
+_FIRST_PAUSE = 1.0
+#: Seconds after which no more reminders are sent.
+_GIVEN_UP_AFTER = 30.0
+_STEP = 0.1
+
+Addresses = FrozenSet[str]
+
+#: Not below "rosout": to publish there rospy asks the master about a parameter first.
+_log = logging.getLogger("dyknow.master")
+
+
+class Backlog:
+    """Subscribers that are about to connect to one topic, and the messages that they missed.
+
+    All methods but ``waiting`` are called under the lock of rospy's publisher.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._due: Set[str] = set()
+        self._deadline = 0.0
+        self._missed: Deque[Any] = collections.deque()
+        #: Whether a subscriber is expected; looked at on every publish.
+        self.open = False
+
+    def expect(self, due: Collection[str], size: int) -> None:
+        """Keep messages from now on.
+
+        Args:
+            due: addresses of the nodes that know of the publisher and have yet to connect.
+            size: messages to keep, the newest; 0 for no bound of the publisher's own.
+        """
+        self._due = set(due)
+        self._missed = collections.deque(maxlen=size or _MOST)
+        self._deadline = self._clock() + LONGEST
+        self.open = bool(self._due)
+
+    def waiting(self) -> bool:
+        """Whether a subscriber is still expected."""
+        if self.open and self._clock() >= self._deadline:
+            self._close()
+        return self.open
+
+    def keep(self, message: Any) -> None:
+        """Keep a message for subscribers that are late."""
+        if self.waiting():
+            self._missed.append(message)
+
+    def missed_by(self, address: str) -> List[Any]:
+        """Return the messages that a subscriber missed which has connected now, oldest first."""
+        if not self.waiting() or address not in self._due:
+            return []
+        self._due.remove(address)
+        missed = list(self._missed)
+        if not self._due:
+            self._close()
+        return missed
+
+    def _close(self) -> None:
+        self.open = False
+        self._missed.clear()
+
+
+@dataclass
+class _Reminder:
+    """A topic that is advertised again."""
+
+    datatype: str
+    due: Addresses  # subscribers that know of it and may have yet to connect
+    until: float
+
+
+class Reminders:
+    """Reminds subscribers of topics that are back; the thread starts with the first topic."""
+
+    def __init__(
+        self,
+        register_again: Callable[[str, str], Optional[Addresses]],
+        connected: Callable[[str], Addresses],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Make it without topics.
+
+        Args:
+            register_again: registers a topic of a type again; returns the addresses of its
+                subscribers, or None if that did not work.
+            connected: addresses of the subscribers that are connected to a topic of this process.
+            clock: seconds, steady.
+        """
+        self._register_again = register_again
+        self._connected = connected
+        self._clock = clock
+        self._backoff = Backoff(clock, _FIRST_PAUSE, tolerated=0)
+        self._state_lock = state_lock("reminders")
+        self._withdrawn: Dict[str, float] = {}
+        self._open: Dict[str, _Reminder] = {}
+        self._worker = PeriodicWorker(
+            "reminding subscribers",
+            self._round,
+            lambda: _STEP if self._open else None,
+            _STEP,
+            _log,
+        )
+
+    def withdrawn(self, topic: str) -> None:
+        """Note that this process does not publish a topic any more."""
+        now = self._clock()
+        with self._state_lock:
+            self._open.pop(topic, None)
+            self._withdrawn = {
+                each: when for each, when in self._withdrawn.items() if now - when < LATELY
+            }
+            self._withdrawn[topic] = now
+
+    def advertised(self, topic: str, datatype: str, notified: Addresses) -> None:
+        """Note that this process publishes a topic, and which subscribers the master notified."""
+        now = self._clock()
+        with self._state_lock:
+            withdrawn = self._withdrawn.pop(topic, None)
+            if not notified or withdrawn is None or now - withdrawn >= LATELY:
+                return
+            self._open[topic] = _Reminder(datatype, notified, now + _GIVEN_UP_AFTER)
+        self._backoff.forgive(topic)
+        self._backoff.failed(topic)
+        self._worker.start()
+        self._worker.wake()
+
+    def remind(self) -> None:
+        """Send the reminders that are due."""
+        now = self._clock()
+        with self._state_lock:
+            reminders = list(self._open.items())
+        for topic, reminder in reminders:
+            if not self._backoff.allows(topic):
+                continue
+            missing = reminder.due - self._connected(topic)
+            if missing:
+                notified = self._register_again(topic, reminder.datatype)
+                reminder.due = missing if notified is None else missing & notified
+            self._backoff.failed(topic)
+            is_over = not missing or now >= reminder.until
+            with self._state_lock:
+                if is_over and self._open.get(topic) is reminder:
+                    del self._open[topic]
+
+    def _round(self) -> None:
+        if not rospy.is_shutdown():
+            self.remind()
