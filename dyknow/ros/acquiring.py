@@ -4,8 +4,8 @@
 """Streams on request for Python programs: ``with dyknow.acquire(tag) as stream:``.
 
 Works in a rospy node and in a nodelet. The claim lives as long as the ``with`` block or, without
-one, until ``release``. Its lease is renewed automatically, and a bond tells the manager when the
-process dies.
+one, until ``release``. Its lease is renewed automatically, and a bond notifies the manager when
+the process dies.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class AcquiredStream:
     """A stream that the manager makes and maintains for this process.
 
     Attributes:
-        tag: what was asked for.
+        tag: the requested tag.
         claim_id: the claim's id, for ``dyknow streams``, ``replan`` and ``release``.
         lease: seconds that the claim outlives a silent client.
         spawned: nodelets that were spawned for it.

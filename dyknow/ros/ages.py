@@ -41,7 +41,7 @@ def age_of(message: Any) -> Optional[float]:
 
 
 def age_of_serialised(message: Any) -> Optional[float]:
-    """Return the age in seconds of what a subscriber of ``rospy.AnyMsg`` received."""
+    """Return the age in seconds of a message that was received as ``rospy.AnyMsg``."""
     definition = (message._connection_header or {}).get("message_definition", "")
     if len(message._buff or b"") < _HEADER.size or not _begins_with_header(definition):
         return None

@@ -55,7 +55,7 @@ class Finding:
     Attributes:
         subject: the node, nodelet, topic, transformation, host or folder that has it.
         problem: the observed state.
-        cure: what a user can do.
+        cure: a remedy for the user.
         is_error: whether something does not work now; else it may soon, or be a mistake.
     """
 

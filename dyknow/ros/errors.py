@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Exceptions of handles that are also rospy's, so that converted nodes catch what they caught."""
+"""Exceptions of handles that are also rospy's, so that converted nodes still catch them."""
 
 from __future__ import annotations
 
@@ -19,4 +19,4 @@ class MessageTimeout(DyKnowError, rospy.ROSException):
 
 
 class Interrupted(DyKnowError, rospy.ServiceException, rospy.ROSInterruptException):
-    """The nodelet was unloaded while somebody waited for it."""
+    """The nodelet was unloaded during a wait."""

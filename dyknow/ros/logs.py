@@ -24,16 +24,16 @@ def for_log(text: object) -> str:
 
 
 class LogTail:
-    """Copies what is appended to a file; safe from any thread."""
+    """Copies additions to a file; safe from any thread."""
 
     def __init__(self, path: str, at_end: bool = False) -> None:
-        """Begin at the start of ``path``, or at its end as it is now."""
+        """Start at the beginning of ``path``, or at its present end."""
         self._path = path
         self._turn = turn_lock("output of a child")
         self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
 
     def copy(self, target: TextIO) -> None:
-        """Copy what was appended since the last call."""
+        """Copy the additions since the last call."""
         with self._turn:
             try:
                 with open(self._path, "rb") as file:

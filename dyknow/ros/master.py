@@ -22,7 +22,7 @@ TIMEOUT = 3.0
 _PORT = re.compile(r"\bto \[[^]]*:(\d+) on socket")
 #: What every node of rospy and roscpp subscribes to when it logs, and keeps to its end.
 _LOG_PARAMETER = "/rosout_disable_topics_generation"
-#: Seconds for a node to say what it subscribes to, while somebody waits for a switch.
+#: Seconds for a node to list its subscriptions, while a switch waits for them.
 _AT_ONCE = 0.2
 
 
@@ -88,7 +88,7 @@ class _Server:
 
 
 class Master:
-    """The master that ROS_MASTER_URI names, asked in the name of one node."""
+    """The master that ROS_MASTER_URI names, queried in the name of one node."""
 
     def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
         """Prepare questions to the master.
@@ -124,7 +124,7 @@ class Master:
         """Type of a topic with a live publisher or subscriber, else empty.
 
         The types that the master knows outlive the publishers, so only published topics are
-        looked up, in the namespace of this one. Without a publisher the subscribers are asked.
+        looked up, in the namespace of this one. Without a publisher the subscribers are queried.
         """
         published = dict(self.ask("getPublishedTopics", names.parent(topic)))
         if topic in published:
@@ -177,7 +177,7 @@ class Master:
         """Unregister, in its name, all that a dead node left, as ``rosnode cleanup`` does.
 
         The master forgets the node's address then, unless it subscribed to parameters of its own.
-        Otherwise it would tell the address to end when the name registers again, and with it any
+        Otherwise it would shut the address down when the name registers again, and with it any
         node that has the port by then.
 
         Args:

@@ -4,7 +4,7 @@
 """Conversion between the values of ``dyknow.model`` and the messages of ``dyknow_msgs``.
 
 ``x_message`` makes the message of a value, ``x_from`` the value of a message. Fields that have the
-same name on both sides are converted by their type; the functions state only the others.
+same name on both sides are converted by their type; the functions state only the rest.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 T = TypeVar("T")
 
-#: Begins the lines of an answer to ``acquire_stream`` that are no detail of the claim.
+#: Prefix of the lines of an answer to ``acquire_stream`` that are warnings.
 _WARNING = "warning: "
 _SECONDS = {"duration": Duration, "time": Time}
 
 
 def _message(message_class: Type[Any], value: object, /, **fields: object) -> Any:
-    """Make a message from ``fields``, and the others from the attributes of a value."""
+    """Make a message from ``fields``, and the rest from the attributes of a value."""
     for name, kind in zip(message_class.__slots__, message_class._slot_types):
         if name not in fields and hasattr(value, name):
             fields[name] = _field(kind, getattr(value, name))
@@ -61,7 +61,7 @@ def _field(kind: str, value: Any) -> Any:
 
 
 def _value(value_class: Type[T], message: Any, /, **attributes: object) -> T:
-    """Make a value from ``attributes``, and the others from the fields of a message."""
+    """Make a value from ``attributes``, and the rest from the fields of a message."""
     names = getattr(value_class, "_fields", None) or [
         each.name
         for each in dataclasses.fields(value_class)  # type: ignore[arg-type]

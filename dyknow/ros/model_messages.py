@@ -3,9 +3,9 @@
 
 """The manager's model as messages, serialised once for each thing that changes.
 
-A model may hold hundreds of nodelets and a hundred thousand transformations, and is asked for
+A model may hold hundreds of nodelets and a hundred thousand transformations, and is requested
 again and again while little of it changes. So the bytes of each nodelet and of each transformation
-are kept for as long as that stays what it is, and a model is put together from them.
+are kept until it changes, and a model is put together from them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ModelMessages:
     """Makes messages of models, from kept parts."""
 
     def __init__(self) -> None:
-        """Begin with nothing kept."""
+        """Make an empty cache."""
         self._turn = turn_lock("parts of model messages")
         self._nodelets: Dict[str, Tuple[NodeletStatus, bytes]] = {}
         self._transformations: Dict[str, Tuple[Transformation, bytes]] = {}

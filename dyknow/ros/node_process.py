@@ -39,12 +39,12 @@ _CLOSE_PATIENCE = 10.0
 _SHUTDOWN_PATIENCE = 2.0
 #: The same for a node that was never initialised: there is nothing to take back.
 _SHORT_PATIENCE = 0.5
-#: In the text with which the master tells a node to end whose name another one has registered.
+#: Part of the master's shutdown message to a node whose name another one has registered.
 _DISPLACED = "new node registered with same name"
 
 
 class _Order(enum.Enum):
-    """What ends the main thread's wait."""
+    """Reasons for the main thread's wait to end."""
 
     END = enum.auto()
     FAIL = enum.auto()
@@ -57,7 +57,7 @@ class NodeProcess:
     Args:
         node: default name of the node.
         argv: the command line with ROS's own arguments, program name first.
-        start: called once the node is initialised; returns what is to be closed at the end, or
+        start: called once the node is initialised; returns an object to close at the end, or
             None if it failed and has said so. A `DyKnowError` is logged, and ends the process.
         on_displaced: called when the master says that another node has registered under this
             name; by default that ends the node, as rosnode kill does.
@@ -163,7 +163,7 @@ class NodeProcess:
 
 
 def _print_logs_at_least() -> None:
-    """Print what is logged where rospy could not set its logs up, since it cannot write them.
+    """Print the log where rospy could not set up its log files, since it cannot write them.
 
     It would be silent, about its own end too.
     """

@@ -21,9 +21,9 @@ from typing import List, Mapping, Optional, Sequence, Tuple
 #: Seconds between two looks, where the kernel does not report the end of a process.
 _PERIOD = 0.1
 NOTHING: Mapping[str, str] = {}
-#: How a process is asked to end.
+#: Signals that end a process politely.
 _TERMINATE = (signal.SIGTERM,)
-#: Seconds for the rest of a session to end when it is asked to.
+#: Seconds for the rest of a session to end after SIGTERM.
 _REST_PATIENCE = 1.0
 
 
@@ -72,10 +72,10 @@ class ProcessId:
         return ended
 
     def wait_for_rest(self) -> Optional[int]:
-        """Wait for its end without a time limit, then end what it left in its session.
+        """Wait for its end without a time limit, then end the rest of its session.
 
         Returns:
-            Its exit code, or the negative number of the signal that ended it; None if it is no
+            Its exit code, or the negative number of the signal that ended it; None if it is not a
             child of this process.
         """
         self._await_end(None)
@@ -90,11 +90,11 @@ class ProcessId:
         return _reap(self.pid)
 
     def end(self, patience: float, signals: Sequence[int] = _TERMINATE) -> None:
-        """End it: ask it first, and force it when it has not ended after ``patience`` seconds.
+        """End it with ``signals``, and after ``patience`` seconds with SIGKILL.
 
         Args:
             patience: seconds, for all signals together.
-            signals: how it is asked, one after the other.
+            signals: sent one after the other.
         """
         for number in signals:
             self.signal(number)
@@ -137,7 +137,7 @@ def start(
 
     Args:
         command: program and arguments.
-        output: file for what it prints. Our own output would stay open as long as the process,
+        output: file for its output. Our own output would stay open as long as the process,
             and a reader of it would wait for that long.
         folder: working directory, made if need be; empty for that of this process.
         environment: variables besides those of this process.
@@ -163,7 +163,7 @@ def start(
 
 @functools.lru_cache(maxsize=None)
 def boot() -> str:
-    """Return what differs for each start of the machine; process ids begin anew with it."""
+    """Return an id of this boot of the machine; process ids are unique in one boot."""
     try:
         with open("/proc/sys/kernel/random/boot_id") as file:
             return file.read().strip()
@@ -204,7 +204,7 @@ def _pidfd(pid: int) -> Optional[int]:
 
 
 def _stat(pid: int) -> List[bytes]:
-    """Fields of a process from its state on; none if there is no such process."""
+    """Fields of a process from its state on; empty if it does not exist."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             # The second field is the program's name, in brackets, with anything in it.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The programs of packages: where they are, and what they are."""
+"""The programs of packages: their paths and kinds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def find_program(package: str, executable: str) -> str:
     Raises:
         CannotRun: there is none, or there are several.
     """
-    import rospkg  # here: who asks for first lines alone does not wait for it
+    import rospkg  # here: reading first lines does not wait for it
 
     try:
         folder, found = _found(package, executable)
@@ -50,7 +50,7 @@ def find_program(package: str, executable: str) -> str:
 def _found(package: str, executable: str) -> Tuple[str, List[str]]:
     """Return the folder of a package, and the programs of that name, as rosrun finds them.
 
-    The packages are looked up anew only if there is none: that takes longer than all else.
+    The packages are searched again only if there is none: that takes longer than all else.
     """
     import rospkg
     from roslib.packages import find_node
@@ -85,7 +85,7 @@ def find_script(name: str) -> str:
     """Return the path of a script that is named ``PKG/SCRIPT``, or by its path.
 
     Raises:
-        CannotRun: there is none, or it is no script in Python.
+        CannotRun: there is none, or it is not a script in Python.
     """
     package, slash, executable = name.partition("/")
     if not slash:
@@ -97,7 +97,7 @@ def find_script(name: str) -> str:
 
 
 def kind_of(program: Program) -> NodeletKind:
-    """Return what a program becomes when it is spawned: a script, or a node of its own.
+    """Return the kind of a program when it is spawned: a script, or a node of its own.
 
     Raises:
         CannotRun: it is not there, or is neither a Python script nor a binary.
@@ -113,7 +113,7 @@ def kind_of(program: Program) -> NodeletKind:
 
 
 def interpreter(path: str) -> Optional[List[str]]:
-    """Return the command that a Python script is run with, by its first line; None for others.
+    """Return the command of a Python script, by its first line; None for other programs.
 
     Raises:
         CannotRun: the file cannot be read.

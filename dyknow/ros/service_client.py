@@ -30,7 +30,7 @@ _PREFIX = "service cannot process request: "
 
 
 class ServiceFailed(HostError):
-    """The service answered that it failed; the text is what it said."""
+    """The service answered that it failed; the text is its own."""
 
 
 class ServiceLost(HostError):

@@ -44,7 +44,7 @@ class EventReader:
     """Events of streams, from the moment on at which it was made."""
 
     def __init__(self, reader: TopicReader) -> None:
-        """Read what a connection carries."""
+        """Read from a connection."""
         self._reader = reader
 
     def next(self, timeout: float) -> Optional[StreamEvent]:
@@ -77,7 +77,7 @@ class ShellClient(ManagerClient):
 
         Args:
             manager: global name of the manager's node.
-            timeout: seconds for each answer; None for what suits the question.
+            timeout: seconds for each answer; None for a default that suits the question.
         """
         super().__init__(manager, f"/dyknow_{os.getpid()}")
         #: Where relative names of nodelets begin.
@@ -99,7 +99,7 @@ class ShellClient(ManagerClient):
         return model_from(message)
 
     def stream_events(self) -> EventReader:
-        """Begin to listen to the events of all streams."""
+        """Listen to the events of all streams."""
         return EventReader(self._topic("stream_events", msg.StreamEvent))
 
     def wait_for_model(self, condition: Callable[[Model], bool]) -> bool:

@@ -5,7 +5,7 @@
 
 Python runs a handler in the main thread once that thread executes Python code again. A main thread
 that is just about to block misses a signal until something else wakes it up. The descriptor that
-``signal.set_wakeup_fd`` names is written to at once, whatever the main thread does, so it is read
+``signal.set_wakeup_fd`` names is written to at once, even if the main thread blocks, so it is read
 here.
 """
 

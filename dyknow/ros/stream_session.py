@@ -32,7 +32,7 @@ from dyknow.ros.messages import event_from
 
 #: A lease is renewed when this fraction of it has passed.
 _RENEWED_AFTER = 1 / 3
-#: Seconds before a manager that did not answer is asked again.
+#: Seconds before the next call to a manager that did not answer.
 _RETRY = 1.0
 #: Seconds to wait for the events' connection, so that the first events are not missed.
 _CONNECT_PATIENCE = 0.5

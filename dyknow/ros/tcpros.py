@@ -3,8 +3,8 @@
 
 """TCPROS connections of our own, in which every step has a time limit (rospy's have none).
 
-What TCPROS sends is framed: four bytes that count, and what they count. A connection begins with a
-frame of header fields in each direction.
+TCPROS sends frames: four bytes for the length, and as many bytes of content. A connection begins
+with a frame of header fields in each direction.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TcprosConnection:
     """The side that connects. Deadlines are moments of the steady clock.
 
     The methods that send and receive raise ``socket.timeout`` when the deadline passes, and
-    ``OSError`` when the connection breaks. What has come by then is kept for the next call.
+    ``OSError`` when the connection breaks. Received bytes are kept for the next call.
     """
 
     def __init__(self, host: str, port: int, seconds: float) -> None:
@@ -74,11 +74,11 @@ class TcprosConnection:
         self._socket.sendall(_LENGTH.pack(len(body)) + body)
 
     def receive_frame(self, deadline: float) -> bytes:
-        """Return what the next frame holds."""
+        """Return the content of the next frame."""
         return self._receive(0, deadline)[1]
 
     def receive_answer(self, deadline: float) -> Tuple[bool, bytes]:
-        """Return what a service answers: whether it succeeded, and the frame after that."""
+        """Return the answer of a service: whether it succeeded, and the content of the frame."""
         succeeded, body = self._receive(1, deadline)
         return succeeded != b"\0", body
 

@@ -123,7 +123,7 @@ class TopicReader:
 
 
 class TopicFollower:
-    """Hands on what a topic of a node carries, over one connection after the other.
+    """Passes on the messages of a node's topic, over one connection after the other.
 
     A connection that is lost is made again for as long as it takes. Of several messages that have
     arrived meanwhile only the last is handed on if ``last_only`` says so, and the next only after
@@ -157,7 +157,7 @@ class TopicFollower:
         return self._reader is not None
 
     def start(self) -> None:
-        """Begin; returns at once."""
+        """Start the thread."""
         in_background(self._what, self._run)
 
     def reconnect(self) -> None:

@@ -18,8 +18,8 @@ sisters cannot distinguish from ordinary traffic:
 
 * Silence counts from the sister's first heartbeat, not from her second; a sister that died in
   between would be waited for without end.
-* An end that gives its sister up publishes "dead" once, so that a sister that was only suspended
-  learns it at once.
+* An end that stops waiting for its sister publishes "dead" once, so that a sister that was only
+  suspended learns it at once.
 * An end that parts before its sister was heard repeats "dead" for a while too: she may just be
   connecting, and would wait for the whole connect timeout.
 * After the sister's death is acknowledged, the end lingers and acknowledges again while she
@@ -170,7 +170,7 @@ class BondEnd:
             effects.intruded.append(self.bond_id)
 
     def tick(self, now: float, silence_counts: bool | None, effects: Effects) -> None:
-        """Do what is due at the deadline; see `BondTable.tick`."""
+        """Act on the deadline; see `BondTable.tick`."""
         if self.deadline is None or now < self.deadline:
             return
         parting_ends = self._parted_at + self._timings.disconnect_timeout
@@ -296,7 +296,7 @@ class BondTable:
         return effects
 
     def tick(self, now: float, silence_counts: bool | None = None) -> Effects:
-        """Do what is due.
+        """Act on all deadlines, and publish heartbeats.
 
         Args:
             now: The time.

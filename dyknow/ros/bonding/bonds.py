@@ -11,7 +11,7 @@ subscriber and one thread, and has none of the three while there is no bond.
 
 The rules are in `bond_table`, which knows neither rospy nor threads. Who owns what: the condition
 guards the table. The thread owns the publisher and the subscriber, which come and go with it; so
-it is no `PeriodicWorker`, whose thread would stay. A turn is held while something is published,
+it is not a `PeriodicWorker`, whose thread would stay. A turn is held while something is published,
 since a rospy publisher must not be unregistered meanwhile.
 """
 
@@ -75,7 +75,7 @@ class Bonds:
             executor: Runs the callbacks of broken bonds. By default they have a short-lived
                 thread, since a slow unload must not delay the heartbeats of the other bonds.
             clock: Seconds by which silence is measured. A clock of the time for which this
-                process has run gives sisters time to answer after a pause.
+                process has run leaves sisters time to answer after a pause.
         """
         self._clock = clock
         self._topic = topic
@@ -111,7 +111,7 @@ class Bonds:
     def remove(self, bond_id: str) -> None:
         """Break a bond on purpose: the sister is notified, `on_broken` is not called.
 
-        Nothing happens if there is no such bond: it may just have broken by itself.
+        Nothing happens if the bond does not exist: it may just have broken by itself.
         """
         with self._changed:
             effects = self._table.remove(bond_id, self._clock())
@@ -150,13 +150,13 @@ class Bonds:
             return True
         finally:
             subscriber.unregister()
-            with self._publishing_turn:  # after what is being published, before anything else
+            with self._publishing_turn:  # after the present message, before any other
                 if self._publisher is publisher:
                     self._publisher = None
             publisher.unregister()
 
     def _serve_once(self) -> bool:
-        """Do what is due, or sleep until something is; False when the last bond is gone."""
+        """Act on what is due, or sleep; return False when the last bond is gone."""
         with self._changed:
             silent = self._table.silent(self._clock())
         silence_counts = not self._is_heartbeat_timeout_disabled(silent) if silent else None
@@ -191,7 +191,7 @@ class Bonds:
         self._perform(effects)
 
     def _perform(self, effects: Effects) -> None:
-        """Carry out what the table asks for; never called with the lock."""
+        """Carry out the effects; never called with the lock."""
         self._publish(effects.announcements)
         for bond_id in effects.intruded:
             rospy.logerr_throttle(
@@ -206,7 +206,7 @@ class Bonds:
         with self._publishing_turn:
             publisher = self._publisher
             if publisher is None:
-                return  # the thread is about to make it; whatever matters is repeated
+                return  # the thread is about to make it; messages that matter are repeated
             for each in announcements:
                 try:
                     publisher.publish(status_message(each, self._timings))

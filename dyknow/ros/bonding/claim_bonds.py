@@ -32,7 +32,7 @@ class ClaimBonds:
         expire: Callable[[str, str], None],
         running: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin without bonds.
+        """Make it without bonds.
 
         Args:
             claims: returns the claims of this moment.
@@ -42,7 +42,7 @@ class ClaimBonds:
         self._claims = claims
         self._expire = expire
         self._bonds = Bonds(names.join(rospy.get_name(), TOPIC), clock=running)
-        #: Changes of claims are followed in turn: what the last one sees is what stays.
+        #: Changes of claims are followed in turn: the last one decides.
         self._turn = turn_lock("bonds of claims")
         self._state_lock = state_lock("claims by bond")
         self._held: Dict[str, Set[str]] = {}

@@ -62,7 +62,7 @@ def importer_with_libraries(context: Context, module: str, package: Package) -> 
     """Return modules of a nodelet's own if they use libraries of rospy, else None.
 
     The nodelet's own modules see rospy as it is. The libraries that they import (actionlib, tf2,
-    message_filters and the like) act in its name, on topics that are no ports.
+    message_filters and the like) act in its name, on topics that are not ports.
 
     Args:
         context: the nodelet.

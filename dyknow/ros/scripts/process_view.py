@@ -41,7 +41,7 @@ _REFUSED = {
 
 
 def process_views(sandbox: Sandbox) -> Views:
-    """Return what makes the views that every sandbox has, by name."""
+    """Return factories of the views that every sandbox has, by name."""
     views: Views = {
         "atexit": lambda: View(
             atexit, {"register": sandbox.exits.register, "unregister": sandbox.exits.unregister}
@@ -54,11 +54,11 @@ def process_views(sandbox: Sandbox) -> Views:
 
 
 def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
-    """Return what makes the further views of a script, by name.
+    """Return factories of the further views of a script, by name.
 
     Args:
-        sandbox: whose they are.
-        importer: returns what has its modules.
+        sandbox: of the script.
+        importer: returns the importer of its modules.
     """
     views: Views = {"sys": lambda: _sys(sandbox, importer())}
     if not sandbox.is_alone:
@@ -69,7 +69,7 @@ def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
 
 
 def functions(sandbox: Sandbox) -> Dict[str, Any]:
-    """What takes the place of built-in functions."""
+    """Return replacements of built-in functions."""
     if sandbox.is_alone:
         return {}
     return {"input": _refusal(sandbox, "input()"), "exit": sys.exit, "quit": sys.exit}
@@ -90,7 +90,7 @@ def _sys(sandbox: Sandbox, importer: Importer) -> View:
 
 
 class _OwnSys(View):
-    """``sys`` of a sandbox with a process of its own: what it sets there is the process's."""
+    """``sys`` of a sandbox with a process of its own: assignments are to the process's ``sys``."""
 
     def __init__(self, sandbox: Sandbox, importer: Importer) -> None:
         super().__init__(sys, {"modules": importer.everything()})
@@ -184,7 +184,7 @@ def _kill(sandbox: Sandbox) -> Callable[[int, int], None]:
 
 
 def _refusing(sandbox: Sandbox) -> Views:
-    """Views of what a sandbox that shares its process must not use, or not all of it."""
+    """Return views of modules that code in a shared process must not use, or not entirely."""
 
     def refuse(toolkit: str) -> Callable[[], Module]:
         return lambda: _refusal(sandbox, f"the toolkit {toolkit}")()

@@ -3,8 +3,8 @@
 
 """``rospy.Publisher``, ``Subscriber``, ``Service`` and ``ServiceProxy`` of a sandbox.
 
-Their arguments are those of rospy's classes. ``impl`` has what libraries read of rospy's inside:
-actionlib asks ``publisher.impl.has_connection(node)`` and ``subscriber.impl.connections``.
+Their arguments are those of rospy's classes. ``impl`` has the internals that libraries read:
+actionlib uses ``publisher.impl.has_connection(node)`` and ``subscriber.impl.connections``.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class SandboxedPublisher(_Topic):
 
     @property
     def impl(self) -> PublisherImpl:
-        """The part of rospy's inside that libraries use."""
+        """The internals of rospy that libraries use."""
         return PublisherImpl(self._end, self.sandbox.context)
 
 
@@ -266,7 +266,7 @@ class SandboxedSubscriber(_Topic):
 
     @property
     def impl(self) -> SubscriberImpl:
-        """The part of rospy's inside that libraries use."""
+        """The internals of rospy that libraries use."""
         return SubscriberImpl(self._end, self.sandbox.context)
 
 

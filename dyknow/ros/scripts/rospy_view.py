@@ -43,10 +43,10 @@ _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logo
 def rospy_views(
     sandbox: Sandbox, init_node: Callable[..., None], timer: Callable[[], Module]
 ) -> Dict[str, Callable[[], Module]]:
-    """Return what makes the views of rospy and its submodules, by name.
+    """Return factories of the views of rospy and its submodules, by name.
 
     Args:
-        sandbox: whose they are.
+        sandbox: of the code.
         init_node: is called as ``rospy.init_node``.
         timer: returns the sandbox's copy of ``rospy.timer``.
     """
@@ -142,7 +142,7 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]
         return dict(sandbox.context.remappings) if sandbox.context is not None else {}
 
     def logger(name: str) -> Callable[..., Any]:
-        # A partial adds no frame: rospy tells call sites apart by their frames.
+        # A partial adds no frame: rospy distinguishes call sites by their frames.
         if sandbox.is_alone:
             return getattr(rospy, name)  # type: ignore[no-any-return]
         title = sandbox.name.strip("/").replace("/", ".")

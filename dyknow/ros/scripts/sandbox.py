@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Sandboxes: rospy code that takes its process for its own, run as one nodelet among others.
+"""Sandboxes: rospy code that is written for a process of its own, run as one of many nodelets.
 
 The code is a script, or the libraries of rospy that a nodelet uses. Its sandbox has its
 handle, threads and shutdown hooks, and ends them all when the nodelet is unloaded.
@@ -32,7 +32,7 @@ from dyknow.periodic import attempt, in_background
 _PATIENCE = 0.3
 #: Seconds in which they are made to end, from then on.
 _FORCE = 0.45
-#: Seconds that shutdown hooks may sleep while somebody waits for the unload.
+#: Seconds that shutdown hooks may sleep during an unload.
 HOOKS_PATIENCE = 0.25
 _STEP = 0.02
 #: Seconds for which threads sleep that still run then, each time that they wait for something.
@@ -93,7 +93,7 @@ class Exits:
         self._calls = [each for each in self._calls if each[0] != call]
 
     def __iter__(self) -> Iterator[Callable[[], Any]]:
-        while self._calls:  # one of them may register others
+        while self._calls:  # one of them may register more
             yield self._calls.pop()[1]
 
 
@@ -208,7 +208,7 @@ class Sandbox:
             raise
 
     def join(self) -> None:
-        """Wait for the threads that were no daemons, as Python does at its end."""
+        """Wait for the threads that were not daemons, as Python does at its end."""
         for thread in list(self.threads):
             if thread in self._non_daemons and thread is not threading.current_thread():
                 self.waits()
@@ -220,7 +220,7 @@ class Sandbox:
         if threading.current_thread() is self._ending_thread:
             seconds = min(seconds, self._end_of_sleep - time.monotonic())
         ends = self.closing.wait(max(0.0, seconds))
-        if self._is_over:  # it is late, or catches whatever is to end it: that would spin
+        if self._is_over:  # it is late, or catches SystemExit: that would spin
             time.sleep(_AFTERWARDS)
         return ends
 
@@ -338,7 +338,7 @@ class Sandbox:
             )
 
     def run_exits(self) -> None:
-        """Call what was registered with ``atexit``."""
+        """Make the calls that were registered with ``atexit``."""
         for call in self.exits:
             self._attempt(call, "atexit")
 

@@ -61,7 +61,7 @@ class ScriptCode:
         exec(self._code, vars(self.module))
 
     def end(self) -> None:
-        """End what it has started."""
+        """End its threads, and make its ``atexit`` calls."""
         self._sandbox.end_threads(frozenset(self.importer.files()))
         self._sandbox.run_exits()
 
@@ -84,7 +84,7 @@ class ScriptNodelet(Nodelet):
     _error: Optional[BaseException] = None
 
     def bind(self, context: Context) -> None:
-        """Take its place; what it runs may block, so each of its callbacks has a thread."""
+        """Use an executor for callbacks that may block: each has a thread."""
         context.executor = context.runtime.blocking
         super().bind(context)
 
@@ -178,7 +178,7 @@ class NodeArguments:
     """The arguments of ``rospy.init_node``; as in rospy, each call must have the same."""
 
     def __init__(self) -> None:
-        """Begin before the first call."""
+        """Wait for the first call."""
         self._args: Any = None
 
     def note(self, *args: Any) -> bool:

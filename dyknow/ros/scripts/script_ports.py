@@ -20,7 +20,7 @@ from dyknow.proxy.handle import NodeHandle
 from dyknow.proxy.port import InPort, ProxyPort
 from dyknow.proxy.proxy import NodeletProxy
 
-#: Topics of the system, which are no ports.
+#: Topics of the system, which are not ports.
 _NO_PORTS = frozenset(("/rosout", "/rosout_agg", "/clock"))
 
 
@@ -41,14 +41,14 @@ class ScriptProxy(NodeletProxy):
     """The proxy of a script, whose ports are the topics that it uses."""
 
     def __init__(self, context: Context) -> None:
-        """Begin without ports."""
+        """Make a proxy without ports."""
         super().__init__(context)
         self._by_label: Dict[Tuple[str, str], ProxyPort] = {}
-        #: Labels by the global names that the script was told.
+        #: Labels by the global names that were returned to the script.
         self._noted: Dict[str, str] = {}
 
     def note(self, name: str, resolved: str) -> None:
-        """Note what a name was resolved to: the script may say that for the topic from now on."""
+        """Note the global name of a name: the script may use it for the topic from now on."""
         self._noted[resolved] = self._label(name)
 
     def _find(self, name: str) -> Optional[ProxyPort]:
@@ -63,7 +63,7 @@ class ScriptProxy(NodeletProxy):
             label = label[len(before) :] if label.startswith(before) else label
             is_one_of_two = {(label, IN), (label, OUT)} & set(self._by_label)
             is_named = names.complete(name, space, self.name) in self._context.remappings
-            if is_named and not is_one_of_two:  # by the load, so it is no mistake
+            if is_named and not is_one_of_two:  # by the load, so it is not a mistake
                 come = _PortToCome(label, _Unknown, self._start(label))
                 found = self._ports.setdefault(label, come)
         return found
@@ -113,7 +113,7 @@ class ScriptProxy(NodeletProxy):
 
 
 class ScriptHandle(NodeHandle):
-    """A handle that gives a script ports for its topics."""
+    """A handle that makes a port of each topic of a script."""
 
     proxy_class = ScriptProxy
     _proxy: ScriptProxy

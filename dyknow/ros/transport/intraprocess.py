@@ -16,7 +16,7 @@ What ordinary rospy handles in this process (tf2's listeners and broadcasters, s
 such a topic is passed on by this module: to ordinary subscribers on a strand of their own, from
 ordinary publishers as a copy, since those may change a message after publishing it. Ordinary
 subscribers find in ``_connection_header`` what rospy would have put there. It differs from topic
-to topic, so they get a message object of their own; what its fields hold is shared.
+to topic, so they get a message object of their own, whose fields are shared.
 
 Who owns what: ``IntraProcess`` owns one ``LocalTopic`` for each topic that the bus publishes on,
 from the first publication until rospy's publisher of that topic is gone.
@@ -84,7 +84,7 @@ class LocalTopic:
         self._address = address
         self.registrations: Set[Any] = set()
         self.backlog = Backlog()
-        #: What was latched last, by publication; under None what ordinary publishers latched.
+        #: Latched messages by publication; under None that of ordinary publishers.
         self._latches: Dict[Any, Any] = {}
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
@@ -101,7 +101,7 @@ class LocalTopic:
         return [each for each in list(implementation.callbacks) if not _ours(each[0])]
 
     def latch(self, registration: Any, message: Any) -> None:
-        """Keep what a publication has latched, the latest last."""
+        """Keep the latched message of a publication, the latest last."""
         self._latches.pop(registration, None)
         self._latches[registration] = message
 
@@ -137,7 +137,7 @@ class LocalTopic:
                 for each in list(self.registrations):
                     each.heard = True  # first: a peer that sees the connection is heard already
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
-            implementation.acquire()  # nothing is published between what was missed and the rest
+            implementation.acquire()  # nothing is published between missed and later messages
             try:
                 added = add(connection)
                 for message in self.backlog.missed_by(address):
@@ -154,13 +154,13 @@ class LocalTopic:
             # It takes the place of rospy's connection to itself, which has delivered its latch.
             self.link(subscriber, replacing=True)
 
-    def expect(self, told: Collection[str], size: int) -> None:
-        """Keep what is published for subscribers that were told and have yet to connect."""
+    def expect(self, notified: Collection[str], size: int) -> None:
+        """Keep messages for subscribers that were notified and have yet to connect."""
         implementation = self._adopted
         implementation.acquire()  # first: no connection comes between the question and the answer
         try:
             callers = [connection.endpoint_id for connection in implementation.connections]
-            self.backlog.expect(set(told) - set(map(self._address, callers)), size)
+            self.backlog.expect(set(notified) - set(map(self._address, callers)), size)
         finally:
             implementation.release()
         self.refresh()
@@ -248,9 +248,9 @@ class LocalTopic:
         self._hand_over(message, callbacks)
 
     def _catch_up(self, newcomers: List[Callback], ordinary: bool = True) -> None:
-        """Hand over what is latched, by ordinary publishers only if ``ordinary``.
+        """Hand over the latched message, that of ordinary publishers only if ``ordinary``.
 
-        The bus gives its own subscribers what was latched on the bus.
+        The bus delivers its own latched messages to its own subscribers.
         """
         message = self._latches.get(None, NOTHING)
         if ordinary and message is not NOTHING:
@@ -260,7 +260,7 @@ class LocalTopic:
             self._hand_over(message, [each for each in newcomers if not _ours(each[0])])
 
     def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
-        """Have callbacks called: those of the bus only queue it, the others take their time."""
+        """Have callbacks called: those of the bus only queue it, ordinary ones take their time."""
         subscriber = self._listening
         if not callbacks or subscriber is None:
             return
@@ -352,7 +352,7 @@ class IntraProcess:
 
 
 class _Departures(rospy.impl.registration.RegistrationListener):
-    """Tells when the last publisher of a topic in this process is gone."""
+    """Reports that the last publisher of a topic in this process is gone."""
 
     def __init__(self, gone: Callable[[str], None]) -> None:
         self._gone = gone

@@ -3,8 +3,8 @@
 
 """Subscribers that know of a publisher of this process and have yet to connect.
 
-A publisher that moves to a topic waits for its subscribers, but not for ever. `Backlog` keeps what
-it publishes before the last of them has connected, and delivers it to each that comes late. So a
+A publisher that moves to a topic waits for its subscribers, but not for ever. `Backlog` keeps its
+messages until the last of them has connected, and delivers them to each that comes late. So a
 busy machine delays a stream and does not tear it.
 
 A rospy subscriber does not connect to an address to which it has a connection, and it does not

@@ -137,6 +137,6 @@ class RospyService(Closable):
 
 
 def _log_failure(service: str, error: Any, error_type: Any, value: Any, trace: Any) -> None:
-    """Log what a handler raised; rospy's own entry does not say which service it was."""
+    """Log the exception of a handler; rospy's own entry does not name the service."""
     text = "".join(traceback.format_exception(error_type, value, trace))
     rospy.logerr("the handler of service %s raised: %s\n%s", service, error, text)

@@ -37,7 +37,7 @@ _NAMED = {
     "has_param": "param_name",
     "delete_param": "param_name",
 }
-#: What has neither names nor a queue in it.
+#: Members that depend on neither names nor queues.
 _PLAIN = frozenset(
     """Time Duration Rate sleep get_time get_rostime Header
     DEBUG INFO WARN ERROR FATAL AnyMsg Message SubscribeListener
@@ -61,7 +61,7 @@ def _member(name: str, handle: Any) -> Any:
         AttributeError: rospy has no such thing, or a nodelet must not use it.
     """
     if name in _LOGGERS:
-        # A partial adds no frame: rospy tells call sites apart by their frames.
+        # A partial adds no frame: rospy distinguishes call sites by their frames.
         logger = handle.get_name().strip("/").replace("/", ".")
         return functools.partial(getattr(rospy, name), logger_name=logger)
     if name in _NAMED:
@@ -120,7 +120,7 @@ def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
     raise Interrupted(f"service '{name}': nodelet {handle.get_name()} was unloaded")
 
 
-#: What rospy does in another way for a nodelet.
+#: Members that work differently for a nodelet.
 _OURS: Dict[str, Callable[..., Any]] = {
     "search_param": _search_param,
     "wait_for_service": _wait_for_service,
@@ -135,7 +135,7 @@ class RospyNode(Node):
     timed_out = MessageTimeout
 
     def is_shutdown(self) -> bool:
-        """Whether rospy was told to end."""
+        """Whether rospy is shutting down."""
         return bool(rospy.is_shutdown())
 
     def remap(self, name: str) -> str:

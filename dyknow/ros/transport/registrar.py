@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Registers what rospy adds with the master, in rospy's place, and keeps what the master answers.
+"""Registers what rospy adds with the master, in rospy's place, and keeps the master's answers.
 
 The master answers the registration of a topic with the nodes on its other side. rospy drops that
-answer for publishers. To ask by registering again would have every subscriber told twice: a rospy
-subscriber may then connect twice, and what the publisher sent over the first connection is lost.
+answer for publishers. Registering again would notify every subscriber twice: a rospy subscriber
+may then connect twice, and messages sent over the first connection are lost.
 rospy also repeats a registration for ever while the master is down, under the locks that
 every other registration of the process needs; here one that fails is repeated by a thread.
 
@@ -73,7 +73,7 @@ class Registrar(RegistrationListener):
     def subscribers(self, topic: str) -> Optional[FrozenSet[str]]:
         """Addresses of the other nodes that subscribed when this process began to publish.
 
-        They are returned once, since they grow old; None if the master was not asked again.
+        They are returned once, since they grow old; None if there was no new registration.
         """
         return self._answer((Registration.PUB, topic, ""))
 
@@ -82,7 +82,7 @@ class Registrar(RegistrationListener):
         return self._answer((Registration.SUB, topic, ""))
 
     def is_subscribed(self, topic: str) -> bool:
-        """Whether the master was told of this process' subscription, as far as there is one."""
+        """Whether the master knows the subscription of this process, as far as there is one."""
         with self._lock:
             return (Registration.SUB, topic, "") not in self._owed
 
@@ -173,9 +173,9 @@ class Registrar(RegistrationListener):
             self._worker.wake()
 
     def _settle(self) -> None:
-        """Register what is owed, one after the other, as long as the master answers.
+        """Repeat the failed registrations, one after the other, as long as the master answers.
 
-        If another node bears our name by now, nothing is: the master would tell that one to end.
+        Nothing is registered if another node has our name by now: the master would shut it down.
         """
         if self._is_displaced():
             return

@@ -78,7 +78,7 @@ class RospyPublisher(OutsidePublisher):
         self.in_flight = 0
         self.changed = None
         self._closed = False
-        #: What was given to rospy last, while rospy latches.
+        #: The last message that was passed to rospy, while rospy latches.
         self.sent: Any = None
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
@@ -121,7 +121,7 @@ class RospyPublisher(OutsidePublisher):
         self._outwards(message)
 
     def wait(self, seconds: float) -> None:
-        """Wait for the connections of the subscribers that the master told of this publisher."""
+        """Wait for the connections of the subscribers that the master notified."""
         deadline = time.monotonic() + seconds
         if self._told:
             self._local.expect(self._told, self._implementation.queue_size)
@@ -159,7 +159,7 @@ class RospyPublisher(OutsidePublisher):
 
     def _outwards(self, message: Any, peer: Any = None) -> None:
         """Send to all connections, or to one, which changes nothing for later subscribers."""
-        # rospy writes header.seq and frame_id into what it sends; others in here hold that object.
+        # rospy writes header.seq and frame_id into its messages; subscribers in here share them.
         if getattr(message.__class__, "_has_header", False):
             message = copy.copy(message)
             message.header = copy.copy(message.header)
@@ -178,7 +178,7 @@ class RospyPublisher(OutsidePublisher):
             if self._closed:
                 return
             if implementation.buff is not None:
-                # rospy leaves what it wrote so far in front of the next message.
+                # rospy leaves the written part in front of the next message.
                 implementation.buff.seek(0)
                 implementation.buff.truncate(0)
             if isinstance(error, genpy.SerializationError):
@@ -231,7 +231,7 @@ class RospySubscriber(OutsideSubscriber):
     def _is_served(self, publisher: str, deadline: float) -> bool:
         """Whether a publisher has us among its connections; False if it does not say so in time.
 
-        It greets before that, and what it publishes in between does not reach us.
+        It sends its header before that, and its messages in between do not reach us.
         """
         ports = {
             connection.local_endpoint[1]
@@ -250,8 +250,8 @@ class RospySubscriber(OutsideSubscriber):
     def drain(self, seconds: float) -> None:
         """Stop reading: rospy's threads deliver what their sockets hold, and end.
 
-        While others in this process subscribe to the topic, the threads go on; they are waited for
-        until their sockets are empty.
+        With more subscribers of the topic in this process the threads go on, and are awaited until
+        their sockets are empty.
         """
         deadline = time.monotonic() + seconds
         connections = [each for each in self._implementation.connections or () if each.socket]
