@@ -133,7 +133,7 @@ class Loading:
             record.name,
             transformation.source,
             set_on_load(transformation, record.parameters),
-            {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
+            _remappings(record, transformation),
             record.kind,
         )
         if record.claimed and record.kind is NodeletKind.CPP:
@@ -245,16 +245,23 @@ def _namesake(port: Port, ports: Iterable[PortState], transformation: Transforma
 
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
-    """Return the remappings that wire a nodelet that was not written for DyKnow.
+    """Return the remappings that connect a nodelet from its start.
 
-    A port that is not remapped would use its own name as its topic. So a disconnected port is
-    remapped to a topic below ``NODELET/disconnected``: a re-wirable nodelet manager takes it for
-    disconnected, and in a stock one nothing else uses it.
+    What people spawn and was written for DyKnow is connected once it is up: the spawn returns when
+    the connections to its peers are made, too. Of a claim's stream the first message shows that.
+
+    What was not written for DyKnow would use the name of a port that is not remapped as its topic.
+    So a disconnected port is remapped to a topic below ``NODELET/disconnected``: a re-wirable
+    nodelet manager takes it for disconnected, and in a stock one nothing else uses it.
     """
-    return {
-        names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
-            port.name, ""
-        )
-        or names.disconnected(record.name, port.name)
-        for port in transformation.ports
-    }
+    is_ours = record.kind.is_written_for_dyknow
+    if is_ours and not record.claimed:
+        return {}
+    found: Dict[str, str] = {}
+    for port in transformation.ports:
+        topic = record.topics.get(port.name, "")
+        if not topic and not is_ours:
+            topic = names.disconnected(record.name, port.name)
+        if topic:
+            found[names.resolve(port.name, names.parent(record.name), record.name)] = topic
+    return found

@@ -170,11 +170,16 @@ def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:
     """Return the desired connections that the load did not make.
 
-    A C++ nodelet was loaded with the connections of those declared ports that bear the names of
-    its topics. Its other topics are where it puts them, unless they were moved.
+    It was loaded with the connections of those ports whose names its load remapped. The other
+    topics of a C++ nodelet are where it puts them, unless they were moved.
     """
     if record.kind.is_written_for_dyknow:
-        return {port: topic for port, topic in record.topics.items() if topic}
+        present = {port.name: port.topic for port in ports}
+        return {
+            port: topic
+            for port, topic in record.topics.items()
+            if topic and present.get(port) != topic
+        }
     assert record.transformation is not None
     wanted = {**{port.name: "" for port in record.transformation.ports}, **record.topics}
     return {

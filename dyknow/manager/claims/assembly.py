@@ -395,7 +395,9 @@ class Assembly:
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
-            name = self._spawn(transformation, inputs, self._plan.outputs(instance), given)
+            types = {port: self._plan.type_of(source) for port, source in step.inputs}
+            typed = {port: (topic, types[port]) for port, topic in inputs.items()}
+            name = self._spawn(transformation, typed, self._plan.outputs(instance), given)
             self._plan.check_types(self._world().get(name), step)
         self._plan.made[instance] = name
         self._connect(name, self._inputs(step))
@@ -439,8 +441,9 @@ class Assembly:
         """
         # What is true of all that is sent there.
         tags = self._world().topology.common_tags(present, self._plan.tags_of(goal))
-        made = relay(present, self._plan.type_of(goal), tuple(map(str, tags)))
-        name = self._spawn(made, {"in": present}, () if topic else ("out",))
+        datatype = self._plan.type_of(goal)
+        made = relay(present, datatype, tuple(map(str, tags)))
+        name = self._spawn(made, {"in": (present, datatype)}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._separate(goal, name, topic)
         self._connect(name, {"in": self._topic_of(goal), **out})
@@ -503,25 +506,51 @@ class Assembly:
     def _spawn(
         self,
         transformation: Transformation,
-        inputs: Mapping[str, str],
+        inputs: Mapping[str, Tuple[str, str]],
         outputs: Iterable[str],
         given: Tuple[Parameter, ...] = (),
     ) -> str:
+        """Make a nodelet that is connected from its start, and return its name.
+
+        An in-port is connected later if it is not certain yet that its type fits.
+
+        Args:
+            transformation: what to make.
+            inputs: topics of its in-ports, and their types.
+            outputs: out-ports that get topics of their own.
+            given: parameters.
+        """
+        types = {port.name: port.datatype for port in transformation.ports}
+        certain = {
+            port: topic
+            for port, (topic, datatype) in inputs.items()
+            if types.get(port, "") not in ANY
+            and datatype not in ANY
+            and types_fit(types[port], datatype)
+        }
         for name in self._plan.free_names(transformation.label):
-            wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
+            own = {port: default_topic(name, port) for port in outputs}
             self._lock.reserve([name])
             try:
                 kind = self._manager.host.kind_of(transformation)
-                config = {} if kind.is_written_for_dyknow else wiring
-                request = SpawnRequest(transformation.label, name, config, parameters=given)
+                topics = {port: topic for port, (topic, _) in inputs.items()}
+                config = {**(certain if kind.is_written_for_dyknow else topics), **own}
+            except DyKnowError:
+                self.culprit = transformation.label
+                raise
+            request = SpawnRequest(transformation.label, name, config, parameters=given)
+            cut = self._transaction.make_way_for(transformation, request)
+            try:
                 with self._lock.pause():
-                    self._transaction.spawn(transformation, request, inputs.values())
+                    self._transaction.spawn(transformation, request, topics.values())
             except NameTaken:
+                self._transaction.connect_again(cut)
                 continue
             except DyKnowError as error:
                 if not timed_out(error):
                     self.culprit = transformation.label
                 raise
-            self._connect(name, {port: wiring[port] for port in outputs})
+            self._transaction.connect_again(cut)
+            self._connect(name, config)
             return name
         raise SpawnFailed(transformation.label, "all names for it are taken")

@@ -203,6 +203,27 @@ class Transaction:
         #: Nodelets and how they were connected before; None for those that did not exist.
         self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
 
+    def make_way_for(
+        self, transformation: Transformation, request: SpawnRequest
+    ) -> Dict[str, Mapping[str, str]]:
+        """Disconnect what is in the way of a nodelet before it is made.
+
+        Returns:
+            What ``connect_again`` needs to know.
+
+        Raises:
+            DyKnowError: the nodelet cannot be connected as the request says.
+        """
+        planned = Record(
+            request.name,
+            transformation,
+            "",
+            topics=request.config,
+            claimed=True,
+            parameters=request.parameters,
+        )
+        return self._make_way(planned, request.config)
+
     def spawn(
         self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
     ) -> None:
@@ -216,19 +237,10 @@ class Transaction:
         Raises:
             DyKnowError: it did not work.
         """
-        planned = Record(
-            request.name,
-            transformation,
-            "",
-            topics=request.config,
-            parameters=request.parameters,
-        )
-        cut = self._make_way(planned, request.config)
         record = self._manager.lifecycle.spawn(transformation, request, True, near)
         self.spawned.append(record.name)
         self._before.append((record.name, None))
         self._connector.remember()
-        self._connect_again(cut)
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports of a nodelet that are not connected so already.
@@ -245,7 +257,7 @@ class Transaction:
         cut = self._make_way(record, config)
         self._before.append((name, before))  # what was not answered may have been done, too
         self._connector.connect(name, config)
-        self._connect_again(cut)
+        self.connect_again(cut)
 
     def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
         """Disconnect ports of a nodelet and connect them again: it forgets what it received.
@@ -306,8 +318,8 @@ class Transaction:
         is_movable = record.state is State.RUNNING and not record.is_fixed
         return is_movable and name not in self._unresponsive
 
-    def _connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
-        """Connect those that people connected, and that fit together again, as one.
+    def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
+        """After a change connect those that people connected, and that fit together again, as one.
 
         What claims need is connected by their repair, with all that changes there.
         """

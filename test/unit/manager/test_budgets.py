@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What a request costs: calls to the host, topologies, writes, and calls within Python."""
+
+from __future__ import annotations
+
+import collections
+import sys
+from types import FrameType
+from typing import Any, Counter, List, Set
+
+import pytest
+
+from dyknow.manager.claims.topology import Topology
+from dyknow.manager.state_file import StateFile
+from dyknow.model.streams import StreamRequest
+from dyknow.simulated import SimulatedManagerClient
+
+INT = "std_msgs/Int32"
+
+
+def chain(length: int) -> str:
+    """Write a library in which each transformation needs what the one before supplies."""
+    lines = ["<transformations>"]
+    for number in range(length):
+        ports, tags = "", ""
+        if number:
+            ports = f'<port type="in" datatype="{INT}">in</port>'
+            tags = f'<tag port="in">Step{number}(x)</tag>'
+        lines.append(
+            f"<transformation><label>step {number}</label><source>pkg/Step{number}</source>"
+            f'<ports>{ports}<port type="out" datatype="{INT}">out</port></ports>'
+            f'<tags>{tags}<tag port="out">Step{number + 1}(x)</tag></tags></transformation>'
+        )
+    return "".join([*lines, "</transformations>"])
+
+
+def client_with_chain(length: int) -> SimulatedManagerClient:
+    client = SimulatedManagerClient()
+    client.add_transformation(chain(length))
+    client.settle()
+    client.host.calls.clear()
+    return client
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]:
+    """Count the calls of a method from now on."""
+    found: List[str] = []
+    method = getattr(owner, name)
+
+    def called(self: Any, *args: Any, **kwds: Any) -> Any:
+        found.append(name)
+        return method(self, *args, **kwds)
+
+    monkeypatch.setattr(owner, name, called)
+    return found
+
+
+@pytest.mark.parametrize("length", [1, 2, 4, 8])
+def test_a_chain_is_spawned_connected(length: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = client_with_chain(length)
+    topologies = counted(monkeypatch, Topology, "__init__")
+    writes = counted(monkeypatch, StateFile, "write")
+    got = client.acquire_stream(StreamRequest(f"Step{length}(x)"))
+    calls = collections.Counter(operation for operation, _ in client.host.calls)
+    assert len(got.spawned) == calls["load"] == length
+    assert calls["connect"] == 0
+    assert len(topologies) <= 2
+    assert len(writes) <= 2 * length + 1
+    for number in range(1, length):
+        topics = {each.name: each.topic for each in client.get_config(f"/step_{number}_1")}
+        assert topics["in"] == f"/step_{number - 1}_1/out"
+
+
+def test_an_acquire_takes_few_calls() -> None:
+    client = client_with_chain(4)
+    calls: Counter[str] = collections.Counter()
+    functions: Set[object] = set()
+
+    def profile(frame: FrameType, event: str, argument: object) -> None:
+        if event == "call" and "dyknow/manager/" in frame.f_code.co_filename:
+            calls[frame.f_code.co_filename] += 1
+            functions.add(frame.f_code)
+
+    sys.setprofile(profile)
+    try:
+        client.acquire_stream(StreamRequest("Step4(x)"))
+    finally:
+        sys.setprofile(None)
+    assert sum(calls.values()) <= 3_300
+    assert len(functions) <= 480
+    assert len(calls) <= 50
