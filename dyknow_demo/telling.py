@@ -13,7 +13,7 @@ from typing import AbstractSet, Callable, Dict, Iterator, List, Tuple
 from dyknow import names
 from dyknow.graphviz import quote, render
 from dyknow.model.graph import Model, NodeletStatus, State
-from dyknow.wiring.topics import topics_of
+from dyknow.wiring.ports import topics_of
 from dyknow_demo.soccer.geometry import Array
 
 #: Metres: several times the measured error; a stream of wrong positions must not pass.

@@ -14,8 +14,7 @@ from python_qt_binding.QtWidgets import QFileDialog, QMenu, QWidget
 
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef
-from dyknow.wiring.reader import read_wiring
-from dyknow.wiring.wiring import wiring_of
+from dyknow.wiring.wiring import read_wiring, wiring_of
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import edge_refs
 from dyknow_rqt.graph.changes import protection

@@ -21,7 +21,7 @@ from dyknow.datatypes import types_fit
 from dyknow.errors import CannotLaunch, DyKnowError
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
-from dyknow.wiring.topics import topics_of
+from dyknow.wiring.ports import topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus

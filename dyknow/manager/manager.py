@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import (
     Callable,
     Dict,
     Iterable,
-    Iterator,
-    List,
     Mapping,
     NamedTuple,
     Optional,
@@ -36,6 +35,7 @@ from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeep
 from dyknow.manager.observer import Observer, at_once
 from dyknow.manager.record import Record, topics_of, with_ports
 from dyknow.manager.specifications.specification import Specifications
+from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import Model, SpawnRequest, State
@@ -243,18 +243,21 @@ class Manager:
                 says so if one could not be.
         """
         checked = [self._checked(name, config) for name, config in moves]
-        done: List[_Move] = []
+        steps = [
+            ReversibleStep(
+                f"connecting '{move.name}'",
+                move.name,
+                partial(self.host.connect, move.name, move.after),
+                partial(self._move_back, move),
+            )
+            for move in checked
+        ]
         try:
-            for move in checked:
-                done.append(move)
-                self.host.connect(move.name, move.after)
-        except DyKnowError as error:
-            if not isinstance(error, HostTimeout):
-                done.pop()  # what was refused was not done; what was not answered may have been
-            troubles = [trouble for move in reversed(done) for trouble in self._move_back(move)]
-            if troubles:
-                raise DyKnowError("; ".join([str(error), *troubles])) from error
-            raise
+            carry_out(steps, may_be_done=lambda error: isinstance(error, HostTimeout))
+        except StepFailed as failed:
+            if failed.troubles:
+                raise DyKnowError("; ".join([str(failed.error), *failed.troubles])) from failed
+            raise failed.error from failed
         finally:
             for move in checked:
                 self._ask_for_ports(move.name)
@@ -272,15 +275,12 @@ class Manager:
         before = {port.name: port.topic for port in self.host.ports(name)}
         return _Move(name, {port: before.get(port, "") for port in after}, after)
 
-    def _move_back(self, move: _Move) -> Iterator[str]:
-        """Move ports back that are still where they were moved; yield what went wrong."""
-        try:
-            now = {port.name: port.topic for port in self.host.ports(move.name)}
-            back = {p: topic for p, topic in move.before.items() if now.get(p) == move.after[p]}
-            if back:
-                self.host.connect(move.name, back)
-        except DyKnowError as trouble:
-            yield f"connecting '{move.name}' could not be taken back: {trouble}"
+    def _move_back(self, move: _Move) -> None:
+        """Move back those ports that are still where they were moved."""
+        now = {port.name: port.topic for port in self.host.ports(move.name)}
+        back = {p: topic for p, topic in move.before.items() if now.get(p) == move.after[p]}
+        if back:
+            self.host.connect(move.name, back)
 
     def _ask_for_ports(self, name: str) -> None:
         """Show the present ports of a nodelet at once; if that fails, the next look does."""

@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow.manager.steps import ReversibleStep
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, LoadPlan
-from dyknow.wiring.steps import ReversibleStep
 
 
 def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:

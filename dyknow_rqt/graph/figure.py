@@ -25,7 +25,7 @@ from typing import (
 
 from dyknow.model.graph import NodeletStatus, PortRef
 from dyknow.model.transformation import IN
-from dyknow.wiring.topics import Topic
+from dyknow.wiring.ports import Topic
 from dyknow_rqt.graph.filters import Filter, with_namespaces
 from dyknow_rqt.graph.snapshot import Snapshot
 

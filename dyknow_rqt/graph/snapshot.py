@@ -21,8 +21,7 @@ from typing import (
 
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
-from dyknow.wiring.ports import topic_after
-from dyknow.wiring.topics import Topic, topics_of
+from dyknow.wiring.ports import Topic, topic_after, topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus

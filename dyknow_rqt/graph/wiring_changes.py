@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow.manager.steps import carry_out
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import LoadPlan, plan_load
-from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import Wiring
 from dyknow_rqt.graph.changes import (
     CannotUndo,

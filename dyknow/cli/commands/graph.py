@@ -20,8 +20,7 @@ from dyknow.cli.output import nodelet_json, state_of, write_file
 from dyknow.cli.shell import Command, Shell
 from dyknow.graphviz import CannotDraw, quote, render
 from dyknow.model.graph import PortRef
-from dyknow.wiring.ports import by_name
-from dyknow.wiring.topics import Topic, topics_of
+from dyknow.wiring.ports import Topic, by_name, topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus

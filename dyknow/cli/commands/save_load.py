@@ -15,11 +15,10 @@ from dyknow.cli.output import count, write_file
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
+from dyknow.manager.steps import carry_out
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import LoadPlan, plan_load
-from dyknow.wiring.reader import read_wiring, too_many_nodelets
-from dyknow.wiring.steps import carry_out
-from dyknow.wiring.wiring import Wiring, wiring_of
+from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_of
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from dyknow.errors import DyKnowError, Refused
-from dyknow.wiring.steps import ReversibleStep, StepFailed, carry_out
+from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 
 
 class Steps:

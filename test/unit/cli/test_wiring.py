@@ -13,8 +13,7 @@ from specification_strategies import labels, texts, transformations
 from dyknow.errors import SpecificationError
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Parameter
-from dyknow.wiring.reader import read_wiring
-from dyknow.wiring.wiring import Wiring
+from dyknow.wiring.wiring import Wiring, read_wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
 ports = st.sampled_from(["in", "~image", "/a/b", "x<&'\"y", "é"])

@@ -44,19 +44,22 @@ class StepFailed(DyKnowError):
 
 
 def carry_out(
-    steps: Sequence[ReversibleStep], keep_going: bool = False
+    steps: Sequence[ReversibleStep],
+    keep_going: bool = False,
+    may_be_done: Callable[[DyKnowError], bool] = lambda error: not isinstance(error, Refused),
 ) -> List[Tuple[ReversibleStep, DyKnowError]]:
     """Do the steps in order.
 
     Args:
-        steps: What to do.
-        keep_going: Go on after a step that failed, and leave what was done.
+        steps: what to do.
+        keep_going: go on after a step that failed, and leave what was done.
+        may_be_done: whether a step that failed so may have been done, since no answer came.
 
     Returns:
         The steps that failed, and why; none unless `keep_going`.
 
     Raises:
-        StepFailed: A step failed.
+        StepFailed: a step failed.
     """
     done: List[ReversibleStep] = []
     failed: List[Tuple[ReversibleStep, DyKnowError]] = []
@@ -66,8 +69,7 @@ def carry_out(
             done.append(step)
         except DyKnowError as error:
             if not keep_going:
-                # What was refused was not done; what was not answered may have been.
-                maybe = [] if isinstance(error, Refused) else [step]
+                maybe = [step] if may_be_done(error) else []
                 raise StepFailed(step, error, _take_back(done, maybe)) from error
             failed.append((step, error))
         except BaseException:
@@ -80,8 +82,8 @@ def _take_back(done: List[ReversibleStep], maybe: List[ReversibleStep]) -> List[
     """Take steps back, the last first; return in words which could not be.
 
     Args:
-        done: Steps that were done.
-        maybe: The step that may have been done: if taking it back is refused, it was not.
+        done: steps that were done.
+        maybe: the step that may have been done: if taking it back is refused, it was not.
     """
     troubles = []
     for step in [*maybe, *reversed(done)]:
