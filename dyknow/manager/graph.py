@@ -3,7 +3,7 @@
 
 """The manager's picture of the running nodelets, with one operation at a time on each.
 
-Who owns what: the graph owns the records, the revision and the lifetimes. Every record that has to
+Ownership: the graph owns the records, the revision and the lifetimes. Every record that has to
 survive the manager is written to the store before it is shown. A name is *busy* while one
 operation works on its nodelet; other operations pass the time that they will wait for it.
 """

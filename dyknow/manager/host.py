@@ -199,7 +199,7 @@ class Host(ABC):
 
     @abstractmethod
     def retire(self, manager: str) -> None:
-        """End an isolated nodelet manager, whatever it is doing."""
+        """End an isolated nodelet manager, by force if need be."""
 
     @abstractmethod
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:

@@ -46,7 +46,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class StreamKeeper:
-    """What the manager asks of, and reports to, those who keep streams for clients.
+    """Callbacks of the room that keeps streams for clients.
 
     Attributes:
         fitting: returns the connections of a nodelet that can be made when it is brought back.
@@ -147,7 +147,7 @@ class Lifecycle:
             try:
                 self._graph.put(record)
                 running = self._loading.bring_up(record)
-            except NameTaken:  # by a nodelet of others that was not seen yet: it stays
+            except NameTaken:  # by an external nodelet that was not seen yet: it stays
                 self._graph.remove(record.name)
                 with contextlib.suppress(HostError):
                     if record.isolated and record.name not in self._host.list(manager):
@@ -241,7 +241,7 @@ class Lifecycle:
         _log.info("%s, which was to be destroyed, is destroyed now", record.name)
 
     def clear(self, record: Record) -> None:
-        """Destroy a nodelet, whatever its state."""
+        """Destroy a nodelet in any state."""
         self._take_down(record)
         self._graph.remove(record.name)
 

@@ -29,7 +29,7 @@ from dyknow.model.transformation import NODE, Port, Transformation
 from dyknow.periodic import Clock
 
 #: Seconds without a further port after which those of a node that are missing come later: it is
-#: lazy, and makes them once somebody listens to it or sends it something.
+#: lazy, and makes them once it has a subscriber or receives a message.
 _SETTLED = 1.0
 #: Seconds between two questions for the ports of a node that starts.
 _STEP = 0.05
@@ -91,7 +91,7 @@ class Loading:
         return min(shared, key=lambda name: (-near[name], load[name], name))
 
     def _check(self, asked: str, kind: NodeletKind, isolated_for: str) -> None:
-        """Check that a nodelet can go to the nodelet manager that was asked for."""
+        """Check that a nodelet can go to the nodelet manager that was requested."""
         if kind.is_node:
             raise HostError(
                 f"a {kind.title} has a process of its own, and is in no nodelet manager such as "

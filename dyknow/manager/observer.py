@@ -86,14 +86,14 @@ class Observer:
         self._dead: Set[str] = set()  # found by the present look
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         self._returning: Set[str] = set()  # being brought back
-        self._to_ask: Set[str] = set()  # ports that could not be asked for
+        self._to_ask: Set[str] = set()  # nodelets whose query failed
         self._keeper = keeper
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
 
         A nodelet whose spawn never returned is destroyed, with the process that was started for
-        it alone. What still runs is left as it is, and the first look brings back the others.
+        it alone. What still runs is left as it is, and the first look restores the dead ones.
         """
         for record in records:
             self._suspects.know(record)
@@ -270,7 +270,7 @@ class Observer:
                 record = replace(record, topics=topics_of(record))
         if (
             not record.ports and not record.is_described
-        ):  # it cannot be asked, so it is taken to be as it should be
+        ):  # it has no proxy, so it is taken to be as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
 
@@ -320,7 +320,7 @@ class Observer:
                     self._backoff.failed(name)
                     self._lifecycle.finish_destroying(record)
                 elif record is not None and record.state is not State.RUNNING:
-                    if record.claimed:  # the claim's repair decides what replaces it
+                    if record.claimed:  # the claim's repair chooses its replacement
                         self._keeper.on_death(record)
                         self._lifecycle.forget(record)
                         return
@@ -393,7 +393,7 @@ class Observer:
 
 
 def _is_same_life(current: Record, record: Record) -> bool:
-    """Whether a nodelet was not brought back, nor made anew, since its record was read."""
+    """Whether a nodelet was neither restored nor replaced since its record was read."""
     return (current.manager, current.incarnation) == (record.manager, record.incarnation)
 
 

@@ -145,7 +145,7 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
 
 
 def declared_ports(record: Record) -> Tuple[PortState, ...]:
-    """Return the ports of a nodelet that cannot be asked, as its transformation and topics say."""
+    """Return the ports of a nodelet without a proxy, as its transformation and topics say."""
     if record.transformation is None:
         return ()
     return tuple(

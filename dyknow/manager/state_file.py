@@ -36,7 +36,7 @@ _START_PATIENCE = 5.0
 _PATIENCE = 1.0
 #: Bytes at the beginning of each file.
 _HEADER = 100
-#: Seconds between two attempts to write what the disk did not take.
+#: Seconds between two attempts to write pending changes.
 _RETRY = 1.0
 #: Seconds after which a trouble that goes on is reported again.
 _REMINDER = 60.0
@@ -76,14 +76,14 @@ class StateFile:
         self.path = path
         #: Why the latest changes are not on disk yet, and what to do; empty if they are.
         self.trouble = ""
-        #: What was damaged and where it was put; empty if nothing was.
+        #: Description of the damage, with the new place of the file; empty for none.
         self.complaint = ""
         self._clock = clock
         self._backup_turn = turn_lock("backup of the state file")
         self._turn = turn_lock("state file")
         self._connection: Optional[sqlite3.Connection] = None
         self._found: Optional[Found] = None  # instead of a file that is not open
-        #: What was written since the last backup: with a backup it makes the whole.
+        #: Changes since the last backup: with a backup they make the whole.
         self._since_backup: Dict[Tuple[str, str], Optional[str]] = {}
         self._no_backup = ""  # why there is none of the latest changes
         self._pending: Dict[Tuple[str, str], Optional[str]] = {}
@@ -169,7 +169,7 @@ class StateFile:
 
     def close(self) -> None:
         """Close the file; pending changes are lost."""
-        self.back_up()  # an older one would have what is forgotten by now
+        self.back_up()  # an older one would have forgotten entries
         with self._turn:
             if self.trouble:
                 with contextlib.suppress(StoreError):

@@ -36,7 +36,7 @@ TABLES = {
 }
 #: Names of the backups, the newest first.
 _BACKUPS = (".backup", ".backup-2")
-#: A file of sqlite, and what belongs to it.
+#: A file of sqlite, and its companions.
 _SUFFIXES = ("", "-wal", "-shm")
 
 Rows = Dict[Tuple[str, str], str]
@@ -46,7 +46,7 @@ Changes = Mapping[Tuple[str, str], Optional[str]]
 
 
 class Damaged(Exception):
-    """What is in a file is not what was written."""
+    """The contents of a file differ from the last write."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Found:
 
     Attributes:
         rows: those of the file or, if it is damaged, of its newest good backup.
-        damage: what is damaged; empty if nothing is.
+        damage: the cause why the file is damaged; empty if it is sound.
         backup: the backup that the rows are from, with its time; empty if there is none.
     """
 
@@ -75,7 +75,7 @@ def connect(path: str, patience: float) -> sqlite3.Connection:
 
     Raises:
         sqlite3.Error: the file cannot be used now.
-        Damaged: what is in it is not what was written.
+        Damaged: the contents differ from the last write.
     """
     _make_private(path)
     connection = sqlite3.connect(
@@ -107,7 +107,7 @@ def read(connection: sqlite3.Connection) -> Rows:
 
     Raises:
         sqlite3.Error: the file cannot be used now.
-        Damaged: what is in it is not what was written.
+        Damaged: the contents differ from the last write.
     """
     try:
         (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
@@ -130,7 +130,7 @@ def rows_of(connection: sqlite3.Connection, table: str) -> Iterator[Tuple[str, s
 
     Raises:
         sqlite3.Error: the file cannot be used now.
-        Damaged: a row is not what was written.
+        Damaged: a row differs from the last write.
     """
     # Files of format 1 have no third column.
     for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):
@@ -165,7 +165,7 @@ def back_up(path: str) -> None:
 
     Raises:
         sqlite3.Error, OSError: it cannot be made now.
-        Damaged: what is in the file is not what was written.
+        Damaged: the contents differ from the last write.
     """
     new = path + ".backup.new"
     _remove(new)
@@ -232,7 +232,7 @@ def read_instead(path: str) -> Found:
 
 
 def replace_file(path: str, rows: Rows) -> str:
-    """Begin a new file with these rows; the old one is set aside once the new one is complete.
+    """Write a new file with these rows; the old one is set aside once the new one is complete.
 
     Returns:
         Where the old file is.
@@ -272,7 +272,7 @@ def free_name(path: str, ending: str = "") -> str:
 
 
 def _make_private(path: str) -> None:
-    """Let only its owner use a file, which is made if need be, and what belongs to it."""
+    """Make a file if need be, and let only its owner use it and its companions."""
     if path == ":memory:":
         return
     with contextlib.suppress(OSError):

@@ -230,7 +230,7 @@ class Store:
 
 def _body(record: Record) -> str:
     body = {each.name: getattr(record, each.name) for each in dataclasses.fields(record)}
-    for name in ("name", "ports", "awaited"):  # the key, and what is asked for after the start
+    for name in ("name", "ports", "awaited"):  # the key, and observations of each life
         del body[name]
     if not record.heard.ways:
         del body["heard"]  # earlier versions do not read it

@@ -109,4 +109,4 @@ class Suspects:
 
 
 def _mark_of_label(label: str) -> int:
-    return names.mark(f"transformation {label}")  # which is no nodelet's name
+    return names.mark(f"transformation {label}")  # which cannot be the name of a nodelet

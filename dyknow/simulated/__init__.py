@@ -4,7 +4,7 @@
 """A DyKnow manager in this process, without ROS: for tests, for pictures, and to try things out.
 
 It is the real manager, planner and claims included, on nodelets that run nowhere. No message
-flows; what ports count is made up.
+flows; counts of ports are invented.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ class SimulatedManagerClient(BaseManagerClient):
         reconciler: keeps its claims.
         is_up: whether the manager answers.
         delay: seconds that every answer takes.
-        calls: what was asked, in order: name of the method and its subject.
+        calls: requests in order: name of the method and its subject.
         rates: messages and lost messages a second of ports, by nodelet and port. In-ports that
-            are not named receive what is sent on their topic.
+            are not named receive all messages of their topic.
         on_model: called with the graph after each change, before the call that made it returns; it
             must not call the client.
         on_event: called in the same way with each event of a claim.
@@ -124,7 +124,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self._tell_model()
 
     def settle(self) -> None:
-        """Let messages pass once, and the manager and its claims follow what has happened."""
+        """Let messages pass once, and the manager and its claims follow."""
         with self._turn:
             self._pass(0.0)
             self.core.look()

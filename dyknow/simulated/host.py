@@ -45,7 +45,7 @@ class FakeNodelet:
     """A nodelet in memory.
 
     Attributes:
-        request: what it was loaded with.
+        request: from its load.
         ports: by name.
         sent: messages by out-port.
         latched: out-ports that keep a message for subscribers that connect later.
@@ -78,7 +78,7 @@ class FakeListening(Listening):
     """Counts the messages of one topic; ``FakeHost.flow`` sends them."""
 
     def __init__(self, host: FakeHost, topic: str) -> None:
-        """Begin at 0."""
+        """Start at 0."""
         self.topic = topic
         self.messages = 0
         self._host = host
@@ -97,9 +97,9 @@ class FakeHost(Host):
     Attributes:
         sources: ports of each nodelet type, as (name, direction, datatype).
         cpp: types that are C++ nodelets.
-        scripts: programs that are Python scripts; others of nodes are C++ nodes.
+        scripts: programs that are Python scripts; other programs are C++ nodes.
         ending: programs that end at their start.
-        lazy: ports of nodelet types that do not show until somebody listens to them; taking one
+        lazy: ports of nodelet types that do not show until they have a subscriber; taking one
             out lets it show.
         stock: whether nodelet managers for these are stock ones, which cannot re-wire them.
         topics: ordinary topics that are published.
@@ -112,9 +112,9 @@ class FakeHost(Host):
         unstamped: ROS types without a header.
         slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
             made later all the same (``arrive``).
-        details: what ails nodelets, by name.
+        details: problems of nodelets, by name.
         fail: called before each operation with its name and argument; may raise.
-        on_change: called after each change of what runs and how it is connected.
+        on_change: called after each change of nodelets and connections.
         calls: every operation, in order.
         clock: steady time, in seconds.
         listeners: open listenings.
@@ -201,7 +201,7 @@ class FakeHost(Host):
         self._hung.add(manager)
 
     def wake(self, manager: str) -> None:
-        """Let a stopped process go on; it does what was asked of it meanwhile."""
+        """Let a stopped process go on; it answers the requests that came meanwhile."""
         self._hung.discard(manager)
         self.arrive()
 
@@ -235,13 +235,13 @@ class FakeHost(Host):
     def run_node(
         self, name: str, source: str, topics: Mapping[str, str], kind: NodeletKind
     ) -> None:
-        """Start, or restart, a node of others.
+        """Start, or restart, an external node.
 
         Args:
             name: of the node.
             source: its program, with ports in ``sources``.
             topics: where its ports are.
-            kind: what it is.
+            kind: kind of node.
         """
         self.add(name, kind)
         nodelet = FakeNodelet(LoadRequest(name, source, kind=kind))
@@ -251,12 +251,12 @@ class FakeHost(Host):
         self.on_change()
 
     def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
-        """Start, or restart, a nodelet manager of others."""
+        """Start, or restart, an external nodelet manager."""
         state = self._state(manager, kind, own=False)
         self.processes[manager] = FakeManager(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
-        """Cut the network to the host of a nodelet manager of others.
+        """Cut the network to the host of an external nodelet manager.
 
         Args:
             manager: its name.

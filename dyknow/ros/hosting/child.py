@@ -27,7 +27,7 @@ from dyknow.ros.os_process import ProcessId, boot
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
-#: Seconds that a child has to end when it is asked to.
+#: Seconds that a child has to end after a signal.
 PATIENCE = 3.0
 #: Seconds before a nodelet manager that died twice is started again.
 _FIRST_PAUSE = 0.25
@@ -37,18 +37,18 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Child(NodeletPeer):
-    """One nodelet manager or node that we start; its own thread writes, others read.
+    """One nodelet manager or node that we start; its own thread alone writes.
 
     Attributes:
-        record: what is known of it on disk.
+        record: its record on disk.
         adopted: whether an earlier manager started its process.
         up: whether it offers its services.
         wanted: whether it is to be started again when it dies.
         gone: set when its name is free again.
         trouble: why it did not come up; empty if it did.
         stale: address of a dead predecessor at the master; empty if there is none.
-        log: what it prints.
-        rewirable: whether what it hosts has ports that can be connected elsewhere.
+        log: its output.
+        rewirable: whether its nodelets have live ports.
         command: program and arguments of a node; empty for a nodelet manager.
         start_timeout: seconds that it may take to offer its services.
     """

@@ -5,7 +5,7 @@
 
 They are nodelet managers, and nodes, each of which hosts itself alone.
 
-Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone
+Ownership: ``Children`` owns a table of names and a thread for each child. That thread alone
 starts the process and waits for its end. A child has a session of its own, so it outlives a
 manager that is killed; the next one finds it in a file (``child_records``), else by its
 environment.
@@ -86,7 +86,7 @@ class Children:
         for record in records:
             if record.name not in living:
                 if record.process is not None:
-                    record.process.wait_for_rest()  # what it forked runs on
+                    record.process.wait_for_rest()  # processes that it forked run on
                 self._launcher.clean_up(record)
         children = [self._add(Child(self._context, living[name], True)) for name in sorted(living)]
         self._write()

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Counts of messages: of nodelets, whose process is asked, and on topics, which are subscribed to.
+"""Counts of messages: of nodelets, from their processes, and on topics, by subscribing.
 
-Who owns what: a ``CountClient`` owns a kept connection, and a thread that alone uses it, started
+Ownership: a ``CountClient`` owns a kept connection, and a thread that alone uses it, started
 with the first request. Registering with the ROS master may take its time, so one thread does that
 for all topics. rospy has one connection to each publisher, however many subscribe.
 """
@@ -86,7 +86,7 @@ class CountClient:
         return self._worker.wake()
 
     def replies(self, number: int, nodelets: Collection[str], deadline: float) -> Counts:
-        """Wait for a reply, unless that may take long; returns what is new."""
+        """Wait for a reply, unless that may take long; returns new counts."""
         if self._in_time:
             left = max(0.0, deadline - time.monotonic())
             self._in_time = self._worker.wait_for(number, left)
@@ -142,14 +142,14 @@ class CountClient:
         return found
 
     def _one_by_one(self, nodelets: List[str]) -> Counts:
-        """Ask each nodelet's proxy, which does not say what is latched, or how old."""
+        """Ask each nodelet's proxy, without latches and ages."""
         found: Counts = {}
         for name in nodelets:
             asked = time.monotonic()
             try:
                 ports = self._proxies.get_statistics(name, _TIMEOUT).ports
             except PeerTimeout:
-                break  # each of the others would take that long
+                break  # each further one would take that long
             except HostError:
                 found[name] = None
                 continue
@@ -166,12 +166,12 @@ class MessageCounter:
     """Makes a handle for each topic to be counted; none of its methods waits for the master."""
 
     def __init__(self, registrar: Registrar) -> None:
-        """Count nothing yet; ``registrar`` knows what the master has yet to be told."""
+        """Prepare; ``registrar`` knows the registrations that the master has yet to confirm."""
         self._registrar = registrar
         self._registrations = Workers("registering to count messages", 1)
 
     def listen(self, topic: str) -> Listening:
-        """Begin to count the messages of a topic, of any type."""
+        """Count the messages of a topic of any type from now on."""
         return _TopicCounter(topic, self._registrar, self._registrations)
 
     def close(self) -> None:

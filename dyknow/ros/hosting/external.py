@@ -3,16 +3,16 @@
 
 """Nodelet managers and re-wirable nodes that the DyKnow manager did not start, on any host.
 
-Nodelet managers are named by the settings. Each re-wirable node announces its name to everybody
-who begins to listen to one topic, so it does not matter which side begins first.
+Nodelet managers are named by the settings. Each re-wirable node announces its name to each new
+subscriber of one topic, so either side can start first.
 
-Who owns what: an ``External`` owns what is known of one process, and a thread that finds it out.
+Ownership: an ``External`` owns the presence of one process, and a thread that updates it.
 While the process answers, each caller asks it directly over a kept connection. The first caller
 without an answer marks it as unresponsive; from then on every call fails at once and only the
 thread goes on asking, so no call waits for a host that is away.
 
 The ROS master decides which process bears a name. When another process registers under the name
-while the host of the first is away, the master cannot tell the first to end. The thread does so as
+while the host of the first is away, the master cannot end the first. The thread does so as
 soon as it can be reached.
 """
 
@@ -62,8 +62,8 @@ class Process:
     Attributes:
         uri: address of its node.
         pid: its process id.
-        kind: what it hosts, or is; None for a stock C++ nodelet manager, whose nodelets have no
-            ports.
+        kind: kind of its nodelets, or of the node; None for a stock C++ nodelet manager, whose
+            nodelets have no ports.
     """
 
     uri: str
@@ -78,13 +78,13 @@ class Process:
 
 @dataclass(frozen=True)
 class Presence:
-    """What is known of the process behind a name.
+    """Knowledge of the process behind a name.
 
     Attributes:
         process: the last that answered; None if it has ended, or none has answered yet.
-        trouble: why it cannot be asked; empty if it can.
+        trouble: why it cannot be queried; empty if it can.
         away: whether the trouble is that it did not answer: it may run all the same.
-        nodelets: what it ran when it was asked last.
+        nodelets: its last list of nodelets.
         unseen: whether the first attempt to find it is not over yet.
     """
 
@@ -100,7 +100,7 @@ class NotRunning(HostError):
 
 
 class External(NodeletPeer):
-    """One nodelet manager or re-wirable node that others started; safe from any thread."""
+    """One nodelet manager or re-wirable node of a third party; safe from any thread."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class External(NodeletPeer):
         self._state_lock = state_lock("external process")
         self._presence = Presence()
         self._client = ListClient(self._master, name, is_node=is_node)
-        #: Processes that bore the name before and have not been told yet that they lost it.
+        #: Processes that bore the name before and do not know yet that they lost it.
         self.displaced: List[Process] = []
         self._reported = Presence()
         self._expected_until = time.monotonic() + _NODE_PATIENCE
@@ -137,12 +137,12 @@ class External(NodeletPeer):
 
     @property
     def presence(self) -> Presence:
-        """What is known of it now."""
+        """Present knowledge of its process."""
         return self._presence
 
     @property
     def state(self) -> ManagerState:
-        """What is known of it now, as the manager sees it."""
+        """The same as the manager sees it."""
         known = self._presence
         kind = known.process.kind if known.process is not None else NodeletKind.PYTHON
         return ManagerState(
@@ -164,10 +164,10 @@ class External(NodeletPeer):
         return (not known.trouble or known.away) and super().may_publish
 
     def check(self) -> None:
-        """Refuse to ask one that cannot be asked.
+        """Refuse to query one that does not answer.
 
         Raises:
-            HostTimeout: it did not answer when it was asked last.
+            HostTimeout: it did not answer the last time.
             HostError: it is not there.
         """
         self._refuse_if_missed(self._presence)
@@ -184,7 +184,7 @@ class External(NodeletPeer):
             try:
                 names = client.list()
             except (HostError, PeerTimeout) as error:
-                # A lost connection is no proof that it has ended: the thread finds that out.
+                # A lost connection does not prove that it has ended: the thread finds out.
                 self._miss(client, error, away=self.is_node or may_be_there(error))
                 self._worker.wake()
                 continue  # now there is a new connection, or trouble
@@ -250,7 +250,7 @@ class External(NodeletPeer):
             self._on_gone(self)
 
     def _report(self) -> None:
-        """Log what has changed, and say that something has."""
+        """Log a change, and report it."""
         before, now = self._reported, self._presence
         self._reported = now
         was, is_now = before.process, now.process
@@ -272,7 +272,7 @@ class External(NodeletPeer):
             raise HostTimeout(text) if known.away else HostError(text)
 
     def _miss(self, client: ListClient, trouble: Exception, away: bool) -> None:
-        """Note that it cannot be asked, unless it was found again meanwhile."""
+        """Note that it cannot be queried, unless it was found again meanwhile."""
         with self._state_lock:
             if client is not self._client:
                 return
@@ -364,7 +364,7 @@ class Externals:
         self._subscriber: Optional[rospy.Subscriber] = None
 
     def start(self) -> None:
-        """Begin to look for the nodelet managers, side by side."""
+        """Look for the nodelet managers from now on, side by side."""
         for each in list(self._externals.values()):
             each.start()
 
@@ -391,7 +391,7 @@ class Externals:
         return found
 
     def hosting(self, nodelet: str) -> Optional[External]:
-        """Return the one that ran a nodelet when it was asked last, if there is one."""
+        """Return the one that ran a nodelet the last time, if there is one."""
         return next((each for each in self.all() if nodelet in each.presence.nodelets), None)
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from dyknow.ros.nodelets.proxy_services import ProxyServices
 
 
 class FixedProxy:
-    """Answers for one nodelet with what the manager knows; refuses to connect it elsewhere."""
+    """Answers for one nodelet from the manager's records; refuses to connect it elsewhere."""
 
     def __init__(self, manager: Manager, name: str) -> None:
         self.name = name
@@ -60,7 +60,7 @@ class FixedNodelets:
         self._offered: Dict[str, ProxyServices] = {}
 
     def follow(self) -> None:
-        """Offer the services of those that the graph has now, and of no others."""
+        """Offer the services of the present nodelets alone."""
         with self._turn:
             wanted = [
                 record.name

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a process is granted: the lease to publish on topics of claims, and the guards.
+"""Grants to a process: the lease to publish on topics of claims, and the guards.
 
-Who owns what: a ``Lease`` owns a kept connection, and a thread that alone uses it, started when
+Ownership: a ``Lease`` owns a kept connection, and a thread that alone uses it, started when
 the lease is granted.
 """
 
@@ -43,11 +43,11 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(eq=False)
 class PeerContext:
-    """What the peers of one DyKnow manager share.
+    """Shared by the peers of one DyKnow manager.
 
     Attributes:
         master: the ROS master; its caller is the manager's node.
-        guards: what nodelets must not do.
+        guards: restrictions of nodelets.
         uri: address of the manager's node.
         on_change: called when a process is up or has ended, or a lease has run out.
         running: time for which this process has run (s): a manager that was stopped asks again
@@ -146,7 +146,7 @@ class Lease:
             if self._answers():
                 is_first = not self._confirmed
                 self._call()
-                if is_first:  # it only asked for the clock
+                if is_first:  # it only queried the clock
                     self._call()
         except ServiceLost:
             self._client.close()

@@ -4,7 +4,7 @@
 """The host of nodelets in ROS: loads, unloads and asks them, wherever they run.
 
 Every remote call has a time limit. A nodelet manager that hangs delays at most one question by
-that limit: while its last answer is due it is not asked again.
+that limit: while its last answer is due it is not queried again.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _DEATH_TIMEOUT = 2.0
 _CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to list its ports.
 _PORTS_TIMEOUT = 2.0
-#: Processes that are asked at the same time.
+#: Processes that are queried at the same time.
 _ASKERS = 16
 
 
@@ -69,13 +69,13 @@ class RosHost(Host):
         registrar: Registrar,
         external: Sequence[str] = (),
     ) -> None:
-        """Prepare; ``start`` begins to look for the external nodelet managers.
+        """Prepare; ``start`` looks for the external nodelet managers.
 
         Args:
             context: what all peers share.
             children: processes that we start.
             registrar: registers the topics of this process.
-            external: global names of nodelet managers that others start.
+            external: global names of external nodelet managers.
         """
         self._context = context
         self._master = context.master
@@ -91,7 +91,7 @@ class RosHost(Host):
         self._external.look_for(nodes)
 
     def start(self) -> None:
-        """Begin to look for the external nodelet managers."""
+        """Look for the external nodelet managers from now on."""
         self._external.start()
 
     def listen_for_nodes(self) -> None:
@@ -99,7 +99,7 @@ class RosHost(Host):
         self._external.listen()
 
     def note_detail(self, manager: str, nodelet: str, detail: str) -> None:
-        """Note what ails a nodelet, as its nodelet manager says; empty if nothing does."""
+        """Note the problem of a nodelet, as its process announced it; empty for none."""
         peer = self._peer(manager)
         if peer is not None:
             peer.details.pop(nodelet, None)
@@ -153,7 +153,7 @@ class RosHost(Host):
         self._children.end(manager)
 
     def grant(self, producers: Mapping[str, str], managers: Collection[str]) -> None:
-        """Let these nodelets, and no others, publish on topics of claims.
+        """Let these nodelets alone publish on topics of claims.
 
         Args:
             producers: by topic, the nodelet that publishes there; empty for none at present.
@@ -185,7 +185,7 @@ class RosHost(Host):
         peer = self._known(manager)
         peer.hand_over()
         peer.check_guards()
-        # A hanging manager would load the nodelet when it goes on, so it is asked this first.
+        # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
             raise NameTaken(request.name)
         for external in self._external.all():
@@ -260,7 +260,7 @@ class RosHost(Host):
             return self._proxies.get_config(name, _PORTS_TIMEOUT)
 
     def detail(self, name: str) -> str:
-        """Return what was announced last."""
+        """Return the last announcement."""
         details = (peer.details.get(name) for peer in self._peers())
         return "; ".join(filter(None, details))
 
@@ -304,7 +304,7 @@ class RosHost(Host):
         self._askers.shutdown(wait=False)
 
     def release(self) -> None:
-        """Take our guards and leases off what goes on without us, at an end on purpose."""
+        """Remove our guards and leases from processes that outlive us."""
         for peer in self._peers():
             if peer.lease.is_granted:
                 peer.lease.release()

@@ -36,10 +36,10 @@ def cpp_classes() -> Iterator[str]:
 
 
 class NodeletTypes:
-    """The declared types; packages are read when an unknown type is asked for."""
+    """The declared types; packages are read for the first request of an unknown type."""
 
     def __init__(self) -> None:
-        """Read the packages when the first type is asked for."""
+        """Read the packages at the first request."""
         self._plugins = Plugins(plugin_files)
         self._state_lock = state_lock("nodelet types")
         self._python: Set[str] = set()

@@ -45,7 +45,7 @@ class NodeletPeer(ABC):
         counts: how many messages its nodelets have sent.
         lease: lets it publish on topics of claims.
         failures: loads that failed, by nodelet.
-        details: what ails its nodelets, as it announced.
+        details: problems of its nodelets, as it announced them.
     """
 
     def __init__(self, context: PeerContext, name: str) -> None:
@@ -61,7 +61,7 @@ class NodeletPeer(ABC):
     @property
     @abstractmethod
     def state(self) -> ManagerState:
-        """What is known of it now; it is not asked."""
+        """Its last known state, without a request."""
 
     @abstractmethod
     def list(self, incarnation: str = "") -> List[str]:
@@ -71,13 +71,13 @@ class NodeletPeer(ABC):
             incarnation: the process that is meant; empty for any.
 
         Raises:
-            HostTimeout: it does not answer, or did not when it was asked last.
+            HostTimeout: it does not answer, or did not the last time.
             HostError: it is not there, or is another process.
         """
 
     @property
     def answers(self) -> bool:
-        """Whether it is there, and answered when it was asked last."""
+        """Whether it is there, and answered the last time."""
         state = self.state
         return state.alive and state.responsive
 

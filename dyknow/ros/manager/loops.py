@@ -76,7 +76,7 @@ class ReconcileLoop:
         """Prepare; ``start`` starts the thread.
 
         Args:
-            reconciler: what is called.
+            reconciler: keeps the claims.
             has_work: whether there are claims, or nodelets of claims; if not, the next round comes
                 after the next change.
         """

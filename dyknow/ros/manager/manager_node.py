@@ -3,11 +3,11 @@
 
 """The node dyknow_manager: the paper's manager with its ROS interface.
 
-Who owns what: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
+Ownership: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
 manager, and its connections with ROS: services, the topic of the model, the streams, the watch and
 the workers that restore nodelets. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
 claims and nodelet managers end too. A manager that is killed leaves them, and its next life takes
-them over. When the master reports that another node bears the name, that is no such end
+them over. When the master reports that another node bears the name, it does not end
 (``dyknow.ros.manager.tenure``).
 """
 
@@ -65,8 +65,8 @@ _WORKERS = 4
 _WORKERS_PATIENCE = 3.0
 _ANSWER_TIMEOUT = 1.0
 _NAME = "dyknow_manager"
-#: Seconds that a thread keeps the interpreter while others want it. Python's own 5 ms would let a
-#: plan for a client delay a repair at each of its calls.
+#: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
+#: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
 #: States of a claim whose stream flows as far as is known.
 _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
@@ -162,8 +162,8 @@ class ManagerNode(Closable):
 
         A manager that leaves ends for the elder manager of its name, which has the name's nodelets
         and claims. Nothing is forgotten then: the state on disk is that of a manager that was
-        killed. Its own nodelet managers end, since the elder's bear the same names; all others are
-        the elder's.
+        killed. Its own nodelet managers end, since the elder's bear the same names; external ones
+        are the elder's.
         """
         if self.leaves:
             rospy.logwarn(

@@ -223,7 +223,7 @@ class StreamServices(_Services):
         Args:
             manager: has the guards, the store and the library.
             reconciler: does the work.
-            answers: makes what clients are shown of claims.
+            answers: converts claims for clients.
             after_change: called after each attempt to change something, before it is answered.
         """
         super().__init__(manager, after_change)

@@ -3,7 +3,7 @@
 
 """The streams of the node dyknow_manager.
 
-Who owns what: ``StreamNode`` owns the thread that reconciles claims, the bonds with clients, the
+Ownership: ``StreamNode`` owns the thread that reconciles claims, the bonds with clients, the
 services and the topic of events.
 """
 

@@ -5,10 +5,10 @@
 
 A manager that finds a living one of its name does not start. During a split it cannot find it, so
 there are two once the network is whole again. The ROS master then has the name's last
-registration, and tells the process before it to end. Neither takes that for a user's order: the
+registration, and asks the process before it to end. Neither takes that for a user's order: the
 elder goes on, and the other one leaves.
 
-The parameter ``~tenure`` decides who is the elder. Each manager writes it when it starts, with a
+The parameter ``~tenure`` decides between them. Each manager writes it when it starts, with a
 number one higher than it found; a manager that finds another entry restores its own if that is the
 lower one, and leaves if it is the higher one. So both decide alike, by the master alone, and no
 clocks are compared as long as there are numbers.
@@ -57,7 +57,7 @@ class TenureEntry(NamedTuple):
 
     @classmethod
     def of(cls, value: object) -> Optional[TenureEntry]:
-        """Read a value of the parameter server; None if it is no entry."""
+        """Read a value of the parameter server; None if it is not an entry."""
         if not isinstance(value, (list, tuple)) or len(value) != len(cls._fields):
             return None
         try:
