@@ -9,7 +9,7 @@ import threading
 from typing import Callable, Iterator, List
 
 import pytest
-from stepped_clock import PATIENCE, SteppedClock
+from clocks import PATIENCE, SteppedClock
 
 from dyknow.errors import DyKnowError
 from dyknow.periodic import PAUSE, RETRY, Period, PeriodicWorker, attempt, in_background

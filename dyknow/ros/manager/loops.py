@@ -18,7 +18,7 @@ from dyknow.locks import turn_lock
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.model.graph import Model
-from dyknow.periodic import PAUSE, PeriodicWorker
+from dyknow.periodic import PAUSE, STEADY, Clock, PeriodicWorker
 from dyknow.ros.model_messages import ModelMessages
 
 #: Seconds between two looks, and between two rounds over the claims, when nothing happens.
@@ -32,13 +32,8 @@ _MODEL_PERIOD = 0.05
 class Watch:
     """Has the manager observe its processes: every half second, and at once after an event."""
 
-    def __init__(self, manager: Manager, after: Callable[[], None]) -> None:
-        """Prepare; ``start`` starts the thread.
-
-        Args:
-            manager: looks.
-            after: called after each look.
-        """
+    def __init__(self, manager: Manager, after: Callable[[], None], clock: Clock = STEADY) -> None:
+        """Prepare; ``start`` starts the thread, which calls ``after`` after each look."""
         self._manager = manager
         self._after = after
         self._changed: Deque[str] = collections.deque()
@@ -47,6 +42,7 @@ class Watch:
             "looking at the nodelet managers",
             self._look,
             lambda: PAUSE if self._postponed else PERIOD,
+            clock=clock,
         )
         self.start = self._worker.start
         self.refresh_now = self._worker.wake
@@ -72,18 +68,24 @@ class Watch:
 class ReconcileLoop:
     """Reconciles the claims: periodically while there are any, and soon after changes."""
 
-    def __init__(self, reconciler: StreamReconciler, has_work: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        reconciler: StreamReconciler,
+        has_work: Callable[[], bool],
+        clock: Clock = STEADY,
+    ) -> None:
         """Prepare; ``start`` starts the thread.
 
         Args:
             reconciler: keeps the claims.
             has_work: whether there are claims, or nodelets of claims; if not, the next round comes
                 after the next change.
+            clock: steady time.
         """
         self._reconciler = reconciler
         self._has_work = has_work
         self._had_work = False
-        self._worker = PeriodicWorker("reconciling streams", self._round, self.period)
+        self._worker = PeriodicWorker("reconciling streams", self._round, self.period, clock=clock)
         self.start = self._worker.start
         self.note_change = self._worker.wake
         self.close = self._worker.close

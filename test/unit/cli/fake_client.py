@@ -11,7 +11,7 @@ import shlex
 from dataclasses import dataclass
 from typing import Any, Callable, Sequence
 
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 from unit.manager.world import LIBRARY, World
 
 from dyknow.cli.main import execute, parse

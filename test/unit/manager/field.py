@@ -9,7 +9,7 @@ import itertools
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 from unittest import mock
 
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Iterator
 
 import pytest
+from clocks import HandClock
 from faulty_disk import full, small_disk
-from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError, NameTaken, SpawnFailed

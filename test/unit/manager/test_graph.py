@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 
 from dyknow.errors import Busy, NameTaken
 from dyknow.manager import graph as graph_module

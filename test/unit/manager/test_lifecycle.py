@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import pytest
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import (

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from clocks import HandClock
 from unit.manager.field import Field
-from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import Denied, HostError, NameTaken, SpawnFailed

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Callable, Dict
 
 import pytest
+from clocks import HandClock
 from faulty_disk import full, kept_aside, locked, read_only, small_disk
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
@@ -38,14 +39,6 @@ SOUND = {
     ("facts", "revision"): "41",
     **{("transformations", f"t{i}"): "t" * 200 for i in range(200)},
 }
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def content(file: StateFile) -> Dict[tuple[str, str], str]:
@@ -78,7 +71,7 @@ def reopened(path: str) -> Dict[tuple[str, str], str]:
 def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    clock = Clock()
+    clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
         file = StateFile(path, clock)
@@ -89,10 +82,10 @@ def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later
             expected = {**ROWS, **CLAIM, ("nodelets", "/big"): "y" * 50_000}
             del expected["nodelets", "/n000"]
             assert content(file) == expected
-            clock.now += 10
+            clock.time += 10
             file.write_pending()
             assert "disk is full" in file.trouble
-        clock.now += 10
+        clock.time += 10
         file.write_pending()
         assert file.trouble == ""
         file.close()
@@ -103,19 +96,19 @@ def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later
 def test_a_trouble_that_goes_on_is_reported_from_time_to_time(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    clock = Clock()
+    clock = HandClock()
     path = written(str(tmp_path / "state"))
     file = StateFile(path, clock)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         file.write(CLAIM)
         for _ in range(130):
-            clock.now += 1.0
+            clock.time += 1.0
             file.write_pending()
         reports = [each for each in caplog.records if each.levelno == logging.ERROR]
         assert len(reports) == 3
         assert "locked by another program" in reports[-1].getMessage()
-    clock.now += 1.0
+    clock.time += 1.0
     file.write_pending()
     assert caplog.records[-1].getMessage().endswith("is written again; nothing is missing")
     file.close()
@@ -137,19 +130,19 @@ def start_when_read_only(path: str) -> None:
 
 
 def assert_read_and_kept(path: str, cause: str) -> None:
-    clock = Clock()
+    clock = HandClock()
     file = StateFile(path, clock)
     assert content(file) == ROWS
     assert cause in file.trouble and file.complaint == ""
     file.write(CLAIM)
     assert content(file) == {**ROWS, **CLAIM}
-    clock.now += 10
+    clock.time += 10
     file.write_pending()
     assert file.trouble
     FILES.append((file, clock))
 
 
-FILES: list[tuple[StateFile, Clock]] = []
+FILES: list[tuple[StateFile, HandClock]] = []
 
 
 @pytest.mark.parametrize("start", [start_when_full, start_when_locked, start_when_read_only])
@@ -168,7 +161,7 @@ def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it
             assert os.path.getsize(path + "-wal") > 0
         start(path)
         file, clock = FILES.pop()
-        clock.now += 10
+        clock.time += 10
         file.write_pending()
         assert file.trouble == ""
         file.close()
@@ -281,7 +274,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     assert reopened(path) == {**found, ("claims", "new"): "claim"}
 
 
-@examples(150, suppress_health_check=[HealthCheck.too_slow])
+@examples(60, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from([flip, truncate, zero]), st.integers(0, 10**6), st.integers(1, 255))
 @example(flip, 18, 7)  # sqlite takes the file for one that it may only read
 @example(flip, 60, 1)  # another format
@@ -423,7 +416,7 @@ def test_a_file_of_an_earlier_version_that_cannot_be_written_is_read(tmp_path: P
 def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
     tmp_path: Path,
 ) -> None:
-    clock = Clock()
+    clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
         broken = damaged(path, flip(18, 7))
@@ -434,7 +427,7 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
                 assert "damaged" in file.trouble and "full" in file.trouble
                 assert Path(path).read_bytes()[100:] == broken[100:]
                 file.write(CLAIM)
-        clock.now += 10
+        clock.time += 10
         file.write_pending()
         assert file.trouble == "" and "set aside" in file.complaint
         file.close()

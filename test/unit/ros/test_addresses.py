@@ -10,6 +10,7 @@ import threading
 from typing import Iterator, Tuple
 
 import pytest
+from clocks import HandClock
 
 from dyknow.ros.addresses import FRESH, Addresses
 
@@ -32,13 +33,6 @@ class NameServer:
         if not self.addresses:
             raise socket.gaierror(socket.EAI_NONAME, "no such host")
         return self.addresses
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture
@@ -94,7 +88,7 @@ def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) 
 
 
 def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServer) -> None:
-    clock = Clock()
+    clock = HandClock()
     server.answers.set()
     addresses = Addresses(server.look_up, clock)
     assert addresses.of("robot", LONG) == ("192.0.2.1",)
@@ -103,7 +97,7 @@ def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServe
     server.answers.clear()
     server.addresses = ("192.0.2.4",)
     assert server.asked.acquire(timeout=LONG)
-    clock.now += FRESH
+    clock.time += FRESH
     assert addresses.of("robot", 0.0) == ("192.0.2.1",)
     assert server.asked.acquire(timeout=LONG)
     server.answers.set()

@@ -8,9 +8,10 @@ from __future__ import annotations
 import threading
 import time
 from types import SimpleNamespace
-from typing import Callable, Iterator, List
+from typing import Iterator, List
 
 import pytest
+from clocks import eventually
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.errors import HostError, HostTimeout
@@ -25,16 +26,10 @@ FAR = "/far"
 
 
 @pytest.fixture
-def graph() -> Iterator[SmallMaster]:
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallMaster]:
+    monkeypatch.setattr(external, "_PERIOD", 0.05)
     with small_graph() as graph:
         yield graph
-
-
-def eventually(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def context(graph: SmallMaster) -> PeerContext:

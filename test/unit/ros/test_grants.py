@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any, Callable, Dict, List, cast
 
 import pytest
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
@@ -63,14 +63,7 @@ def far(monkeypatch: pytest.MonkeyPatch) -> Far:
     return far
 
 
-class Time:
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def lease(clock: Time, ended: threading.Event | None = None) -> Lease:
+def lease(clock: HandClock, ended: threading.Event | None = None) -> Lease:
     ended = ended or threading.Event()
     context = PeerContext(
         Master("/manager"), on_change=ended.set, running=clock, producers={"/topic": "/camera"}
@@ -79,7 +72,7 @@ def lease(clock: Time, ended: threading.Event | None = None) -> Lease:
 
 
 def test_what_an_answer_said_is_confirmed_by_the_next_renewal(far: Far) -> None:
-    kept = lease(Time())
+    kept = lease(HandClock())
     kept.grant()
     first, second, third = far.wait_for(3)[:3]
     kept.close()
@@ -89,7 +82,7 @@ def test_what_an_answer_said_is_confirmed_by_the_next_renewal(far: Far) -> None:
 
 
 def test_a_process_that_is_lost_is_not_confirmed_what_another_one_said(far: Far) -> None:
-    kept = lease(Time())
+    kept = lease(HandClock())
     kept.grant()
     far.wait_for(2)
     far.error = ServiceLost("gone")
@@ -100,35 +93,35 @@ def test_a_process_that_is_lost_is_not_confirmed_what_another_one_said(far: Far)
 
 
 def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far: Far) -> None:
-    clock, ended = Time(), threading.Event()
+    clock, ended = HandClock(), threading.Event()
     kept = lease(clock, ended)
     far.error = PeerTimeout("/far", 1.0)
-    clock.now = 10.0
+    clock.time = 10.0
     kept.grant()
     far.wait_for(1)
-    clock.now += DURATION - 0.1
+    clock.time += DURATION - 0.1
     assert kept.may_be_held
-    clock.now += 0.2
+    clock.time += 0.2
     assert not kept.may_be_held
     assert ended.wait(LONG)
     kept.close()
 
 
 def test_what_an_earlier_life_granted_is_waited_for() -> None:
-    clock = Time()
+    clock = HandClock()
     kept = lease(clock)
     assert kept.may_be_held
-    clock.now = DURATION
+    clock.time = DURATION
     assert not kept.may_be_held
 
 
 def test_a_pause_of_the_manager_does_not_count() -> None:
-    steady = Time()
+    steady = HandClock()
     running = RunningClock(steady)
     for _ in range(10):
-        steady.now += 0.1
+        steady.time += 0.1
         running()
-    steady.now += 10.0  # it was stopped
+    steady.time += 10.0  # it was stopped
     assert running() == pytest.approx(1.0 + LONGEST)
 
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import socketserver
 import threading
-import time
 import xmlrpc.server
 
 import pytest
+from clocks import eventually
 
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
@@ -74,13 +74,6 @@ def master():
 @pytest.fixture
 def registrar(master):
     return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=1.0))
-
-
-def eventually(condition):
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_the_answer_is_handed_out_once(master, registrar):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 
 import pytest
+from clocks import HandClock
 from python_qt_binding.QtGui import QPalette
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
@@ -21,17 +22,9 @@ from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget
 
 
-class Clock:
-    def __init__(self):
-        self.time = 100.0
-
-    def __call__(self):
-        return self.time
-
-
 @pytest.fixture
 def clock():
-    return Clock()
+    return HandClock(100.0)
 
 
 @pytest.fixture

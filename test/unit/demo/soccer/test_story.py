@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from unit.manager.hand_clock import HandClock
+from clocks import HandClock
 
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library

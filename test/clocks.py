@@ -1,17 +1,46 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Time of workers that a test moves on by hand, once their threads sleep."""
+"""Time that a test moves by hand, and waiting for other threads in real time."""
 
 from __future__ import annotations
 
 import threading
-from typing import Dict, Optional, Tuple
+import time
+from typing import Callable, Dict, Optional, Tuple
 
 from dyknow.periodic import Clock
 
 #: Seconds until a test gives up waiting for threads.
 PATIENCE = 10.0
+
+
+def eventually(condition: Callable[[], object]) -> None:
+    """Wait until a condition holds that other threads bring about."""
+    deadline = time.monotonic() + 3 * PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+class HandClock(Clock):
+    """A clock on which a wait returns at once and moves the time forward instead.
+
+    Attributes:
+        time: seconds; returned by a call as well.
+    """
+
+    def __init__(self, time: float = 0.0) -> None:
+        self.time = time
+
+    def __call__(self) -> float:
+        return self.time
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+        self.time += seconds or 0.0
 
 
 class SteppedClock(Clock):
