@@ -56,9 +56,6 @@ from dyknow.manager.planning.problem import (
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.transformation import Transformation
 
-#: Outdated terms that the planner may keep, if the library has fewer transformations.
-_WASTE = 1_000
-
 
 class Situation(NamedTuple):
     """All that a plan follows from, as it was at one moment.
@@ -438,15 +435,11 @@ class KeptPlanner:
 
     def __init__(self, ontology: Subsumption) -> None:
         """Start with an empty library."""
-        self._ontology = ontology
         self._planner = Planner(ontology)
         self._known: Mapping[str, Transformation] = {}
 
     def at(self, present: Mapping[str, Transformation]) -> Planner:
         """Return a planner for these transformations, by label."""
-        if self._planner.waste > max(_WASTE, len(self._planner)):
-            self._planner = Planner(self._ontology)
-            self._known = {}
         known = self._known
         if known is not present:
             gone = [label for label in known if label not in present]

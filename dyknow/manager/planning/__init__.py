@@ -3,12 +3,12 @@
 
 """The cheapest way to a stream, from what can run and what does run.
 
-What is known, from the bottom: ``problem`` has the values that go in and out, ``patterns``
-are tags with numbered variables, ``rules`` are transformations with variables, and a
-``library`` has them in numbers: a value that any thread may search while it is replaced by the
-next one. A ``request`` adds what runs at the moment, and what everything costs this client.
+From the bottom: `problem` has the values that go in and out, `patterns` are tags with numbered
+variables, and a `library` has transformations as actions, indexed by what they supply. It is a
+value that any thread may search while the next one replaces it. A `request` adds what runs at
+the moment, and what everything costs this client.
 
-The way of a request through ``planner``::
+The way of a request through `planner`::
 
     bounds       what the goal can reach, and what that costs at least, without bindings
       │
@@ -16,10 +16,10 @@ The way of a request through ``planner``::
       │          passed on to the next in-port
       │
     improvement  shared parts once, within the budget: the search again, for all that a cheaper
-      │          plan can have (an and_or_graph), a bound (landmarks), an exact search
-      │          (branching), and neighbourhoods of the plan
+      │          plan can have (an and_or_graph), a bound, an exact search, and neighbourhoods of
+      │          the plan
       │
-    answer       a plan with its cost and bound; or reasons, why there is none
+    planner      a plan with its cost and bound; or reasons, why there is none
 
-``wishes`` charge parts, ``explanation`` writes the plan for people.
+`explanation` writes the plan for people.
 """

@@ -1,15 +1,24 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A small AND/OR graph: what may be part of a plan that is cheaper than the one at hand."""
+"""A small AND/OR graph: the instances that a cheaper plan than the one at hand can have."""
 
 from __future__ import annotations
 
 import heapq
-from typing import AbstractSet, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import (
+    AbstractSet,
+    Collection,
+    Dict,
+    Iterable,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
-from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.request import Need, Request, base
+from dyknow.manager.planning.request import Need, Request
 from dyknow.manager.planning.search import Instance, Search
 
 
@@ -27,34 +36,29 @@ class Draft(NamedTuple):
     cost: int
 
 
-def drafted(request: Request, chosen: Dict[Need, Instance], goal: Need) -> Draft:
+def drafted(request: Request, chosen: Dict[Need, Instance]) -> Draft:
     """Follow choices, which have no cycle, from the goal."""
-    order: List[Instance] = []
+    order: Dict[Instance, None] = {}
+    stack = [(chosen[Need(request.goal, ())], True)]
     entered = set()
-    stack: List[Tuple[Instance, bool]] = [(chosen[goal], True)]
     while stack:
         instance, is_new = stack.pop()
         if not is_new:
-            order.append(instance)
+            order[instance] = None
         elif instance not in entered:
             entered.add(instance)
             stack.append((instance, False))
-            for node in reversed(instance.needs):  # the first is followed first
-                below = chosen[node]
-                if below not in entered:
-                    stack.append((below, True))
-    return Draft(chosen, order, sum([each.cost for each in order]) + unfree(request, order))
+            stack += [(chosen[need], True) for need in reversed(instance.needs)]
+    return Draft(chosen, list(order), sum([e.cost for e in order]) + unfree(request, order))
 
 
 def unfree(request: Request, instances: Iterable[Instance]) -> int:
-    """Return what instances cost because one nodelet that is free is there but once."""
+    """Return what instances cost because only one nodelet of an action is free."""
     if not request.kept:
         return 0
-    count: Dict[int, int] = {}
-    for each in {each.key for each in instances}:
-        if request.is_free(*each):
-            count[base(each[0])] = count.get(base(each[0]), 0) + 1
-    return sum([(many - 1) * request.library.costs[action] for action, many in count.items()])
+    keys = {(each.action.slow or each.action, each.theta) for each in instances}
+    free = [action for action, theta in keys if request.is_free(action, theta)]
+    return sum([action.cost for action in free]) - sum([action.cost for action in {*free}])
 
 
 class AndOrGraph:
@@ -67,91 +71,79 @@ class AndOrGraph:
         users: actions that need each node.
         offers: actions that supply each node.
         size: its number of edges, the unit in which effort is counted.
-        limit: microseconds after which no node may be supplied; None if that does not matter.
+        limit: microseconds after which no node may be supplied; None for any.
     """
 
-    def __init__(self, request: Request, search: Search, goal: Need) -> None:
-        """Take from a search what it found.
-
-        Args:
-            request: the problem.
-            search: with everything that is worthwhile.
-            goal: the node that is asked for.
-        """
+    def __init__(self, request: Request, search: Search) -> None:
+        """Take from a search what it found."""
         self._request = request
+        self.limit = request.limit
+        goal = Need(request.goal, ())
         self._there = {
-            node: instance
-            for node, instance in search.chosen.items()
-            if node != goal and self._is_there(instance, node)
+            node: each
+            for node, each in search.chosen.items()
+            if node != goal and not each.cost and not each.needs and not self._latency(each, node)
         }
         # Equal problems have equal numbers here: by label and bindings.
         found = {each: None for offers in search.offers.values() for each in offers}
-        order = sorted(
-            found, key=lambda each: (request.label(each.action), each.theta, -each.action < 0)
-        )
-        self._actions = order
+        order = sorted(found, key=lambda e: (e.action.label, e.theta, e.action.slow is None))
+        self._instances = order
+        self._numbers = {each.key: number for number, each in enumerate(order)}
         nodes: Dict[Need, int] = {goal: 0}
+        for each in order:
+            for need in each.needs:
+                if need not in self._there:
+                    nodes.setdefault(need, len(nodes))
+        self._nodes = list(nodes)
         self.costs = [each.cost for each in order]
         self.needs = [
-            list(
-                dict.fromkeys(
-                    [
-                        nodes.setdefault(need, len(nodes))
-                        for need in each.needs
-                        if need not in self._there
-                    ]
-                )
-            )
+            list(dict.fromkeys([nodes[need] for need in each.needs if need in nodes]))
             for each in order
         ]
-        self._nodes = list(nodes)
-        self.offers: List[List[int]] = [[] for _ in nodes]
+        self.offers = [
+            sorted([self._numbers[each.key] for each in search.offers.get(node, ())])
+            for node in nodes
+        ]
         self.makes: List[List[int]] = [[] for _ in order]
         self.users: List[List[int]] = [[] for _ in nodes]
-        number_of = {each: number for number, each in enumerate(order)}
-        self._number_of = {each.key: number for number, each in enumerate(order)}
-        for node, number in nodes.items():
-            for action in sorted([number_of[each] for each in search.offers.get(node, ())]):
-                self.offers[number].append(action)
-                self.makes[action].append(number)
+        for node, offers in enumerate(self.offers):
+            for action in offers:
+                self.makes[action].append(node)
         for action, needed in enumerate(self.needs):
-            for at in needed:
-                self.users[at].append(action)
-        self.limit = request.limit
-        self._latencies: Dict[Tuple[int, int], int] = {}  # of actions and nodes
-        for action, made in enumerate(self.makes if self.limit is not None else ()):
-            for at in made:
-                latency = request.source(
-                    order[action].action, order[action].theta, self._nodes[at]
-                )
-                self._latencies[action, at] = latency.latency
+            for node in needed:
+                self.users[node].append(action)
+        self._latencies = {
+            (action, node): self._latency(order[action], self._nodes[node])
+            for action, made in enumerate(self.makes if self.limit is not None else ())
+            for node in made
+        }
         self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
 
-    def _is_there(self, instance: Instance, node: Need) -> bool:
-        if instance.cost or instance.needs:
-            return False
-        if self._request.limit is None:
-            return True
-        return not self._request.source(instance.action, instance.theta, node).latency
+    def _latency(self, instance: Instance, node: Need) -> int:
+        """Return what an instance adds to the latency of a node, if there is a limit."""
+        if self.limit is None:
+            return 0
+        return self._request.source(instance.action, instance.theta, node).latency
 
     def numbers(self, draft: Draft) -> List[int]:
         """Return the numbers here of a draft's instances; what is not worthwhile is left out."""
-        number_of = self._number_of
-        return [number_of[each.key] for each in draft.order if each.key in number_of]
+        return [self._numbers[each.key] for each in draft.order if each.key in self._numbers]
 
-    def cost(self, actions: Iterable[int]) -> int:
+    def cost(self, actions: Collection[int]) -> int:
         """Sum up what actions cost."""
+        total = sum([self.costs[each] for each in actions])
         if self._request.kept:
-            actions = list(actions)
-            more = unfree(self._request, [self._actions[each] for each in actions])
-            return more + sum([self.costs[each] for each in actions])
-        return sum([self.costs[each] for each in actions])
+            total += unfree(self._request, [self._instances[each] for each in actions])
+        return total
 
-    def chosen(self, way: Dict[int, int]) -> Dict[Need, Instance]:
-        """Write choices as those of the search."""
-        found = dict(self._there)
-        found.update((self._nodes[node], self._actions[action]) for node, action in way.items())
-        return found
+    def drafted(self, way: Dict[int, int]) -> Draft:
+        """Return the draft that chooses suppliers so."""
+        chosen = dict(self._there)
+        chosen.update((self._nodes[node], self._instances[each]) for node, each in way.items())
+        return drafted(self._request, chosen)
+
+    def _is_late(self, done: int) -> bool:
+        return self.limit is not None and done > self.limit
 
     def derive(self, actions: AbstractSet[int]) -> Dict[int, int]:
         """Supply what can be supplied with some actions alone.
@@ -162,8 +154,8 @@ class AndOrGraph:
         """
         if self.limit is not None:
             return self._soonest(actions)
-        needs, makes, users = self.needs, self.makes, self.users
-        missing = {action: len(needs[action]) for action in actions}
+        makes, users = self.makes, self.users
+        missing = {action: len(self.needs[action]) for action in actions}
         way: Dict[int, int] = {}
         waiting = sorted([action for action, left in missing.items() if not left])
         for action in waiting:  # grows meanwhile
@@ -187,81 +179,66 @@ class AndOrGraph:
             begun, node, action = heapq.heappop(heap)
             if node < 0:
                 for made in self.makes[action]:
-                    done = begun + self._latencies.get((action, made), 0)
-                    if made not in way and self._is_in_time(done):
+                    done = begun + self._latencies[action, made]
+                    if made not in way and not self._is_late(done):
                         heapq.heappush(heap, (done, made, action))
             elif node not in way:
                 way[node] = action
                 for user in self.users[node]:
-                    left = missing.get(user, 0)
-                    if left:
-                        missing[user] = left - 1
-                        if left == 1:
+                    if user in missing:
+                        missing[user] -= 1
+                        if not missing[user]:
                             heapq.heappush(heap, (begun, -1, user))
         return way
 
-    def _is_in_time(self, done: int) -> bool:
-        return self.limit is None or done <= self.limit
+    def cheapest(
+        self, prices: Sequence[float], use_sum: bool = True
+    ) -> Tuple[Dict[int, int], List[int], Optional[float]]:
+        """Supply all nodes as cheaply as possible at some prices, by Knuth's algorithm.
+
+        Args:
+            prices: of the actions.
+            use_sum: an action costs as much as all nodes that it needs, and the search ends at
+                the goal; else as much as the dearest of them. The sum heeds the limit, but then
+                there may be cheaper suppliers, and none may be found though there are some.
+
+        Returns:
+            The supplier of each node, the last node that was supplied of those that each action
+            needs, the dearest one (-1 for none), and the price of the goal.
+        """
+        missing = list(map(len, self.needs))
+        total = list(prices)
+        begun = [0] * len(missing)
+        last = [-1] * len(missing)
+        heap = [(total[action], action) for action, left in enumerate(missing) if not left]
+        heapq.heapify(heap)
+        way: Dict[int, int] = {}
+        goal = None
+        while heap and not (use_sum and 0 in way):
+            price, action = heapq.heappop(heap)
+            for node in self.makes[action]:
+                done = begun[action] + self._latencies.get((action, node), 0)
+                if node in way or (use_sum and self._is_late(done)):
+                    continue
+                way[node] = action
+                if not node:
+                    goal = price
+                for user in self.users[node]:
+                    total[user] = price + (total if use_sum else prices)[user]
+                    begun[user] = max(begun[user], done)
+                    last[user] = node
+                    missing[user] -= 1
+                    if not missing[user]:
+                        heapq.heappush(heap, (total[user], user))
+        return way, last, goal
 
     def followed(self, way: Dict[int, int]) -> List[int]:
         """Return the actions that choices lead to from the goal."""
-        found = {way[0]: None}
         waiting = [way[0]]
+        found = {way[0]}
         for action in waiting:  # grows meanwhile
             for node in self.needs[action]:
-                below = way[node]
-                if below not in found:
-                    found[below] = None
-                    waiting.append(below)
+                if way[node] not in found:
+                    found.add(way[node])
+                    waiting.append(way[node])
         return waiting
-
-    def pruned(self, actions: Iterable[int], order: Sequence[int], budget: Budget) -> List[int]:
-        """Leave out actions that the goal is reached without, as far as the budget lasts."""
-        kept = set(self.followed(self.derive(set(actions))))
-        for action in order:
-            if action not in kept or self._is_alone(action, kept):
-                continue
-            if budget.spend(4 * len(kept)):
-                way = self.derive(kept - {action})
-                if 0 in way:
-                    kept = set(self.followed(way))
-        return sorted(kept)
-
-    def _is_alone(self, action: int, kept: Set[int]) -> bool:
-        """Whether an action is the only one to supply a node that others need."""
-        return any(
-            len(kept.intersection(self.offers[node])) == 1
-            and (not node or not kept.isdisjoint(self.users[node]))
-            for node in self.makes[action]
-        )
-
-    def cheapest_tree(self, prices: Sequence[float]) -> Optional[Dict[int, int]]:
-        """Choose the cheapest tree, by Knuth's algorithm, at other prices.
-
-        If there is a limit, it is a tree that is in time, but there may be cheaper ones, and none
-        may be found though there are some.
-        """
-        needs, makes, users, latencies = self.needs, self.makes, self.users, self._latencies
-        missing = list(map(len, needs))
-        total = list(prices)
-        begun = [0] * len(needs)
-        heap: List[Tuple[float, int]] = [
-            (total[action], action) for action, left in enumerate(missing) if not left
-        ]
-        heapq.heapify(heap)
-        way: Dict[int, int] = {}
-        while heap:
-            price, action = heapq.heappop(heap)
-            for node in makes[action]:
-                done = begun[action] + latencies.get((action, node), 0)
-                if node not in way and self._is_in_time(done):
-                    way[node] = action
-                    if not node:
-                        return way
-                    for user in users[node]:
-                        total[user] += price
-                        begun[user] = max(begun[user], done)
-                        left = missing[user] = missing[user] - 1
-                        if not left:
-                            heapq.heappush(heap, (total[user], user))
-        return None

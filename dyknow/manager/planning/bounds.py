@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What demands cost at least: found without bindings, in numbers alone.
+"""Lower bounds for what demands cost, found without bindings.
 
-What can be supplied under any bindings counts as supplied here, so that is as large as the part of
-the library that the goal reaches, whatever individuals there are: of the facts that can supply a
-demand the cheapest one is looked at. If no variable is shared these are the costs.
+A pattern counts as supplied here if it can be supplied under any bindings, and only the cheapest
+fact that supplies it is looked at. So the work is proportional to the part of the library that
+the goal reaches, whatever individuals there are. If no variable is shared, the bounds are exact.
 
 D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing Letters 6(1), 1977.
 """
@@ -13,21 +13,31 @@ D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing 
 from __future__ import annotations
 
 import heapq
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
-from dyknow.manager.planning.library import Head
+from dyknow.manager.planning.library import Head, Operator
+from dyknow.manager.planning.patterns import Pattern
 from dyknow.manager.planning.request import Request
 
-#: Bits for the place of an action in the keys of the search.
+#: Bits for the rank of a supplier in the keys of the heap.
 _BITS = 32
-_PLACE = (1 << _BITS) - 1
+_RANK = (1 << _BITS) - 1
+
+
+class _Supplier(NamedTuple):
+    """An action, or many that were not looked at: what it costs, needs and supplies."""
+
+    action: Optional[Operator]
+    cost: int
+    needs: Tuple[Pattern, ...]
+    serves: List[Pattern]
 
 
 class Bounds:
     """What the goal can reach, and what that costs at least.
 
     Attributes:
-        facts: for each demand the cheapest fact that supplies it.
+        users: for each pattern that is reached, the places of the suppliers that need it.
         is_simple: whether no names are to be bound.
     """
 
@@ -38,66 +48,62 @@ class Bounds:
             request: the problem.
             is_whole: also what supplies a demand that is met at no cost.
         """
-        self._request = request
-        self.facts: Dict[int, Head] = {}
-        self.is_simple = not request.pattern(request.goal).wanted
-        rules, needs = request.library.rules, request.needs
-        places: Dict[int, int] = {}
-        #: Demands that very many actions may supply, and what these cost at least.
-        self._crowds: Dict[int, int] = {}
-        # By the place of an action: its number, what it costs, what it needs and supplies.
-        self._actions: List[int] = []
-        self._costs: List[int] = []
-        self._needs: List[Tuple[int, ...]] = []
-        self._serves: List[List[int]] = []
-        #: For each demand the places of the actions that need it.
-        self.users: Dict[int, List[int]] = {request.goal: []}
-        users, serves = self.users, self._serves
-        demands = [request.goal]
-        for number in demands:  # grows meanwhile
-            fact = request.cheapest_fact(number)
+        self._goal = request.goal
+        self.is_simple = not request.goal.wanted
+        self.users: Dict[Pattern, List[int]] = {request.goal: []}
+        self._suppliers: List[_Supplier] = []
+        self._facts: Dict[Operator, _Supplier] = {}
+        self._crowds: List[_Supplier] = []
+        users, suppliers, is_met = self.users, self._suppliers, request.is_met
+        found: Dict[Operator, _Supplier] = {}
+        patterns = [request.goal]
+        for pattern in patterns:  # grows meanwhile
+            fact = request.cheapest_fact(pattern)
             if fact is not None:
-                self.facts[number] = fact
-                is_met = not is_whole and request.is_met(fact)
-                if is_met and not request.pattern(number).wanted:
+                self._add_fact(fact, pattern)
+                if not is_whole and not pattern.wanted and is_met(fact):
                     continue
-            crowd = None if is_whole else request.many(number)
+            crowd = None if is_whole or not pattern.wanted else request.crowd(pattern)
             if crowd is not None:  # they are looked at when more is known
-                self._crowds[number] = crowd
+                self._crowds.append(_Supplier(None, crowd, (), [pattern]))
                 continue
-            for action in request.makers(number):
-                place = places.get(action)
-                if place is not None:
-                    serves[place].append(number)
+            for action in request.makers(pattern):
+                supplier = found.get(action)
+                if supplier is not None:
+                    supplier.serves.append(pattern)
                     continue
-                place = places[action] = len(serves)
-                serves.append([number])
-                self._actions.append(action)
-                self._costs.append(request.floor(action))
-                below = needs(action)
-                self._needs.append(below)
-                rule = rules.get(action if action >= 0 else ~action)
-                if rule is not None and rule.variables:
+                needs = action.needs
+                supplier = _Supplier(action, request.floor(action), needs, [pattern])
+                found[action] = supplier
+                if action.variables:
                     self.is_simple = False
-                for need in below:
+                for need in needs:
                     if need in users:
-                        users[need].append(place)
+                        users[need].append(len(suppliers))
                     else:
-                        demands.append(need)
-                        users[need] = [place]
+                        patterns.append(need)
+                        users[need] = [len(suppliers)]
+                suppliers.append(supplier)
+
+    def _add_fact(self, head: Head, pattern: Pattern) -> None:
+        known = self._facts.get(head.action)
+        if known is None:
+            self._facts[head.action] = _Supplier(head.action, head.cost, (), [pattern])
+        else:
+            known.serves.append(pattern)
 
     def __len__(self) -> int:
         """Count the actions that need something."""
-        return len(self._actions)
+        return len(self._suppliers)
 
     @property
     def most(self) -> int:
         """What all of them cost together, and the facts."""
-        return sum(self._costs) + sum([each.cost for each in self.facts.values()])
+        return sum([each.cost for each in (*self._suppliers, *self._facts.values())])
 
     def least(
         self, use_sum: bool = True, below: Optional[int] = None
-    ) -> Tuple[Dict[int, int], Dict[int, int]]:
+    ) -> Tuple[Dict[Pattern, int], Dict[Pattern, Operator]]:
         """Return what demands cost at least, and the action that supplies each so.
 
         Args:
@@ -106,59 +112,48 @@ class Bounds:
             below: leave out what costs as much; None for no bound.
 
         Returns:
-            Both by demand, without those that cannot be supplied.
+            Both by pattern, without those that cannot be supplied.
         """
-        combine: Callable[[Any], int] = sum if use_sum else max
-        users = self.users
-        actions, costs, needs = self._actions.copy(), self._costs.copy(), self._needs
-        serves = self._serves.copy()
-        places: Dict[int, int] = {}
-        for number, head in self.facts.items():
-            place = places.get(head.action)
-            if place is None:
-                place = places[head.action] = len(actions)
-                actions.append(head.action)
-                costs.append(head.cost)
-                serves.append([])
-            serves[place].append(number)
-        first = [*places.values()]
-        for number, cost in self._crowds.items():
-            first.append(len(actions))
-            actions.append(-1)
-            costs.append(cost)
-            serves.append([number])
+        suppliers = [*self._suppliers, *self._facts.values(), *self._crowds]
         # Labels decide between equal costs, where it matters what supplies a demand.
-        ranks, by_rank = list(range(len(actions))), list(range(len(actions)))
+        by_rank = list(range(len(suppliers)))
         if self.is_simple and use_sum:
-            label = self._request.label
-            by_rank.sort(key=lambda place: (label(actions[place]), actions[place] < 0))
-            for rank, place in enumerate(by_rank):
-                ranks[place] = rank
-        missing = list(map(len, needs))
-        heap = [costs[place] << _BITS | ranks[place] for place in first]
+            actions = [each.action for each in suppliers]
+            labels = [
+                (each.label, each.slow is not None) if each else ("", False) for each in actions
+            ]
+            by_rank.sort(key=labels.__getitem__)
+        ranks = [0] * len(suppliers)
+        for rank, place in enumerate(by_rank):
+            ranks[place] = rank
+        missing = [len(each.needs) for each in self._suppliers]
+        total = [each.cost for each in suppliers]
+        heap = [
+            total[place] << _BITS | ranks[place] for place in range(len(missing), len(suppliers))
+        ]
         heapq.heapify(heap)
-        pop, push = heapq.heappop, heapq.heappush
-        value: Dict[int, int] = {}
-        chosen: Dict[int, int] = {}
-        value_of = value.__getitem__
+        pop, push, users = heapq.heappop, heapq.heappush, self.users
+        value: Dict[Pattern, int] = {}
+        chosen: Dict[Pattern, Operator] = {}
         while heap:
             key = pop(heap)
-            price, place = key >> _BITS, by_rank[key & _PLACE]
+            price, supplier = key >> _BITS, suppliers[by_rank[key & _RANK]]
             if below is not None and price >= below:
                 break
-            for number in serves[place]:
-                if number in value:
+            for pattern in supplier.serves:
+                if pattern in value:
                     continue
-                value[number] = price
-                chosen[number] = actions[place]
-                for user in users[number]:
-                    left = missing[user] = missing[user] - 1
-                    if not left:
-                        own = costs[user] + combine(map(value_of, needs[user]))
-                        push(heap, own << _BITS | ranks[user])
+                value[pattern] = price
+                chosen[pattern] = supplier.action  # type: ignore[assignment]
+                for user in users[pattern]:
+                    # Patterns come in the order of their values: the last is the maximum.
+                    total[user] = price + (total[user] if use_sum else suppliers[user].cost)
+                    missing[user] -= 1
+                    if not missing[user]:
+                        push(heap, total[user] << _BITS | ranks[user])
         return value, chosen
 
-    def above(self, least: Dict[int, int], below: int) -> Tuple[Dict[int, int], int]:
+    def above(self, least: Dict[Pattern, int], below: int) -> Tuple[Dict[Pattern, int], int]:
         """Return what a plan costs at least besides a demand, if it costs less than a bound.
 
         Args:
@@ -168,31 +163,29 @@ class Bounds:
         Returns:
             That, and what it costs besides a demand of which nothing is known.
         """
-        found: Dict[int, int] = {}
-        suppliers: Dict[int, List[int]] = {}
-        for place, numbers in enumerate(self._serves):
-            for number in numbers:
-                suppliers.setdefault(number, []).append(place)
-        floors = [
-            max([least.get(need, below) for need in needs]) + cost
-            for needs, cost in zip(self._needs, self._costs)
-        ]
-        heap = [(0, self._request.goal)]
+        found: Dict[Pattern, int] = {}
+        suppliers: Dict[Pattern, List[Tuple[int, _Supplier]]] = {}
+        for each in self._suppliers:
+            floor = max([least.get(need, below) for need in each.needs]) + each.cost
+            for pattern in each.serves:
+                suppliers.setdefault(pattern, []).append((floor, each))
+        heap = [(0, 0, self._goal)]
+        pushed = 0
         while heap:
-            price, number = heapq.heappop(heap)
-            if number in found:
+            price, _, pattern = heapq.heappop(heap)
+            if pattern in found:
                 continue
-            found[number] = price
-            for place in suppliers.get(number, ()):
-                if price + floors[place] < below:
-                    down = price + self._costs[place]
-                    for need in self._needs[place]:
+            found[pattern] = price
+            for floor, each in suppliers.get(pattern, ()):
+                if price + floor < below:
+                    for need in each.needs:
                         if need not in found:
-                            heapq.heappush(heap, (down, need))
+                            pushed += 1
+                            heapq.heappush(heap, (price + each.cost, pushed, need))
         rest = min(
-            [found[number] + cost for number, cost in self._crowds.items() if number in found]
-            or [below]
+            [found[each.serves[0]] + each.cost for each in self._crowds if each.serves[0] in found]
+            + [below]
         )
         if rest < below:
-            found = {number: min(price, rest) for number, price in found.items()}
+            found = {pattern: min(price, rest) for pattern, price in found.items()}
         return found, rest

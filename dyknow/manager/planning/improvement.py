@@ -5,10 +5,10 @@
 
 The problem is that of a Steiner arborescence with AND nodes, which is NP-hard; set cover is a case
 of it. First every instance is left out that cannot be part of a cheaper plan, since no plan costs
-less than the maximum over its inputs. On the others landmark cuts are a lower bound
-(``landmarks``), a branch-and-bound search is exact if it ends within its share of the budget
-(``branching``), and if it does not, a large neighbourhood search improves the plan: it takes some
-actions out of the plan and completes it again by the cheapest tree, at prices that vary.
+less than the maximum over its inputs. On the others landmark cuts are a lower bound, a
+branch-and-bound search is exact if it ends within its share of the budget, and if it does not, a
+large neighbourhood search improves the plan: it takes some actions out of the plan and completes
+it again by the cheapest tree, at prices that vary.
 
 A solver for integer programs would do the same in fewer lines, but HiGHS in scipy holds the
 interpreter's lock until it has ended, and the manager would stand still for as long.
@@ -18,16 +18,25 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import List, NamedTuple, Tuple
+from typing import (
+    Callable,
+    FrozenSet,
+    Iterable,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted
 from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.branching import search
-from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.landmarks import landmark_bound
 from dyknow.manager.planning.request import Need, Request
 from dyknow.manager.planning.search import Search
 
+#: Steps that are taken in a second, on a slow machine.
+STEPS = 10_000_000
 #: Instances beyond which a plan is not improved.
 _MOST_INSTANCES = 1_000
 #: Steps that it takes to copy a part of the search into a graph of its own, and to bound a demand.
@@ -35,12 +44,39 @@ _COPIED = 50
 _BOUNDED = 60
 #: Part of the budget that the exact search may take.
 _EXACT = 0.25
+#: Parts in which the price of a cut is paid: several cuts share an action more evenly.
+_PARTS = 4
 #: Most actions that are taken out of a plan at once.
 _MOST_OUT = 6
 #: How often a dearer plan is gone on with.
 _WORSE = 0.02
 #: Steps of each search for a plan that is in time.
 _EACH_RISE = 5_000_000
+
+
+class Budget:
+    """Counts steps, so that equal problems have equal plans; the clock is the last resort."""
+
+    def __init__(self, seconds: float, clock: Callable[[], float]) -> None:
+        """Start.
+
+        Args:
+            seconds: what the improvement may take.
+            clock: steady time, in seconds.
+        """
+        self._clock = clock
+        self._deadline = clock() + seconds
+        self.steps = int(seconds * STEPS)
+        #: Whether the clock ended it.
+        self.is_cut_short = False
+
+    def spend(self, steps: int) -> bool:
+        """Take steps; return whether they were left."""
+        self.steps -= steps
+        if self.steps >= 0 and self._clock() >= self._deadline:
+            self.is_cut_short = True
+            self.steps = -1
+        return self.steps >= 0
 
 
 class Improved(NamedTuple):
@@ -54,14 +90,14 @@ class Improved(NamedTuple):
 
     draft: Draft
     least_cost: int
-    is_cut_short: bool
+    is_cut_short: bool = False
 
 
 def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool]:
     """Return a rather cheap draft that is in time, or the soonest one; and whether it is in time.
 
-    It is not all that is searched if that would take more than a fixed number of steps; the clock
-    has no say, since it must not decide whether there is a plan.
+    A fixed number of steps limits the search, not the clock, which must not decide whether there
+    is a plan.
 
     Args:
         request: the problem.
@@ -69,24 +105,28 @@ def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool
         draft: the cheapest tree, which is too late.
     """
     least, _ = bounds.least(False)
-    goal = Need(request.goal, ())
     cost = draft.cost
-    for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
+    for below in (
+        cost + 1,
+        2 * cost + 1,
+        4 * cost + 1,
+        8 * cost + sys.maxsize + bounds.most,
+    ):
         found = Search(request, bounds, least, False, below)
         found.run(_EACH_RISE)
-        graph = AndOrGraph(request, found, goal)
-        way = graph.cheapest_tree(graph.costs)
-        if way is not None:
-            break
+        graph = AndOrGraph(request, found)
+        way, _, _ = graph.cheapest(graph.costs)
+        if 0 in way:
+            return graph.drafted(way), True
     every = set(range(len(graph.costs)))
-    way = way or graph.derive(every)
+    way = graph.derive(every)
     is_in_time = 0 in way
     if not is_in_time:
         graph.limit = sys.maxsize
         way = graph.derive(every)
     if 0 not in way:  # not everything was searched
         return draft, False
-    return drafted(request, graph.chosen(way), goal), is_in_time
+    return graph.drafted(way), is_in_time
 
 
 def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> Improved:
@@ -98,42 +138,34 @@ def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> I
         draft: the cheapest tree, or one that is in time.
         budget: what the improvement may take.
     """
-    if not draft.cost:
-        return Improved(draft, 0, False)
-    if not budget.spend(_BOUNDED * len(bounds)):
-        return Improved(draft, 0, False)
+    if not draft.cost or not budget.spend(_BOUNDED * len(bounds)):
+        return Improved(draft, 0)
     goal = Need(request.goal, ())
     least, _ = bounds.least(False, draft.cost)
     floor = least.get(request.goal, draft.cost)
-    if draft.cost <= floor:
-        return Improved(draft, draft.cost, False)
-    if len(draft.order) > _MOST_INSTANCES:
-        return Improved(draft, floor, False)
+    if draft.cost <= floor or len(draft.order) > _MOST_INSTANCES:
+        return Improved(draft, min(floor, draft.cost))
     found = Search(request, bounds, least, False, draft.cost)
     budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
     if goal in found.value:
-        floor = min(draft.cost, max(floor, found.value[goal]))
-    elif found.is_complete:
-        return Improved(draft, draft.cost, False)
+        floor = max(floor, found.value[goal])
+    elif not found.is_complete:
+        floor = max(floor, found.reached)
     else:
-        floor = min(draft.cost, max(floor, found.reached))
+        floor = draft.cost
+    floor = min(floor, draft.cost)
     edges = sum(map(len, found.offers.values()))
-    if goal not in found.value or not budget.spend(_COPIED * edges):
-        return Improved(draft, floor, budget.is_cut_short)
-    if request.limit is None:
-        other = drafted(request, found.chosen, goal)
-        draft = other if other.cost < draft.cost else draft
-    if draft.cost <= floor:
-        return Improved(draft, draft.cost, budget.is_cut_short)
-    graph = AndOrGraph(request, found, goal)
-    return _Improvement(request, graph, found.is_complete, budget).run(draft, floor)
+    if floor < draft.cost and goal in found.value and budget.spend(_COPIED * edges):
+        if request.limit is None:
+            draft = min(draft, drafted(request, found.chosen), key=lambda each: each.cost)
+        if floor < draft.cost:
+            graph = AndOrGraph(request, found)
+            return _Improvement(graph, found.is_complete, budget).run(draft, floor)
+    return Improved(draft, floor, budget.is_cut_short)
 
 
 class _Improvement:
-    def __init__(
-        self, request: Request, graph: AndOrGraph, is_complete: bool, budget: Budget
-    ) -> None:
-        self._request = request
+    def __init__(self, graph: AndOrGraph, is_complete: bool, budget: Budget) -> None:
         self._graph = graph
         self._is_complete = is_complete
         self._budget = budget
@@ -142,31 +174,172 @@ class _Improvement:
     def run(self, draft: Draft, floor: int) -> Improved:
         """Improve a draft that costs more than a bound."""
         graph, budget = self._graph, self._budget
-        cuts, rest = landmark_bound(graph, budget)
+        cuts, rest = self._cuts()
         # What was left out because the search was too large could be cheaper than these cuts.
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
-        best = sorted(graph.numbers(draft))
-        if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
-            every = set(range(len(graph.costs)))
-            way = graph.cheapest_tree(graph.costs) or graph.derive(every)
+        best = graph.numbers(draft)
+        way = graph.derive(set(best))
+        if 0 not in way:  # some of it cannot be part of a cheaper plan
+            way, _, _ = graph.cheapest(graph.costs)
+            if 0 not in way:
+                way = graph.derive(set(range(len(graph.costs))))
             if 0 not in way:  # what is cheaper is too late
                 bound = draft.cost if self._is_complete else bound
                 return Improved(draft, bound, budget.is_cut_short)
-            best = sorted(graph.followed(way))
-        best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]), budget)
+            best = graph.followed(way)
+        best = self._pruned(best, sorted(best, key=lambda each: (-graph.costs[each], each)))
         least = min(draft.cost, graph.cost(best))
         if bound < least:
             left = int(budget.steps * (1 - _EXACT))
-            found, is_exact = search(graph, cuts, rest, least, budget, left)
+            found, is_exact = self._branched(cuts, rest, least, left)
             best = found or best
             if is_exact and self._is_complete:
                 bound = min(least, graph.cost(best))
             else:
                 best = self._varied(best, bound)
         if graph.cost(best) < draft.cost:
-            chosen = graph.chosen(graph.derive(set(best)))
-            draft = drafted(self._request, chosen, Need(self._request.goal, ()))
+            draft = graph.drafted(graph.derive(set(best)))
         return Improved(draft, bound, budget.is_cut_short)
+
+    def _pruned(self, actions: Iterable[int], order: Sequence[int]) -> List[int]:
+        """Leave out actions that the goal is reached without, as far as the budget lasts."""
+        graph = self._graph
+        kept = set(graph.followed(graph.derive(set(actions))))
+        for action in order:
+            if action in kept and not self._is_alone(action, kept):
+                if not self._budget.spend(4 * len(kept)):
+                    break
+                way = graph.derive(kept - {action})
+                if 0 in way:
+                    kept = set(graph.followed(way))
+        return sorted(kept)
+
+    def _is_alone(self, action: int, kept: Set[int]) -> bool:
+        """Whether an action is the only one to supply a node that others need."""
+        graph = self._graph
+        return any(
+            len(kept.intersection(graph.offers[node])) == 1
+            and (not node or not kept.isdisjoint(graph.users[node]))
+            for node in graph.makes[action]
+        )
+
+    # Landmark cuts
+
+    def _cuts(self) -> Tuple[int, List[int]]:
+        """Return a bound that no plan is below, and what is left of the cost of each action.
+
+        M. Helmert and C. Domshlak, "Landmarks, critical paths and abstractions: what's the
+        difference anyway?", ICAPS 2009. Every plan has an action of each cut that separates the
+        goal from what is there. A part of its cheapest action is paid, and all actions of the cut
+        become cheaper by as much, until the goal costs nothing: in the terms of linear
+        programming, dual ascent. A plan costs at least the bound and what is left.
+        """
+        rest = list(self._graph.costs)
+        bound = 0
+        while self._budget.spend(2 * self._graph.size):
+            cut = self._cut(rest)
+            if not cut:
+                break
+            least = -(-min([rest[action] for action in cut]) // _PARTS)
+            bound += least
+            for action in cut:
+                rest[action] -= least
+        return bound, rest
+
+    def _cut(self, rest: List[int]) -> List[int]:
+        """Return the actions that lead from what is there to where the goal costs no more."""
+        graph = self._graph
+        _, dearest, price = graph.cheapest(rest, use_sum=False)
+        if not price:
+            return []
+        zone, waiting = {0}, [0]  # nodes from which the goal costs nothing
+        border = set()
+        for node in waiting:  # grows meanwhile
+            for action in graph.offers[node]:
+                if rest[action]:
+                    border.add(action)
+                elif dearest[action] not in zone:
+                    zone.add(dearest[action])
+                    waiting.append(dearest[action])
+        # Of these actions only those count that are reached without the zone.
+        by_node: List[List[int]] = [[] for _ in graph.offers]
+        for action, node in enumerate(dearest):
+            if node >= 0:
+                by_node[node].append(action)
+        reached = [action for action, node in enumerate(dearest) if node < 0]
+        outside = set()
+        for action in reached:  # grows meanwhile
+            for node in graph.makes[action]:
+                if node not in zone and node not in outside:
+                    outside.add(node)
+                    reached += by_node[node]
+        return [action for action in reached if action in border]
+
+    # Branch and bound
+
+    def _branched(
+        self, bound: int, rest: Sequence[int], below: int, left: int
+    ) -> Tuple[List[int], bool]:
+        """Search all plans that may cost less than a known one.
+
+        A plan that has some actions and lacks others needs one more of those that supply a node
+        which is still open: it has the first, or lacks the first and has the second, and so on.
+
+        Args:
+            bound: a bound for the cost of every plan.
+            rest: what the actions of a plan cost at least besides.
+            below: cost of the known plan.
+            left: steps that the search leaves over.
+
+        Returns:
+            The best plan that costs less, empty if none was found; and whether everything was
+            tried.
+        """
+        graph, budget = self._graph, self._budget
+        costs = graph.costs
+        best: List[int] = []
+        stack: List[Tuple[FrozenSet[int], FrozenSet[int]]] = [(frozenset(), frozenset())]
+        while stack:
+            has, lacks = stack.pop()
+            if budget.steps < left or not budget.spend(4 * len(has) + 20):
+                return best, False
+            paid = graph.cost(has)
+            if paid >= below or bound + sum([rest[action] for action in has]) >= below:
+                continue
+            choices = self._choices(has, lacks)
+            if choices is None:
+                best, below = sorted(has), paid
+                continue
+            budget.spend(2 * len(choices))
+            branches = []
+            if choices and paid + min([costs[action] for action in choices]) < below:
+                for action in sorted(choices, key=lambda each: (rest[each], costs[each], each)):
+                    branches.append((has | {action}, lacks))
+                    lacks = lacks | {action}
+            stack += reversed(branches)
+        return best, True
+
+    def _choices(self, has: FrozenSet[int], lacks: FrozenSet[int]) -> Optional[List[int]]:
+        """Return a set of actions, one of which is in every plan with `has` but without `lacks`.
+
+        None if `has` is a plan.
+        """
+        graph = self._graph
+        needed = {0}.union(*[graph.needs[action] for action in has])
+        open_nodes = [node for node in sorted(needed) if has.isdisjoint(graph.offers[node])]
+        if open_nodes:
+            allowed = [[e for e in graph.offers[node] if e not in lacks] for node in open_nodes]
+            return min(allowed, key=len)
+        way = graph.derive(has)
+        if 0 in way:
+            return None
+        # Some need each other in a circle: another supplier of what they need breaks it. Where
+        # some are too late, another supplier of anything that they need may be sooner.
+        circular = needed - way.keys() if graph.limit is None else needed
+        others = {action for node in circular for action in graph.offers[node]}
+        return sorted(others - has - lacks)
+
+    # Large neighbourhoods
 
     def _varied(self, best: List[int], bound: int) -> List[int]:
         """Search the neighbourhoods of plans, as long as the budget lasts."""
@@ -178,25 +351,23 @@ class _Improvement:
             out = set(chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present)))))
             kept = [action for action in present if action not in out]
             derived = graph.derive(set(kept))
-            prices = [
-                costs[action]
+            prices: List[float] = [
+                cost
                 * (1 + chance.random())
                 / max(1, sum([node not in derived for node in graph.makes[action]]))
-                for action in range(len(costs))
+                for action, cost in enumerate(costs)
             ]
             for action in kept:
                 prices[action] = 0
-            way = graph.cheapest_tree(prices)
-            if way is None:
+            way, _, _ = graph.cheapest(prices)
+            if 0 not in way:
                 continue
             found = {*kept, *graph.followed(way)}
             order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
-            plan = graph.pruned(found, order, budget)
+            plan = self._pruned(found, order)
             cost = graph.cost(plan)
-            if cost <= price:
+            if cost <= price or chance.random() < _WORSE:
                 present, price = plan, cost
                 if cost < least:
                     best, least = plan, cost
-            elif chance.random() < _WORSE:
-                present, price = plan, cost
         return best

@@ -1,17 +1,20 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The library in numbers: transformations as actions, what their in-ports demand as patterns.
+"""The library as actions: transformations with numbered variables, indexed by what they supply.
 
-A library is a value that any thread may search: a change makes another one, which has the parts in
-common that did not change. Lists that only grow are shared, since a library has no number of what
-was entered later. Transformations without tagged in-ports are *facts*, the others *makers*.
+A library is a value that any thread may search: a change makes another one, which shares the
+parts that did not change. Actions without tagged in-ports are *facts*, the others *makers*.
 """
 
 from __future__ import annotations
 
 import heapq
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import (
+    Any,
     Dict,
     Iterable,
     Iterator,
@@ -19,137 +22,200 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
-    Set,
     Tuple,
 )
+from weakref import WeakValueDictionary
 
 from dyknow.datatypes import types_fit
 from dyknow.manager.planning.patterns import (
+    NO_TYPES,
     Argument,
     Atom,
     Known,
     Names,
     Pattern,
-    Theta,
     Types,
     atoms_of,
-    bounds_of,
+    known_args,
     matcher,
     pattern_of,
-    places_in,
     pushed,
+    solutions,
 )
 from dyknow.manager.planning.problem import New, Source
-from dyknow.manager.planning.rules import Premise, Rule, rule_of
-from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
-from dyknow.model.transformation import IN, OUT, TOPIC, Port, Transformation
+from dyknow.manager.specifications.tags import Term, read_tags, types_of
+from dyknow.model.placeholders import variables_of
+from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 #: Makers that are looked up by the names that a search knows, not all at once.
 MANY = 300
+#: Transformations whose variables are remembered: many have equal ones.
+_REMEMBERED = 1_000
 
-Key = Tuple[str, int]
-"""A functor and its number of arguments."""
+_Arguments = Tuple[Tuple[str, ...], Tuple[str, ...]]
+"""Those of a term, and their types."""
 
 
-class Head(NamedTuple):
-    """A tagged out-port of an action, or a live stream.
+class Premise(NamedTuple):
+    """What a tagged in-port demands."""
+
+    port: str
+    terms: Tuple[Term, ...]
+    datatype: str
+
+
+@dataclass(eq=False)
+class Head:
+    """A tagged out-port of an action; compared by identity.
 
     Attributes:
-        cost: what the action costs.
-        source: what it is in a plan, unless the action has variables.
-        action: its number.
+        cost: what the action costs, as a fact.
+        source: what it is in a plan, without bindings.
+        action: whose it is.
         texts: its tags as they are written.
-        atoms: those that can supply something, with the variables numbered as the rule's.
+        atoms: those that can supply something, with the variables numbered as the action's.
         datatype: its ROS type.
-        is_ground: whether the atoms have no variables.
         rate: Hz that it states; 0 if it states none.
         latency: microseconds that it states.
     """
 
     cost: int
     source: Source
-    action: int
+    action: Operator
     texts: Tuple[str, ...]
     atoms: Tuple[Atom, ...]
     datatype: str
-    is_ground: bool = True
-    rate: float = 0.0
-    latency: int = 0
+    rate: float
+    latency: int
+
+    @property
+    def is_ground(self) -> bool:
+        """Whether the atoms have no variables."""
+        return not [arg for atom in self.atoms for arg in atom.args if isinstance(arg, int)]
 
     def goes_with(self, datatype: str) -> bool:
         """Whether messages of a type may come from it."""
-        return types_fit(self.datatype, datatype)
+        return self.datatype == datatype or types_fit(self.datatype, datatype)
+
+
+@dataclass(eq=False)
+class Operator:
+    """A transformation, or the live streams of one nodelet; compared by identity.
+
+    Variables that occur in one in-port alone are the affair of its pattern. The action has those
+    that several in-ports share, or that out-ports or parameters expose.
+
+    Attributes:
+        label: of the transformation, or the name of what is live.
+        cost: what a nodelet of it costs.
+        heads: the tagged out-ports.
+        premises: of the tagged in-ports, in the order written.
+        inputs: their patterns.
+        needs: the same, each once.
+        variables: the names of its variables.
+        types: of the variables.
+        shares: for each in-port those of the variables that its pattern wants, in that order.
+        has_bindings: whether any in-port has a variable.
+        slow: the same action with inputs of any rate, if its inputs have to be fast.
+    """
+
+    label: str
+    cost: int
+    heads: List[Head]
+    premises: Tuple[Premise, ...] = ()
+    inputs: Tuple[Pattern, ...] = ()
+    needs: Tuple[Pattern, ...] = ()
+    variables: Tuple[str, ...] = ()
+    types: Tuple[Types, ...] = ()
+    shares: Tuple[Tuple[int, ...], ...] = ()
+    has_bindings: bool = False
+    slow: Optional[Operator] = None
 
 
 class Offer(NamedTuple):
-    """How a maker supplies a pattern.
+    """How a maker can supply a pattern.
 
     Attributes:
         head: the out-port.
-        solutions: what the wanted variables of the pattern stand for; None if that depends on
-            the bindings of the maker.
         types: what the pattern demands of the maker's variables besides their own types.
-        places: what the wanted variables stand for, by the variables of the maker; None if it is
-            known only when these are bound.
+        places: what the wanted variables of the pattern stand for, by the variables of the maker;
+            None if it is known only when these are bound.
     """
 
     head: Head
-    solutions: Optional[Sequence[Theta]]
-    types: Tuple[Types, ...] = ()
-    places: Optional[Tuple[Argument, ...]] = None
+    types: Tuple[Types, ...]
+    places: Optional[Tuple[Argument, ...]]
+
+
+def _by_order(head: Head) -> Tuple[int, str, str]:
+    """Sort by cost, then by what tells heads apart."""
+    return head.cost, head.source[0], head.source[1]
 
 
 class Bucket:
     """The out-ports that have a tag of one functor and number of arguments; does not change."""
 
-    def __init__(self, entries: Dict[Tuple[Head, Atom], None]) -> None:
-        """Keep them."""
+    def __init__(self, entries: List[Tuple[Head, Atom]]) -> None:
         self.entries = entries
-        # Made when they are needed first; it does not matter by which thread.
+        # Filled when they are first needed; it does not matter by which thread.
+        self._by_args: Dict[Any, List[Head]] = {}
         self._by_place: Dict[int, Dict[Optional[str], List[Head]]] = {}
-        self._by_cost: Optional[List[Head]] = None
+        self._by_cost: List[Head] = []
 
     def by_cost(self) -> List[Head]:
         """Return all, the cheapest first."""
-        found = self._by_cost
-        if found is None:
-            found = self._by_cost = sorted(dict.fromkeys([head for head, _ in self.entries]))
-        return found
+        if not self._by_cost:
+            heads = dict.fromkeys([head for head, _ in self.entries])
+            self._by_cost = sorted(heads, key=_by_order)
+        return self._by_cost
 
-    def at(self, place: int, name: Optional[str]) -> List[Head]:
-        """Return those with a name, or with a variable, in some place."""
-        known = self._by_place.get(place)
-        if known is None:
-            known = {}
+    def _index(self, place: int) -> Dict[Optional[str], List[Head]]:
+        """Return the heads by the name in some place; None for a variable."""
+        index = self._by_place.get(place)
+        if index is None:
+            index = {}
             for head, atom in self.entries:
                 arg = atom.args[place]
-                known.setdefault(arg if isinstance(arg, str) else None, []).append(head)
-            self._by_place[place] = known
-        return known.get(name, [])
+                index.setdefault(arg if isinstance(arg, str) else None, []).append(head)
+            self._by_place[place] = index
+        return index
 
-    def find(self, bounds: Known, names: Names) -> Optional[List[Head]]:
-        """Return those that may match, the cheapest first; None if that may be all of them."""
-        if len(self.entries) < 2:
-            return None
+    def _with(self, args: Known) -> List[Head]:
+        """Return the heads that have these names, or variables."""
+        if not self._by_args:
+            by_args: Dict[Any, List[Head]] = {}
+            for head, atom in self.entries:
+                key: Any = atom.args if all(isinstance(arg, str) for arg in atom.args) else None
+                by_args.setdefault(key, []).append(head)
+            for heads in by_args.values():
+                heads.sort(key=_by_order)
+            self._by_args = by_args
+        found, others = self._by_args.get(args, []), self._by_args.get(None, [])
+        return sorted({*found, *others}, key=_by_order) if found and others else found or others
+
+    def find(self, known: Known, names: Names) -> List[Head]:
+        """Return those that may match, the cheapest first."""
+        if all(isinstance(each, str) for each in known):
+            return self._with(known)
         best: Optional[List[Head]] = None
         fewest = len(self.entries)
-        for place, each in enumerate(bounds):
-            if each is None:
+        for place, each in enumerate(known):
+            if each is None or fewest < 2:
                 continue
             below = (each,) if isinstance(each, str) else names.below(each)
-            if len(below) >= fewest:
-                continue
-            found = [self.at(place, name) for name in below]
-            count = sum(map(len, found)) + len(self.at(place, None))
-            if count < fewest:
-                fewest = count
-                best = [head for some in (*found, self.at(place, None)) for head in some]
-            if not fewest:
-                break
-        return None if best is None else sorted(dict.fromkeys(best))
+            if len(below) < fewest:
+                index = self._index(place)
+                found = [head for name in below for head in index.get(name, ())]
+                found += index.get(None, ())
+                if len(found) < fewest:
+                    best, fewest = found, len(found)
+        if best is None:
+            return self.by_cost()
+        return best if fewest < 2 else sorted(dict.fromkeys(best), key=_by_order)
 
 
-Buckets = Dict[Key, Bucket]
+Buckets = Dict[Tuple[str, int], Bucket]
+"""By functor and number of arguments."""
 
 
 def microseconds(seconds: float) -> int:
@@ -157,84 +223,125 @@ def microseconds(seconds: float) -> int:
     return round(seconds * 1e6)
 
 
-class RuleLibrary:
+class OperatorIndex:
     """What can be planned with."""
 
-    def __init__(self, ontology: Subsumption) -> None:
-        """Begin without a transformation."""
-        self.names = Names(ontology)
-        self.by_label: Dict[str, int] = {}
-        self.facts: Buckets = {}
-        self.makers: Buckets = {}
-        # By the number of an action; they grow.
-        self.labels: List[str] = []
-        self.costs: List[int] = []
-        self.heads: List[Tuple[Head, ...]] = []
-        self.inputs: List[Tuple[int, ...]] = []  # what in-ports demand, in the order written
-        self.needs: List[Tuple[int, ...]] = []  # the same, each once
-        self.ports: List[Tuple[str, ...]] = []
-        #: Rules of the actions whose in-ports have variables.
-        self.rules: Dict[int, Rule] = {}
-        # By the number of a demand; they grow.
-        self.patterns: List[Pattern] = []
-        self.written: List[Tuple[Tuple[Term, ...], str]] = []
-        #: What was found out about demands; it does not matter by which thread.
-        self.links: Dict[int, Tuple[Offer, ...]] = {}
-        self.makers_of: Dict[int, Tuple[int, ...]] = {}
-        self.cheapest: Dict[int, Optional[Head]] = {}
-        self.crowds: Dict[int, Optional[int]] = {}
+    def __init__(
+        self, names: Names, actions: Dict[str, Operator], facts: Buckets, makers: Buckets
+    ) -> None:
+        self.names = names
+        self.actions = actions
+        self.facts = facts
+        self.makers = makers
+        # What was found out about patterns; it does not matter by which thread.
+        self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
+        self._cheapest: Dict[Pattern, Optional[Head]] = {}
+        self._crowds: Dict[Pattern, Optional[int]] = {}
 
-    def offers(self, pattern: Pattern, bounds: Known = ()) -> Tuple[Offer, ...]:
-        """Return how makers can supply a pattern; with what is known, some of them may not."""
-        names = self.names
-        found: List[Offer] = []
-        match = None
-        # What follows for a rule follows for all whose out-ports look the same.
-        known: Dict[Tuple[object, ...], Optional[Tuple[Types, ...]]] = {}
-        for head in candidates(self.makers, pattern, bounds, names):
+    def changed(self, removed: Iterable[str], added: Sequence[Operator]) -> OperatorIndex:
+        """Make another library; actions of known labels are replaced."""
+        actions = dict(self.actions)
+        labels = [*removed, *[action.label for action in added]]
+        gone = {actions.pop(label) for label in labels if label in actions}
+        come = {action.label: action for action in added}
+        actions.update(come)
+        facts, makers = (
+            _edited(
+                buckets,
+                [each for each in gone if bool(each.inputs) is is_maker],
+                [each for each in come.values() if bool(each.inputs) is is_maker],
+            )
+            for buckets, is_maker in ((self.facts, False), (self.makers, True))
+        )
+        return OperatorIndex(self.names, actions, facts, makers)
+
+    def offers(self, pattern: Pattern) -> Tuple[Offer, ...]:
+        """Return how makers can supply a pattern."""
+        found = self._offers.get(pattern)
+        if found is None:
+            found = self._offers[pattern] = tuple(self.look_up(pattern, ()))
+        return found
+
+    def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
+        """Yield how makers can supply a pattern; with what is known, some of them cannot."""
+        # What follows for an action follows for all whose out-ports look the same.
+        seen: Dict[Tuple[object, ...], Optional[Tuple[Types, ...]]] = {}
+        args = pattern.atoms[0].args
+        wanted = [args.index(each) for each in pattern.wanted] if pattern.is_plain else []
+        for head in candidates(self.makers, pattern, known, self.names):
+            atoms, own = head.atoms, head.action.types
             if not head.goes_with(pattern.datatype):
                 continue
-            if head.is_ground:
-                match = match or matcher(pattern, (), names)
-                solved = match(head.atoms)
-                if solved:
-                    found.append(Offer(head, solved))
-                continue
-            types = self.rules[head.action].types
-            key = head.atoms, types
-            if key not in known:
-                known[key] = pushed(head.atoms, pattern, types, names)
-            more = known[key]
-            if more is not None:
-                found.append(Offer(head, None, more, places_in(pattern, head.atoms)))
-        return tuple(found)
+            key = atoms, own
+            if key not in seen:
+                seen[key] = pushed(atoms, pattern, own, self.names)
+            types = seen[key]
+            if types is not None:
+                if pattern.is_plain and len(atoms) == 1:
+                    have = atoms[0].args
+                    yield Offer(head, types, tuple([have[at] for at in wanted]))
+                elif not head.is_ground or solutions(atoms, pattern, self.names):
+                    yield Offer(head, types, None)
 
-    def many(self, number: int) -> Optional[int]:
-        """Return what the cheapest one costs of very many makers, if these may supply a demand."""
-        if number not in self.crowds:
-            pattern = self.patterns[number]
-            key = [
-                (name, len(pattern.atoms[0].args))
-                for name in self.names.below(frozenset((pattern.atoms[0].functor,)))
-            ]
-            found = [self.makers[each] for each in key if each in self.makers]
-            is_crowd = bool(pattern.wanted) and sum([len(each.entries) for each in found]) > MANY
-            least = min([each.by_cost()[0].cost for each in found]) if is_crowd else None
-            self.crowds[number] = least
-        return self.crowds[number]
+    def crowd(self, pattern: Pattern) -> Optional[int]:
+        """Return what the cheapest one costs of very many makers that may supply a pattern."""
+        if pattern not in self._crowds:
+            atom = pattern.atoms[0]
+            functors = self.names.below(frozenset((atom.functor,)))
+            found = [self.makers.get((functor, len(atom.args))) for functor in functors]
+            buckets = [each for each in found if each is not None]
+            is_crowd = pattern.wanted and sum([len(each.entries) for each in buckets]) > MANY
+            least = min([each.by_cost()[0].action.cost for each in buckets]) if is_crowd else None
+            self._crowds[pattern] = least
+        return self._crowds[pattern]
 
-    def offers_to(self, number: int) -> Tuple[Offer, ...]:
-        """Return how makers can supply a demand."""
-        found = self.links.get(number)
-        if found is None:
-            found = self.links[number] = self.offers(self.patterns[number])
-        return found
+    def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
+        """Return the cheapest fact that supplies a pattern."""
+        if pattern not in self._cheapest:
+            match, cheapest = None, None
+            for head in candidates(self.facts, pattern, (), self.names):
+                match = match or matcher(pattern, (), self.names)
+                if head.goes_with(pattern.datatype) and match(head.atoms):
+                    cheapest = head
+                    break
+            self._cheapest[pattern] = cheapest
+        return self._cheapest[pattern]
+
+
+def bucketed(heads: Iterable[Head]) -> Buckets:
+    """Sort heads into buckets."""
+    found: Dict[Tuple[str, int], List[Tuple[Head, Atom]]] = {}
+    for head in heads:
+        for atom in head.atoms:
+            found.setdefault((atom.functor, len(atom.args)), []).append((head, atom))
+    return {key: Bucket(entries) for key, entries in found.items()}
+
+
+def _edited(old: Buckets, gone: List[Operator], come: List[Operator]) -> Buckets:
+    """Return buckets without the heads of some actions, and with those of others."""
+    left = set(gone)
+    new = dict(old)
+    more = bucketed([head for action in come for head in action.heads])
+    for key in {*bucketed([head for action in gone for head in action.heads]), *more}:
+        kept = old[key].entries if key in old else []
+        if left:
+            kept = [each for each in kept if each[0].action not in left]
+        entries = kept + more[key].entries if key in more else kept
+        if entries:
+            new[key] = Bucket(entries)
+        else:
+            del new[key]
+    return new
 
 
 def candidates(
-    buckets: Buckets, pattern: Pattern, known: Known, names: Names, is_local: bool = False
+    buckets: Buckets,
+    pattern: Pattern,
+    known: Known,
+    names: Names,
+    is_local: bool = False,
 ) -> Iterator[Head]:
-    """Yield the out-ports that may supply a pattern, the cheapest first; some may not.
+    """Return the out-ports that may supply a pattern, the cheapest first; some may not.
 
     Args:
         buckets: where they are.
@@ -243,212 +350,137 @@ def candidates(
         names: how names are related.
         is_local: whether their names are not entered.
     """
-    best: List[Tuple[Bucket, Optional[List[Head]]]] = []
+    best: List[List[Head]] = []
     fewest = -1
     for atom in pattern.atoms:
-        found = []
-        bounds = None
         if is_local:
-            functors = [each for each, _ in buckets if names.subsumes(atom.functor, each)]
+            functors: Sequence[str] = [
+                each for each, _ in buckets if names.subsumes(atom.functor, each)
+            ]
         else:
-            functors = list(names.below(frozenset((atom.functor,))))
+            functors = names.below(frozenset((atom.functor,)))
+        lists = []
+        limits: Optional[Known] = None
         for functor in functors:
             bucket = buckets.get((functor, len(atom.args)))
             if bucket is not None:
-                if bounds is None:
-                    bounds = bounds_of(pattern, known, atom, names)
+                if limits is None:
+                    limits = known_args(pattern, known, atom, names)
                     if is_local:
-                        bounds = tuple(
-                            [each if isinstance(each, str) else None for each in bounds]
-                        )
-                found.append((bucket, bucket.find(bounds, names)))
-        count = sum(len(bucket.entries) if some is None else len(some) for bucket, some in found)
+                        limits = tuple([e if isinstance(e, str) else None for e in limits])
+                lists.append(bucket.find(limits, names))
+        count = sum(map(len, lists))
         if fewest < 0 or count < fewest:
-            best, fewest = found, count
-    lists = [bucket.by_cost() if some is None else some for bucket, some in best]
-    lists = [each for each in lists if each]
-    if len(lists) < 2:
-        return iter(lists[0] if lists else ())
-    return _unique(heapq.merge(*lists))
+            best, fewest = lists, count
+        if not fewest:
+            break
+    if len(best) < 2:
+        return iter(best[0] if best else ())
+    return iter(dict.fromkeys(heapq.merge(*best, key=_by_order)))
 
 
-def _unique(heads: Iterable[Head]) -> Iterator[Head]:
-    last = None
-    for head in heads:
-        if head != last:
-            yield head
-        last = head
+class Reader:
+    """Reads transformations as actions, whose equal demands are one pattern."""
 
+    def __init__(self, names: Names) -> None:
+        self._names = names
+        self._patterns: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
+        self._by_text: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
 
-class LibraryWriter:
-    """Makes libraries one after the other, each from the one before; one thread at a time."""
-
-    def __init__(self, ontology: Subsumption) -> None:
-        """Begin without a transformation."""
-        self.library = RuleLibrary(ontology)
-        self._by_functor: Dict[str, List[int]] = {}
-        self._by_pattern: Dict[Pattern, int] = {}
-        self._by_text: Dict[Tuple[Tuple[str, ...], str], int] = {}
-        self._by_premise: Dict[Tuple[object, ...], int] = {}
-        self._shared: Dict[Tuple[str, ...], Tuple[str, ...]] = {}
-
-    @property
-    def waste(self) -> int:
-        """Numbers of actions that are gone."""
-        return len(self.library.labels) - len(self.library.by_label)
-
-    def change(self, removed: Iterable[str], added: Iterable[Transformation]) -> None:
-        """Make another library; transformations of known labels are replaced."""
-        old = self.library
-        new = RuleLibrary.__new__(RuleLibrary)
-        new.__dict__.update(old.__dict__)
-        new.by_label = dict(old.by_label)
-        new.facts, new.makers = dict(old.facts), dict(old.makers)
-        edited: Dict[Tuple[bool, Key], Dict[Tuple[Head, Atom], None]] = {}
-
-        def entries(is_maker: bool, atom: Atom) -> Dict[Tuple[Head, Atom], None]:
-            key = atom.functor, len(atom.args)
-            found = edited.get((is_maker, key))
-            if found is None:
-                bucket = (old.makers if is_maker else old.facts).get(key)
-                found = edited[is_maker, key] = dict(bucket.entries) if bucket else {}
-            return found
-
-        def remove(label: str) -> None:
-            action = new.by_label.pop(label, None)
-            if action is not None:
-                for head in new.heads[action]:
-                    for atom in head.atoms:
-                        entries(bool(new.inputs[action]), atom).pop((head, atom), None)
-
-        for label in removed:
-            remove(label)
-        for each in added:
-            remove(each.label)
-            if each.type != TOPIC:
-                action = self._insert(new, each)
-                for head in new.heads[action]:
-                    for atom in head.atoms:
-                        entries(bool(new.inputs[action]), atom)[head, atom] = None
-        touched: Set[int] = set()
-        for (is_maker, key), found in edited.items():
-            buckets = new.makers if is_maker else new.facts
-            if found:
-                buckets[key] = Bucket(found)
-            else:
-                buckets.pop(key, None)
-            for functor in new.names.above(key[0]):
-                touched.update(self._by_functor.get(functor, ()))
-        new.links, new.makers_of = dict(old.links), dict(old.makers_of)
-        new.cheapest, new.crowds = dict(old.cheapest), dict(old.crowds)
-        for number in touched:
-            new.links.pop(number, None)
-            new.makers_of.pop(number, None)
-            new.cheapest.pop(number, None)
-            new.crowds.pop(number, None)
-        self.library = new
-
-    def _insert(self, library: RuleLibrary, transformation: Transformation) -> int:
-        label, cost, ports = transformation.label, transformation.cost, transformation.ports
-        names = library.names
-        action = len(library.labels)
-        tagged = [port for port in ports if port.tags]
-        variables: Tuple[str, ...] = ()
-        in_ports: List[str] = []
-        inputs: List[int] = []
-        if [port for port in tagged if port.direction == IN and "?" in "".join(port.tags)]:
-            premises = [
-                Premise(port.name, terms, port.datatype)
-                for port in tagged
-                for terms in [read_tags(port.tags)]
-                if port.direction == IN and terms
-            ]
-            out = [t for port in tagged if port.direction == OUT for t in read_tags(port.tags)]
-            rule = library.rules[action] = rule_of(transformation, premises, out, names)
-            variables = rule.variables
-            for name, terms, datatype in premises:
-                in_ports.append(name)
-                inputs.append(self._demanded(library, terms, datatype, rule))
-        else:
-            for each in tagged:
-                if each.direction == IN:
-                    known = self._by_text.get((each.tags, each.datatype))
-                    if known is None:
-                        terms = read_tags(each.tags)
-                        if not terms:
-                            continue
-                        known = self._number(
-                            library,
-                            pattern_of(terms, each.datatype, names),
-                            (terms, each.datatype),
-                        )
-                        self._by_text[each.tags, each.datatype] = known
-                    in_ports.append(each.name)
-                    inputs.append(known)
-        heads = []
+    def read(self, transformation: Transformation) -> Operator:
+        """Read a transformation."""
+        tagged = [port for port in transformation.ports if port.tags]
+        premises, texts = [], []
         for port in tagged:
-            if port.direction == OUT:
-                heads.append(_head(action, label, cost, port, variables, names))
-        shared = tuple(in_ports)
-        library.heads.append(tuple(heads))
-        library.costs.append(cost)
-        library.inputs.append(tuple(inputs))
-        library.needs.append(tuple(dict.fromkeys(inputs)) if len(inputs) > 1 else tuple(inputs))
-        library.ports.append(self._shared.setdefault(shared, shared))
-        library.labels.append(label)
-        library.by_label[label] = action
+            terms = read_tags(port.tags) if port.direction == IN else ()
+            if terms:
+                premises.append(Premise(port.name, terms, port.datatype))
+                texts.append(port.tags)
+        variables: Tuple[str, ...] = ()
+        types: Tuple[Types, ...] = ()
+        shares: Tuple[Tuple[int, ...], ...] = ((),) * len(premises)
+        has_bindings = "?" in "".join([text for each in texts for text in each])
+        if has_bindings:
+            out = [t for port in tagged if port.direction == OUT for t in read_tags(port.tags)]
+            written = [each.text for each in transformation.parameters]
+            variables, of_names, shares = _variables(
+                tuple([tuple([term[1:] for term in each.terms]) for each in premises]),
+                tuple([term[1:] for term in out]),
+                tuple([each for text in written for each in variables_of(text)]),
+            )
+            canonical = self._names.canonical
+            types = tuple([frozenset(map(canonical, each)) for each in of_names])
+        inputs = [self._pattern(*each, variables, types) for each in zip(texts, premises)]
+        action = Operator(
+            transformation.label,
+            transformation.cost,
+            [],
+            tuple(premises),
+            tuple(inputs),
+            tuple(dict.fromkeys(inputs)) if len(inputs) > 1 else tuple(inputs),
+            variables,
+            types,
+            shares,
+            has_bindings,
+        )
+        action.heads.extend([self._head(action, port) for port in tagged if port.direction == OUT])
         return action
 
-    def _demanded(
-        self, library: RuleLibrary, terms: Tuple[Term, ...], datatype: str, rule: Rule
-    ) -> int:
-        key = terms, datatype, rule.variables, rule.types
-        number = self._by_premise.get(key)
-        if number is None:
-            pattern = pattern_of(terms, datatype, library.names, rule.variables, rule.types)
-            # The pattern wants the variables in the order of the rule.
-            number = self._by_premise[key] = self._number(library, pattern, (terms, datatype))
-        return number
-
-    def _number(
-        self, library: RuleLibrary, pattern: Pattern, written: Tuple[Tuple[Term, ...], str]
-    ) -> int:
-        found = self._by_pattern.get(pattern)
+    def _pattern(
+        self,
+        texts: Tuple[str, ...],
+        premise: Premise,
+        variables: Tuple[str, ...],
+        types: Tuple[Types, ...],
+    ) -> Pattern:
+        key = texts, premise.datatype, variables, types
+        found = self._by_text.get(key)
         if found is None:
-            found = self._by_pattern[pattern] = len(library.patterns)
-            library.patterns.append(pattern)
-            library.written.append(written)
-            for functor in dict.fromkeys([atom.functor for atom in pattern.atoms]):
-                self._by_functor.setdefault(functor, []).append(found)
-        elif written < library.written[found]:  # of names of one entity, whatever the order
-            library.written[found] = written
+            _, terms, datatype = premise
+            found = pattern_of(terms, datatype, self._names, variables, types)
+            found = self._patterns.setdefault(found.key, found)
+            self._by_text[key] = found
         return found
 
+    def _head(self, action: Operator, port: Port) -> Head:
+        """Read an out-port; tags with variables that no in-port binds supply nothing."""
+        terms = read_tags(port.tags)
+        if "?" in "".join(port.tags):
+            terms = tuple([term for term in terms if {*term.variables} <= {*action.variables}])
+        atoms = atoms_of(terms, action.variables, self._names)
+        if not self._names.is_plain:
+            for atom in atoms:
+                for name in (atom.functor, *atom.args):
+                    if isinstance(name, str):
+                        self._names.enter(name)
+        return Head(
+            action.cost,
+            New(action.label, port.name),
+            action,
+            port.tags,
+            atoms,
+            port.datatype,
+            port.rate,
+            microseconds(port.latency) if port.latency else 0,
+        )
 
-def _head(
-    action: int, label: str, cost: int, port: Port, variables: Tuple[str, ...], names: Names
-) -> Head:
-    """Read an out-port of an action whose in-ports bind some variables."""
-    texts = port.tags
-    terms = read_tags(texts)
-    is_ground = "?" not in "".join(texts)
-    if not is_ground:
-        terms = tuple([term for term in terms if set(term.variables) <= set(variables)])
-        is_ground = all(term.is_ground for term in terms)
-    atoms = atoms_of(terms, variables, names)
-    for atom in atoms:
-        names.enter(atom.functor)
-        for arg in atom.args:
-            if type(arg) is str:
-                names.enter(arg)
-    return Head(
-        cost,
-        New(label, port.name),
-        action,
-        texts,
-        atoms,
-        port.datatype,
-        is_ground,
-        port.rate,
-        microseconds(port.latency) if port.latency else 0,
+
+@lru_cache(maxsize=_REMEMBERED)
+def _variables(
+    premises: Tuple[Tuple[_Arguments, ...], ...],
+    out: Tuple[_Arguments, ...],
+    parameters: Tuple[str, ...],
+) -> Tuple[Tuple[str, ...], Tuple[Types, ...], Tuple[Tuple[int, ...], ...]]:
+    """Return the variables of an action, their types, and those of each in-port."""
+    needed = [[Term("", *each) for each in premise] for premise in premises]
+    supplied = [Term("", *each) for each in out]
+    by_port = [{v: None for term in terms for v in term.variables} for terms in needed]
+    counts = Counter([each for some in by_port for each in some])
+    exposed = {each for term in supplied for each in term.variables}.union(parameters)
+    found = [each for each, count in counts.items() if count > 1 or each in exposed]
+    types = types_of([*[term for terms in needed for term in terms], *supplied])
+    return (
+        tuple(found),
+        tuple([types.get(each, NO_TYPES) for each in found]),
+        tuple([tuple([at for at, v in enumerate(found) if v in some]) for some in by_port]),
     )

@@ -3,14 +3,13 @@
 
 """Patterns: demands and supplies with canonical names and numbered variables.
 
-Two demands that differ only in the names of their variables are one pattern. A name in a demand
-says no more than a type: it subsumes what is supplied in its place.
+Two demands that differ only in the names of their variables have one pattern. A name in a demand
+acts as a type: it subsumes what is supplied in its place.
 """
 
 from __future__ import annotations
 
 from typing import (
-    Any,
     Callable,
     Dict,
     FrozenSet,
@@ -29,11 +28,9 @@ Argument = Union[str, int]
 """A canonical name, or the number of a variable."""
 Types = FrozenSet[str]
 Theta = Tuple[str, ...]
-"""Canonical names that the wanted variables of a pattern, or those of a rule, stand for."""
-
+"""Canonical names that the wanted variables of a pattern, or those of an action, stand for."""
 Known = Tuple[Union[None, str, Types], ...]
-"""For wanted variables: the name that one stands for, types that it has to have, or nothing."""
-
+"""For each such variable: its name, types that its name has to have, or nothing."""
 NO_TYPES: Types = frozenset()
 
 
@@ -45,42 +42,68 @@ class Atom(NamedTuple):
 
     def ground(self, theta: Theta) -> Atom:
         """Put names in the places of the variables."""
-        return Atom(
-            self.functor,
-            tuple([arg if type(arg) is str else theta[arg] for arg in self.args]),  # type: ignore[index]
-        )
+        args = [arg if isinstance(arg, str) else theta[arg] for arg in self.args]
+        return Atom(self.functor, tuple(args))
 
 
-class Pattern(NamedTuple):
-    """What one stream has to be.
+class Pattern:
+    """The demand of an in-port or a client; a library has one of each, compared by identity.
 
     Attributes:
-        atoms: its tags, all of them.
+        atoms: the tags, all of which one stream has to have.
         datatype: ROS type; empty for any.
         types: for each variable, what has to subsume its name.
-        wanted: variables whose names matter to what demands it; of streams that differ in
-            the others only, the cheapest will do.
+        wanted: variables whose names matter to the consumer; of streams that differ only in
+            others, the cheapest will do.
+        is_plain: whether it has one atom, in which no variable occurs twice.
+        slow: the same pattern without a rate, if this one demands a rate.
     """
 
-    atoms: Tuple[Atom, ...]
-    datatype: str
-    types: Tuple[Types, ...] = ()
-    wanted: Tuple[int, ...] = ()
+    __slots__ = (
+        "__weakref__",
+        "atoms",
+        "datatype",
+        "is_plain",
+        "slow",
+        "types",
+        "wanted",
+    )
+
+    def __init__(
+        self,
+        atoms: Tuple[Atom, ...],
+        datatype: str,
+        types: Tuple[Types, ...],
+        wanted: Tuple[int, ...] = (),
+        slow: Optional[Pattern] = None,
+    ) -> None:
+        self.atoms = atoms
+        self.datatype = datatype
+        self.types = types
+        self.wanted = wanted
+        self.slow = slow
+        variables = [arg for arg in atoms[0].args if isinstance(arg, int)]
+        self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
+
+    @property
+    def key(self) -> Tuple[object, ...]:
+        """Equal for patterns with the same meaning."""
+        return self.atoms, self.datatype, self.types, self.wanted
 
 
 class Names:
-    """Names as the ontology relates them; what it says is asked once for each name.
+    """Names as the ontology relates them; the ontology is asked once for each name.
 
-    Any thread may read while one thread enters names.
+    Any thread may read while one thread enters names. The ontology does not change, so it does
+    not matter which thread fills a cache.
     """
 
     def __init__(self, ontology: Subsumption) -> None:
         """Start without a name."""
         self.ontology = ontology
         self.is_plain = ontology is NO_ONTOLOGY
-        # What the ontology says does not change, so it does not matter which thread notes it.
         self._canonical: Dict[str, str] = {}
-        self._above: Dict[str, FrozenSet[str]] = {}
+        self._above: Dict[str, Types] = {}
         self._below: Dict[str, List[str]] = {}
         self._entered: Dict[str, None] = {}
 
@@ -94,13 +117,13 @@ class Names:
         return found
 
     def written(self, name: str) -> str:
-        """Return a canonical name as people write it: rather a label than a URI."""
+        """Return a canonical name as people write it: a label rather than a URI."""
         if self.is_plain:
             return name
         same = [each for each in self.ontology.names_above(name) if self.canonical(each) == name]
         return min([*same, name], key=lambda each: ("://" in each or ":" in each, each))
 
-    def above(self, name: str) -> FrozenSet[str]:
+    def above(self, name: str) -> Types:
         """Return the canonical names that subsume a canonical name."""
         found = self._above.get(name)
         if found is None:
@@ -115,7 +138,7 @@ class Names:
     def fits(self, name: str, types: Types) -> bool:
         """Whether all types subsume a name."""
         if self.is_plain:
-            return all(each == name for each in types)
+            return not types or (len(types) == 1 and name in types)
         return types <= self.above(name)
 
     def narrowed(self, types: Types) -> Types:
@@ -127,63 +150,70 @@ class Names:
             for each in types
             if not any(
                 each in self.above(other) and (each < other or other not in self.above(each))
-                for other in types
-                if other != each
+                for other in types - {each}
             )
         )
 
     def kinds(self, name: str) -> List[str]:
-        """Return what a canonical name is, as people write it: what is said most closely."""
-        above = self.above(name) - {name}
-        closest = [
-            each
-            for each in above
-            if not any(
-                each in self.above(other) and other not in self.above(each) for other in above
-            )
-        ]
-        return sorted(map(self.written, closest))
+        """Return the most specific types of a canonical name, as people write them."""
+        return sorted(map(self.written, self.narrowed(self.above(name) - {name})))
 
     def enter(self, name: str) -> None:
-        """Let ``below`` know a canonical name that is supplied."""
+        """Let `below` know a canonical name that is supplied."""
         if not self.is_plain and name not in self._entered:
             for upper in self.above(name):
                 self._below.setdefault(upper, []).append(name)
             self._entered[name] = None
 
     def below(self, types: Types) -> Sequence[str]:
-        """Return the names that were entered and that all types subsume; one type at least."""
+        """Return the names that were entered and that all types, at least one, subsume."""
         if self.is_plain:
             return tuple(types) if len(types) == 1 else ()
-        lists = sorted([self._below.get(each, []) for each in types], key=len)
-        if len(lists) == 1:
-            return lists[0]
-        return [each for each in lists[0] if self.fits(each, types)]
+        fewest = min([self._below.get(each, []) for each in types], key=len)
+        return fewest if len(types) == 1 else [each for each in fewest if self.fits(each, types)]
 
-    def is_known(self, types: Types) -> Union[None, str, Types]:
-        """Return what types say of a variable: without an ontology a type is the name."""
-        if not types:
-            return None
-        return next(iter(types)) if self.is_plain and len(types) == 1 else types
+    def known(self, types: Types) -> Union[None, str, Types]:
+        """Return what types say of a variable: without an ontology a type is the name.
+
+        The empty text stands for a contradiction.
+        """
+        if self.is_plain and types:
+            return next(iter(types)) if len(types) == 1 else ""
+        return types or None
+
+    def both(
+        self, one: Union[None, str, Types], other: Union[None, str, Types]
+    ) -> Union[None, str, Types]:
+        """Combine what is known of a variable; the empty text stands for a contradiction."""
+        if one is None or one == other:
+            return other
+        if other is None:
+            return one
+        if isinstance(one, str):
+            return one if not isinstance(other, str) and self.fits(one, other) else ""
+        if isinstance(other, str):
+            return other if self.fits(other, one) else ""
+        return "" if self.is_plain else self.narrowed(one | other)
+
+    def agrees(self, theta: Iterable[str], known: Known) -> bool:
+        """Whether names are as what is known of them."""
+        for name, each in zip(theta, known):
+            if isinstance(each, str):
+                if each != name:
+                    return False
+            elif each is not None and not self.fits(name, each):
+                return False
+        return True
 
 
 def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> Tuple[Atom, ...]:
     """Number the variables of terms by their places in a list."""
     canonical = names.canonical
-    return tuple(
-        [
-            Atom(
-                canonical(term.functor),
-                tuple(
-                    [
-                        variables.index(arg) if arg[:1] == "?" else canonical(arg)
-                        for arg in term.args
-                    ]
-                ),
-            )
-            for term in terms
-        ]
-    )
+    found = []
+    for term in terms:
+        args = [variables.index(arg) if arg[:1] == "?" else canonical(arg) for arg in term.args]
+        found.append(Atom(canonical(term.functor), tuple(args)))
+    return tuple(found)
 
 
 def pattern_of(
@@ -203,7 +233,7 @@ def pattern_of(
         types: their types, besides those of the tags.
     """
     terms = sorted(terms)
-    variables = list(dict.fromkeys(each for term in terms for each in term.variables))
+    variables = list(dict.fromkeys([each for term in terms for each in term.variables]))
     known = {key: frozenset(map(names.canonical, of)) for key, of in types_of(terms).items()}
     for variable, further in zip(wanted, types):
         known[variable] = known.get(variable, NO_TYPES) | further
@@ -215,6 +245,22 @@ def pattern_of(
     )
 
 
+def can_match(supplied: Atom, demanded: Atom, types: Sequence[Types], names: Names) -> bool:
+    """Whether an atom may be what is demanded, whatever its variables stand for."""
+    if len(supplied.args) != len(demanded.args):
+        return False
+    if not names.subsumes(demanded.functor, supplied.functor):
+        return False
+    for have, want in zip(supplied.args, demanded.args):
+        if isinstance(have, str):
+            if isinstance(want, str):
+                if not names.subsumes(want, have):
+                    return False
+            elif not names.fits(have, types[want]):
+                return False
+    return True
+
+
 def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[Theta]:
     """Match ground atoms with a pattern.
 
@@ -222,50 +268,34 @@ def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[
         The names that the wanted variables can stand for, sorted; empty if the pattern is not
         met. Without wanted variables that is the empty tuple, or nothing.
     """
-    found: Dict[Theta, None] = {}
-    waiting: List[Tuple[int, Dict[int, str]]] = [(0, {})]
-    while waiting:
-        number, bound = waiting.pop()
-        if number == len(pattern.atoms):
-            found[tuple([bound[each] for each in pattern.wanted])] = None
-            if not pattern.wanted:
-                break
-            continue
+    ways: List[Dict[int, str]] = [{}]
+    for demanded in pattern.atoms:
+        more = []
         for atom in supplied:
-            more = _bound(atom, pattern.atoms[number], pattern.types, bound, names)
-            if more is not None:
-                waiting.append((number + 1, more))
-    return sorted(found)
+            if not can_match(atom, demanded, pattern.types, names):
+                continue
+            for way in ways:
+                bound = dict(way)
+                if all(
+                    isinstance(want, str) or bound.setdefault(want, str(have)) == have
+                    for have, want in zip(atom.args, demanded.args)
+                ):
+                    more.append(bound)
+        ways = more
+    return sorted({tuple([way[each] for each in pattern.wanted]) for way in ways})
 
 
-def is_plain(pattern: Pattern) -> bool:
-    """Whether a pattern has one atom, and no variable occurs twice."""
-    if len(pattern.atoms) > 1:
-        return False
-    variables = [arg for arg in pattern.atoms[0].args if isinstance(arg, int)]
-    return len(set(variables)) == len(variables)
-
-
-def agrees(theta: Theta, known: Known, names: Names) -> bool:
-    """Whether names are as what is known of them."""
-    for name, each in zip(theta, known):
-        if each is None or each == name:
-            continue
-        if isinstance(each, str) or not names.fits(name, each):
-            return False
-    return True
-
-
-def bounds_of(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
+def known_args(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
     """Return what is known of the arguments of an atom of a pattern."""
+    if names.is_plain and not pattern.types:
+        return atom.args  # type: ignore[return-value]
     by_variable = dict(zip(pattern.wanted, known))
     found: List[Union[None, str, Types]] = []
     for arg in atom.args:
-        types = frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg]
-        more = None if isinstance(arg, str) else by_variable.get(arg)
-        if isinstance(more, frozenset):
-            more = names.is_known(names.narrowed(types | more))
-        found.append(names.is_known(types) if more is None else more)
+        if isinstance(arg, str):
+            found.append(names.known(frozenset((arg,))))
+        else:
+            found.append(names.both(names.known(pattern.types[arg]), by_variable.get(arg)))
     return tuple(found)
 
 
@@ -280,120 +310,58 @@ def matcher(
 
     def match(supplied: Sequence[Atom]) -> Sequence[Theta]:
         found = solutions(supplied, pattern, names)
-        return [theta for theta in found if agrees(theta, known, names)] if known else found
+        return [theta for theta in found if names.agrees(theta, known)]
 
-    if not is_plain(pattern):
+    if not pattern.is_plain:
         return match
     args = pattern.atoms[0].args
-    exact: List[Tuple[int, str]] = []
-    typed: List[Tuple[int, Types, Dict[str, bool]]] = []
-    for at, each in enumerate(bounds_of(pattern, known, pattern.atoms[0], names)):
-        arg = args[at]
-        types = frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg]
-        if isinstance(each, str):
-            exact.append((at, each))
-        if types and not (names.is_plain and types == {each}):
-            typed.append((at, types, {}))
-        if isinstance(each, frozenset) and each != types:
-            typed.append((at, each, {}))
+    limits = list(enumerate(known_args(pattern, known, pattern.atoms[0], names)))
+    exact = [(at, each) for at, each in limits if isinstance(each, str)]
+    typed = [(at, each) for at, each in limits if isinstance(each, frozenset)]
     places = [args.index(each) for each in pattern.wanted]
+    fits = names.fits
 
     def match_one(supplied: Sequence[Atom]) -> Sequence[Theta]:
         if len(supplied) > 1:
             return match(supplied)
-        have: Tuple[Any, ...] = supplied[0].args
+        have: Tuple[str, ...] = supplied[0].args  # type: ignore[assignment]
         for at, name in exact:
             if have[at] != name:
                 return ()
-        for at, types, checked in typed:
-            name = have[at]
-            if name not in checked:
-                checked[name] = names.fits(name, types)
-            if not checked[name]:
+        for at, types in typed:
+            if not fits(have[at], types):
                 return ()
         return (tuple([have[at] for at in places]),)
 
     return match_one
 
 
-def places_in(pattern: Pattern, supplied: Sequence[Atom]) -> Optional[Tuple[Argument, ...]]:
-    """Return what atoms with variables have in the places of a pattern's wanted variables.
-
-    None if it cannot be told before the variables are bound whether the atoms match.
-    """
-    if len(supplied) > 1 or not is_plain(pattern):
-        return None
-    args = pattern.atoms[0].args
-    return tuple([supplied[0].args[args.index(each)] for each in pattern.wanted])
-
-
 def pushed(
     supplied: Sequence[Atom], pattern: Pattern, own: Sequence[Types], names: Names
 ) -> Optional[Tuple[Types, ...]]:
-    """Unify the atoms of an out-port, which have variables, with a pattern.
+    """Unify the atoms of an out-port, which may have variables, with a pattern.
 
     Args:
         supplied: the atoms.
         pattern: what is demanded.
-        own: the types of the variables of the out-port's rule.
+        own: the types of the variables of the out-port's action.
         names: how names are related.
 
     Returns:
-        For each variable of the rule, what the pattern demands of it besides; None if the
-        out-port cannot supply the pattern. What can be said of a variable only after others
-        are bound is left out, so instances are matched again.
+        For each variable of the action, what the pattern demands of it besides; None if the
+        out-port cannot supply the pattern. What holds of a variable only after others are bound
+        is left out, so instances are matched again.
     """
     more = [NO_TYPES] * len(own)
     for demanded in pattern.atoms:
-        fitting = [atom for atom in supplied if _can_be(atom, demanded, pattern.types, names)]
+        fitting = [atom for atom in supplied if can_match(atom, demanded, pattern.types, names)]
         if not fitting:
             return None
         if len(fitting) > 1:
             continue
         for have, want in zip(fitting[0].args, demanded.args):
             if isinstance(have, int):
-                bounds = frozenset((want,)) if isinstance(want, str) else pattern.types[want]
-                if bounds:
-                    more[have] |= bounds
+                more[have] |= frozenset((want,)) if isinstance(want, str) else pattern.types[want]
     return tuple(
-        [names.narrowed(types - own[i]) if types else types for i, types in enumerate(more)]
+        [names.narrowed(types - own[at]) if types else types for at, types in enumerate(more)]
     )
-
-
-def _bound(
-    supplied: Atom, demanded: Atom, types: Tuple[Types, ...], bound: Dict[int, str], names: Names
-) -> Optional[Dict[int, str]]:
-    if len(supplied.args) != len(demanded.args):
-        return None
-    if not names.subsumes(demanded.functor, supplied.functor):
-        return None
-    more = bound
-    for have, want in zip(supplied.args, demanded.args):
-        assert isinstance(have, str)
-        if isinstance(want, str):
-            if want != have and not names.subsumes(want, have):
-                return None
-            continue
-        known = more.get(want)
-        if known is None:
-            if types[want] and not names.fits(have, types[want]):
-                return None
-            more = {**more, want: have}
-        elif known != have:
-            return None
-    return more
-
-
-def _can_be(supplied: Atom, demanded: Atom, types: Tuple[Types, ...], names: Names) -> bool:
-    if len(supplied.args) != len(demanded.args):
-        return False
-    if not names.subsumes(demanded.functor, supplied.functor):
-        return False
-    for have, want in zip(supplied.args, demanded.args):
-        if isinstance(have, str):
-            if isinstance(want, str):
-                if not names.subsumes(want, have):
-                    return False
-            elif not names.fits(have, types[want]):
-                return False
-    return True

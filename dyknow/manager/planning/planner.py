@@ -4,8 +4,8 @@
 """Finds the cheapest way to a stream.
 
 First the cheapest *tree* of instances, in which a part that is used twice is paid twice
-(``search``, guided by ``bounds``). Then the plan is improved by counting shared parts once
-(``improvement``), within a budget. Costs are Python's integers: stacked diamonds make trees that
+(`search`, guided by `bounds`). Then the plan is improved by counting shared parts once
+(`improvement`), within a budget. Costs are Python's integers: stacked diamonds make trees that
 cost 2**1000, without overflow. No function is recursive. Labels, bindings and ports decide
 between equal costs, so equal problems have equal plans.
 """
@@ -13,30 +13,60 @@ between equal costs, so equal problems have equal plans.
 from __future__ import annotations
 
 import time
-from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Mapping, Tuple
+from typing import (
+    AbstractSet,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    Sequence,
+    Set,
+    Tuple,
+)
 
+from dyknow.manager.planning import problem
 from dyknow.manager.planning.and_or_graph import Draft, drafted
-from dyknow.manager.planning.answer import plan_of
 from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.budget import STEPS, Budget
-from dyknow.manager.planning.improvement import Improved, improve, soonest
-from dyknow.manager.planning.library import LibraryWriter
+from dyknow.manager.planning.improvement import (
+    STEPS,
+    Budget,
+    Improved,
+    improve,
+    soonest,
+)
+from dyknow.manager.planning.library import Operator, OperatorIndex, Reader
+from dyknow.manager.planning.patterns import Names, Pattern, Theta
 from dyknow.manager.planning.problem import (
+    AVOIDED,
     NO_FREE,
     NO_LABELS,
     NO_WISHES,
+    NOT_PREFERRED,
     Answer,
+    Charge,
     Demand,
+    Live,
     NoPlan,
+    Plan,
+    PlanStep,
+    Source,
     TaggedStream,
     Wishes,
 )
 from dyknow.manager.planning.reasons import no_plan
 from dyknow.manager.planning.request import NO_FEEDERS, Need, Request
 from dyknow.manager.planning.search import Instance, Search
-from dyknow.manager.planning.wishes import charges_of
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Subsumption
-from dyknow.model.transformation import Transformation
+from dyknow.manager.specifications.tags import (
+    NO_ONTOLOGY,
+    Bindings,
+    Subsumption,
+    Term,
+    read_tags,
+    unify_all,
+)
+from dyknow.model.transformation import TOPIC, Transformation
 
 #: Seconds that the improvement of a plan may take.
 BUDGET = 0.1
@@ -58,25 +88,24 @@ class Planner:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start with an empty library."""
-        self._writer = LibraryWriter(ontology)
+        names = Names(ontology)
+        self._reader = Reader(names)
+        self._library = OperatorIndex(names, {}, {}, {})
         self._clock = clock
 
     def __len__(self) -> int:
         """Count the transformations that can be planned with."""
-        return len(self._writer.library.by_label)
-
-    @property
-    def waste(self) -> int:
-        """Numbers that are kept in vain; a new planner would have none."""
-        return self._writer.waste
+        return len(self._library.actions)
 
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
-        self._writer.change((), transformations)
+        added = list(transformations)
+        actions = [self._reader.read(each) for each in added if each.type != TOPIC]
+        self._library = self._library.changed([each.label for each in added], actions)
 
     def remove(self, *labels: str) -> None:
         """Forget transformations, as far as they are known."""
-        self._writer.change(labels, ())
+        self._library = self._library.changed(labels, [])
 
     def plan(
         self,
@@ -103,30 +132,24 @@ class Planner:
             wishes: what is to be used rather than other things.
             feeders: labels of what feeds the live streams, by their nodelets.
         """
-        library = self._writer.library
-        streams = list(live)
-        charges = charges_of(library, demand, streams, exclude, wishes)
+        library, streams = self._library, list(live)
+        charges = _charges(library, demand, streams, exclude, wishes)
         request = Request(library, demand, streams, exclude, paused, free, charges, feeders)
         bounds = Bounds(request)
         least, actions = bounds.least()
-        goal = Need(request.goal, ())
         if bounds.is_simple and request.goal in least:
-            draft = drafted(request, _choices(request, actions), goal)
+            draft = drafted(request, _choices(request, actions))
         else:
             search = Search(request, bounds, least)
             search.run(_SEARCH + int(budget * STEPS))
-            if goal not in search.value:
+            if not search.goal.answers:
                 return no_plan(request, search)
-            draft = drafted(request, search.chosen, goal)
-
-        def latency(draft: Draft) -> float:
-            return plan_of(request, Improved(draft, 0, False)).latency
-
-        if request.limit is not None and not demand.is_soon(latency(draft)):
+            draft = drafted(request, search.chosen)
+        if request.limit is not None and not demand.is_soon(_latency(request, draft)):
             draft, is_in_time = soonest(request, bounds, draft)
             if not is_in_time:
-                return NoPlan(demand, (), False, latency(draft))
-        return plan_of(request, improve(request, bounds, draft, Budget(budget, self._clock)))
+                return NoPlan(demand, (), False, _latency(request, draft))
+        return _written(request, improve(request, bounds, draft, Budget(budget, self._clock)))
 
     def charges(
         self,
@@ -136,7 +159,7 @@ class Planner:
         wishes: Wishes,
     ) -> Dict[str, int]:
         """Return what the parts of a plan are charged besides their costs, by label."""
-        return charges_of(self._writer.library, demand, list(live), exclude, wishes)
+        return _charges(self._library, demand, list(live), exclude, wishes)
 
     def bindings(
         self,
@@ -155,9 +178,8 @@ class Planner:
             The bindings, sorted, and whether these are all. Without a variable there is an empty
             one if the stream can be made.
         """
-        library = self._writer.library
         variables = sorted({each for term in demand.tags for each in term.variables})
-        request = Request(library, demand, list(live), wanted=variables)
+        request = Request(self._library, demand, list(live), wanted=variables)
         bounds = Bounds(request)
         search = Search(request, bounds, bounds.least()[0])
         search.run(int(budget * STEPS), is_all=True)
@@ -166,20 +188,171 @@ class Planner:
         return sorted(found), search.is_complete
 
 
-def _choices(request: Request, actions: Dict[int, int]) -> Dict[Need, Instance]:
+def _choices(request: Request, actions: Dict[Pattern, Operator]) -> Dict[Need, Instance]:
     """Return what supplies the nodes where no name is bound."""
     found: Dict[Need, Instance] = {}
-    made: Dict[int, Instance] = {}
+    made: Dict[Operator, Instance] = {}
     waiting = [request.goal]
-    for number in waiting:  # grows meanwhile
-        action = actions[number]
+    for pattern in waiting:  # grows meanwhile
+        action = actions[pattern]
         instance = made.get(action)
         if instance is None:
-            inputs = request.inputs(action)
-            cost = request.floor(action)
-            instance = made[action] = Instance(
-                action, (), cost, tuple([Need(each, ()) for each in inputs])
-            )
-            waiting += inputs
-        found[Need(number, ())] = instance
+            needs = tuple([Need(each, ()) for each in action.inputs])
+            instance = made[action] = Instance(action, (), request.floor(action), needs)
+            waiting += action.needs
+        found[Need(pattern, ())] = instance
     return found
+
+
+def _charges(
+    library: OperatorIndex,
+    demand: Demand,
+    streams: Sequence[TaggedStream],
+    exclude: AbstractSet[str],
+    wishes: Wishes,
+) -> Dict[str, int]:
+    """Return what the parts that may help to meet a demand are charged, by label.
+
+    A part that the client avoids is charged `AVOIDED`. A part that supplies what a preferred one
+    could supply as well is charged `NOT_PREFERRED`, unless it is preferred itself. Both hold for
+    running parts too, which cost nothing else, and for what feeds them.
+    """
+    if wishes == NO_WISHES:
+        return {}
+    names = library.names
+    request = Request(library, demand, streams, exclude)
+    bounds = Bounds(Request(library, demand, (), exclude), is_whole=True)
+    tags: Dict[str, Set[Term]] = {}
+    for stream, terms in streams:
+        if stream.label not in exclude:
+            tags.setdefault(stream.label, set()).update(terms)
+    suppliers: List[Set[str]] = []
+    for pattern in bounds.users:
+        facts = [head for head, _ in request.facts(pattern)]
+        actions = {
+            *request.makers(pattern),
+            *[head.action for head in facts],
+        } - request.live
+        for action in actions:
+            for head in action.heads:
+                tags.setdefault(action.label, set()).update(read_tags(head.texts))
+        labels = {action.label for action in actions}
+        suppliers.append(labels.union([head.source.label for head in facts]))
+
+    def meant(wanted: Iterable[str]) -> FrozenSet[str]:
+        concepts = frozenset(map(names.canonical, wanted))
+        return frozenset(
+            label
+            for label, terms in tags.items()
+            if label in wanted
+            or any(
+                not concepts.isdisjoint(names.above(names.canonical(name)))
+                for term in terms
+                for name in (term.functor, *term.args)
+                if name not in term.variables
+            )
+        )
+
+    charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
+    preferred = meant(wishes.prefer)
+    others = {each for some in suppliers if preferred & some for each in some - preferred}
+    for label in others:
+        charges[label] = charges.get(label, 0) + NOT_PREFERRED
+    return charges
+
+
+class _Writer:
+    """Writes the steps of one plan, suppliers first."""
+
+    def __init__(self, request: Request, draft: Draft) -> None:
+        self._request = request
+        self._chosen = draft.chosen
+        self._bindings: Dict[Tuple[Operator, Theta], Bindings] = {}
+        #: When nodelets have their inputs, in microseconds.
+        self._begun: Dict[Tuple[Operator, Theta], int] = {}
+
+    def source(self, node: Need) -> Tuple[Source, Tuple[str, ...], int]:
+        """Return what supplies a node, its tags, and its latency in microseconds."""
+        chosen = self._chosen[node]
+        key = chosen.action.slow or chosen.action, chosen.theta
+        head = self._request.source(chosen.action, chosen.theta, node)
+        source = head.source
+        bindings = self._bindings.get(key)
+        if bindings and not isinstance(source, Live):
+            source = source._replace(bindings=bindings)
+        return source, head.texts, self._begun.get(key, 0) + head.latency
+
+    def step(self, instance: Instance, part: problem.Action) -> PlanStep:
+        """Return the step of an instance."""
+        action = instance.action
+        key = action.slow or action, instance.theta
+        sources = [self.source(node) for node in instance.needs]
+        self._begun[key] = max([latency for _, _, latency in sources], default=0)
+        inputs = tuple([(e.port, source[0]) for e, source in zip(action.premises, sources)])
+        if not action.has_bindings:
+            return PlanStep(part, inputs)
+        joined = dict(zip(action.variables, instance.theta))
+        bindings: Dict[str, str] = {}
+        for premise, (source, texts, _) in zip(action.premises, sources):
+            bindings = {**self.way(source, texts, premise.terms, joined), **bindings}
+        self._bindings[key] = tuple(sorted(bindings.items()))
+        return PlanStep(part, inputs, self._bindings[key])
+
+    def way(
+        self,
+        source: Source,
+        texts: Tuple[str, ...],
+        demanded: Iterable[Term],
+        joined: Mapping[str, str],
+    ) -> Dict[str, str]:
+        """Bind the variables of a demand to names as they are supplied."""
+        names = self._request.names
+        terms = read_tags(texts)
+        if not isinstance(source, Live):
+            terms = tuple([term.substitute(dict(source.bindings)) for term in terms])
+        for way in unify_all(terms, demanded, names.ontology):
+            bound = {variable: names.canonical(name) for variable, name in way.items()}
+            if all(joined.get(variable, name) == name for variable, name in bound.items()):
+                return way
+        raise AssertionError(f"{source} does not supply {demanded}")
+
+
+def _written(request: Request, improved: Improved) -> Plan:
+    """Write a plan."""
+    writer = _Writer(request, improved.draft)
+    steps: List[PlanStep] = []
+    charges: List[Charge] = []
+    freed: Set[Operator] = set()
+    for instance in improved.draft.order:
+        action = instance.action.slow or instance.action
+        if action in request.live:
+            if action.cost:
+                charges.append(Charge(action.label, action.cost))
+            continue
+        cost = action.cost
+        if action not in freed and request.is_free(action, instance.theta):
+            freed.add(action)  # one nodelet is there: a second one has to be made
+            cost = 0
+        part = problem.Action(action.label, cost, request.charges.get(action, 0))
+        steps.append(writer.step(instance, part))
+    demand = request.demand
+    goal, texts, latency = writer.source(Need(request.goal, ()))
+    bindings: Dict[str, str] = {}
+    if any(term.variables for term in demand.tags):
+        bindings = writer.way(goal, texts, sorted(demand.tags), {})
+    plan = Plan(
+        demand,
+        goal,
+        tuple(steps),
+        0,
+        improved.least_cost,
+        tuple(sorted(bindings.items())),
+        improved.is_cut_short,
+        tuple(sorted(charges)),
+        latency / 1e6,
+    )
+    return plan._replace(cost=plan.total)
+
+
+def _latency(request: Request, draft: Draft) -> float:
+    return _written(request, Improved(draft, 0)).latency

@@ -11,7 +11,16 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Dict, FrozenSet, Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
+from typing import (
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    Mapping,
+    NamedTuple,
+    Tuple,
+    Union,
+)
 
 from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand, write_missing
@@ -227,6 +236,11 @@ class NoPlan(NamedTuple):
         return f"no plan for {self.demand}: {self.reason}"
 
 
+#: What a part is charged besides its cost.
+AVOIDED = 1000
+NOT_PREFERRED = 100
+
+
 class Wishes(NamedTuple):
     """What is preferred, and what is avoided: labels, and concepts of tags of out-ports."""
 
@@ -246,7 +260,10 @@ NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
 
 
 def meets(
-    tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
+    tags: Iterable[Term],
+    datatype: str,
+    demand: Demand,
+    ontology: Subsumption = NO_ONTOLOGY,
 ) -> bool:
     """Return whether a stream of these tags and type is what is demanded."""
     return next(ways_to_meet(tags, datatype, demand, ontology), None) is not None

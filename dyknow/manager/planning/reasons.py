@@ -11,56 +11,66 @@ without a rate, without a ROS type. The fewest of these that stand in the way ar
 from __future__ import annotations
 
 import itertools
-from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
-from dyknow.manager.planning.library import Head
+from dyknow.manager.planning.library import Head, Operator
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
-from dyknow.manager.planning.problem import Demand, NoPlan, Obstacle
-from dyknow.manager.planning.request import Request, base
+from dyknow.manager.planning.problem import Demand, Live, NoPlan, Obstacle
+from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import Term, types_of
 
-#: Answers of one in-port with which the next one is looked at, and obstacles that are told.
-_MOST_TOLD = 10
+#: Answers of one in-port with which the next one is looked at, and obstacles that are named.
+_MOST_NAMED = 10
 #: Names, labels and the like in one sentence.
-_MOST_NAMED = 3
-_EXCLUDED, _PAUSED, _TYPE, _RATE, _DATATYPE = range(5)
-_CAUSES = (_EXCLUDED, _PAUSED, _TYPE, _RATE, _DATATYPE)
+_MOST_LISTED = 3
+_CAUSES = _EXCLUDED, _PAUSED, _TYPE, _RATE, _DATATYPE = range(5)
 
 
 class _Open(NamedTuple):
     """A demand that nothing meets.
 
     Attributes:
-        number: its number.
+        pattern: its pattern.
         known: what is known of its names.
         demand: it, as people write it.
         rest: what cannot be written so, as sentences.
     """
 
-    number: int
+    pattern: Pattern
     known: Known
     demand: Demand
     rest: Tuple[str, ...] = ()
 
 
 def no_plan(request: Request, search: Search) -> NoPlan:
-    """Tell why there is no plan."""
+    """Return the reasons why there is no plan."""
     if not search.is_complete:
         return NoPlan(request.demand, (), False, is_cut_short=True)
-    missing: Dict[Demand, None] = {}
-    obstacles: Dict[Obstacle, None] = {}
+    missing: Set[Demand] = set()
+    obstacles: Set[Obstacle] = set()
     for each in _leaves(request, search):
-        causes = each.rest + _Causes(request, each).find()
+        causes = each.rest + _causes(request, each)
         if causes:
-            obstacles[Obstacle(each.demand, causes)] = None
+            obstacles.add(Obstacle(each.demand, causes))
         else:
-            missing[each.demand] = None
+            missing.add(each.demand)
     return NoPlan(
         request.demand,
         tuple(sorted(missing, key=str)),
         not missing and not obstacles,
-        obstacles=tuple(sorted(obstacles, key=str)[:_MOST_TOLD]),
+        obstacles=tuple(sorted(obstacles, key=str)[:_MOST_NAMED]),
     )
 
 
@@ -71,58 +81,50 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
     waiting = [goal]
     for each in waiting:  # grows meanwhile
         is_leaf = True
-        for action, offer in request.offers(each.number, each.known):
-            if (action < 0) > (each.number < 0):
+        for action, offer in request.offers(each.pattern, each.known):
+            if action.slow is not None and each.pattern.slow is None:
                 continue  # as the same action that need not be fast
-            bounds = search.passed(each.known, offer)
-            if bounds is None:
-                continue
-            is_leaf = False
-            for below in _unmet(request, search, action, bounds):
-                if below[:2] not in seen:
-                    seen.add(below[:2])
-                    waiting.append(below)
+            bounds = search.passed(each.pattern, each.known, offer)
+            if bounds is not None:
+                is_leaf = False
+                for below in _unmet(request, search, action, bounds):
+                    if below[:2] not in seen:
+                        seen.add(below[:2])
+                        waiting.append(below)
         if is_leaf:
             yield each
 
 
-def _unmet(request: Request, search: Search, action: int, bounds: Known) -> List[_Open]:
+def _unmet(request: Request, search: Search, action: Operator, bounds: Known) -> List[_Open]:
     """Return what the in-ports of an action lack."""
-    library, inputs = request.library, request.inputs(action)
-    rule = library.rules.get(base(action))
-    variables = request.variables(action)
 
     def opened(port: int, bounds: Known) -> _Open:
-        known = tuple([bounds[each] for each in variables[port]])
-        rest: List[str] = []
-        terms: Sequence[Term]
-        if rule is None:
-            terms, datatype = library.written[base(inputs[port])]
-        else:
-            _, terms, datatype = rule.premises[port]
-            known_of = {
-                variable: _joined(each, types, request.names)
-                for variable, each, types in zip(rule.variables, bounds, rule.types)
-            }
-            terms, rest = _shown(terms, known_of, request.names)
-        rate = request.demand.min_rate if inputs[port] < 0 else 0.0
-        return _Open(inputs[port], known, Demand(frozenset(terms), datatype, rate), tuple(rest))
+        known = tuple([bounds[each] for each in action.shares[port]])
+        _, terms, datatype = action.premises[port]
+        known_of = {
+            variable: _joined(each, types, request.names)
+            for variable, each, types in zip(action.variables, bounds, action.types)
+        }
+        shown, rest = _shown(terms, known_of, request.names)
+        pattern = action.inputs[port]
+        rate = 0.0 if pattern.slow is None else request.demand.min_rate
+        return _Open(pattern, known, Demand(frozenset(shown), datatype, rate), tuple(rest))
 
-    never = [opened(port, bounds) for port, each in enumerate(inputs) if not search.can_be(each)]
+    never = [opened(at, bounds) for at, e in enumerate(action.inputs) if not search.can_be(e)]
     if never:
         return never
     found: List[_Open] = []
     joins = [bounds]
     for port in search.order(action, bounds):
         more: List[Known] = []
-        for each in joins[:_MOST_TOLD]:
+        for each in joins[:_MOST_NAMED]:
             below = opened(port, each)
-            answers = search.answers(below.number, below.known)
+            answers = search.answers(below.pattern, below.known)
             if not answers:
                 found.append(below)
-            for node in answers[:_MOST_TOLD]:
+            for node in answers[:_MOST_NAMED]:
                 names = list(each)
-                for variable, name in zip(variables[port], node.theta):
+                for variable, name in zip(action.shares[port], node.theta):
                     names[variable] = name
                 more.append(tuple(names))
         joins = more
@@ -148,156 +150,149 @@ def _shown(
     """
     bound = {each: names.written(name) for each, name in known.items() if isinstance(name, str)}
     own = types_of(terms)
-    left: Dict[str, List[str]] = {}
+    wanted: Dict[str, List[str]] = {}
     for variable, more in known.items():
         if isinstance(more, frozenset) and any(variable in term.args for term in terms):
             said = frozenset(map(names.canonical, own.get(variable, ())))
-            left[variable] = sorted(names.narrowed(more | said))
-    wanted = {variable: list(types) for variable, types in left.items()}
+            wanted[variable] = [*map(names.written, sorted(names.narrowed(more | said)))]
+    left = {variable: list(types) for variable, types in wanted.items()}
     found = []
     for term in terms:
         types = list(term.types or ("",) * len(term.args))
         for at, arg in enumerate(term.args):
             if wanted.get(arg):
-                types[at] = names.written(left[arg].pop(0) if left[arg] else wanted[arg][0])
+                types[at] = left[arg].pop(0) if left[arg] else wanted[arg][0]
         found.append(term._replace(types=tuple(types) if any(types) else ()).substitute(bound))
     rest = [
-        f"{variable} has to be a {' and a '.join(map(names.written, wanted[variable]))}"
+        f"{variable} has to be a {' and a '.join(wanted[variable])}"
         for variable, types in sorted(left.items())
         if types
     ]
     return found, rest
 
 
-class _Causes:
-    """Finds out why nothing supplies a demand."""
-
-    def __init__(self, request: Request, demand: _Open) -> None:
-        self._request = request
-        self._open = demand
-        self._names: Names = request.names
-        self._pattern: Pattern = request.pattern(demand.number)
-
-    def find(self) -> Tuple[str, ...]:
-        """Return the causes as sentences; nothing if nothing like it is supplied."""
-        heads = self._alike()
-        best: Sequence[int] = ()
-        chosen: List[Head] = []
-        for count in range(1, len(_CAUSES) + 1):
-            for causes in itertools.combinations(_CAUSES, count):
-                chosen = [head for head, failing in heads if failing <= {*causes}]
-                if chosen:
-                    best = causes
-                    break
+def _causes(request: Request, demand: _Open) -> Tuple[str, ...]:
+    """Return why nothing supplies a demand, as sentences, if anything like it is supplied."""
+    alike = _alike(request, demand)
+    for count in range(1, len(_CAUSES) + 1):
+        for causes in itertools.combinations(_CAUSES, count):
+            chosen = [each for each in alike if each.failing <= {*causes}]
             if chosen:
-                break
-        return tuple([self._sentence(cause, chosen) for cause in best])
+                return tuple([_sentence(request, demand, cause, chosen) for cause in causes])
+    return ()
 
-    def _alike(self) -> List[Tuple[Head, Set[int]]]:
-        """Return what would supply it if less were demanded, each with what is in the way."""
-        request, pattern = self._request, self._pattern
-        found = []
-        for head in request.alike(pattern):
-            matched = self._matches(head)
-            if matched is None:
-                continue
-            failing = set()
-            if matched:
-                failing.add(_TYPE)
-            if request.is_excluded(head):
-                failing.add(_EXCLUDED)
-            elif request.is_paused(head):
-                failing.add(_PAUSED)
-            if not head.goes_with(pattern.datatype):
-                failing.add(_DATATYPE)
-            if self._open.number < 0 and head.rate and head.rate < request.demand.min_rate:
-                failing.add(_RATE)
-            found.append((head, failing))
-        return found
 
-    def _matches(self, head: Head) -> Optional[Dict[str, Types]]:
-        """Return the names in an out-port that lack a type; None if other names are demanded."""
-        demanded = self._pattern.atoms
-        best: Optional[Dict[str, Types]] = None
-        for supplied in itertools.product(head.atoms, repeat=len(demanded)):
-            lacking = self._way(head, list(zip(supplied, demanded)))
-            if lacking is not None and (best is None or len(lacking) < len(best)):
-                best = lacking
-        return best
+class _Alike(NamedTuple):
+    """An out-port that would supply a demand if less were demanded.
 
-    def _way(self, head: Head, pairs: Sequence[Tuple[Atom, Atom]]) -> Optional[Dict[str, Types]]:
-        """Match atoms without regard to types of variables; return the names that lack these."""
-        names, types = self._names, self._pattern.types
-        for supplied, demanded in pairs:
-            if len(supplied.args) != len(demanded.args):
-                return None
-            if not names.subsumes(demanded.functor, supplied.functor):
-                return None
-        known = dict(zip(self._pattern.wanted, self._open.known))
-        bound = {each: name for each, name in known.items() if isinstance(name, str)}
-        own: Dict[int, str] = {}  # of the out-port's action
-        arguments = [args for one, other in pairs for args in zip(one.args, other.args)]
-        for have, want in arguments * 2:  # at first not all that are the same are known
-            name = own.get(have) if isinstance(have, int) else have
-            if isinstance(want, str):
-                if name is not None and not names.subsumes(want, name):
-                    return None
-                name = want if name is None and names.is_plain else name
-            else:
-                name = bound.get(want) if name is None else name
-                if name is not None and bound.setdefault(want, name) != name:
-                    return None
-            if isinstance(have, int) and name is not None:
-                own[have] = name
-        rule = self._request.library.rules.get(head.action)
-        for variable in {have for have, _ in arguments if isinstance(have, int)}:
-            assert rule is not None
-            needed = rule.types[variable].union(
-                [want for have, want in arguments if have == variable and isinstance(want, str)]
-            )
-            if variable in own:
-                if not names.fits(own[variable], needed):
-                    return None
-            elif needed and not names.below(needed):
-                return None
-        lacking: Dict[str, Types] = {}
-        for variable, name in bound.items():
-            more = known.get(variable)
-            if isinstance(more, frozenset) and not names.fits(name, more):
-                return None
-            if not names.fits(name, types[variable]):
-                lacking[name] = frozenset(
-                    each for each in types[variable] if not names.subsumes(each, name)
-                )
-        return lacking
+    Attributes:
+        head: the out-port.
+        lacking: the names in it that lack types.
+        failing: the causes that are in the way.
+    """
 
-    def _sentence(self, cause: int, heads: Sequence[Head]) -> str:
-        labels = sorted({head.source.label for head in heads})
-        if cause == _EXCLUDED:
-            return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
-        if cause == _PAUSED:
-            return f"no new nodelet of {_listed(labels)} is made now"
-        if cause == _RATE:
-            fastest = max([head.rate for head in heads])
-            return f"it is stated at {fastest:g} Hz, below {self._request.demand.min_rate:g} Hz"
-        if cause == _DATATYPE:
-            kinds = sorted({head.datatype for head in heads})
-            return f"it is a {_listed(kinds)}, not a {self._pattern.datatype}"
-        lacking: Dict[str, Types] = {}
-        for head in heads:
-            lacking.update(self._matches(head) or {})
-        said = []
-        for name in sorted(lacking)[:_MOST_NAMED]:
-            wanted = " and ".join(sorted(map(self._names.written, lacking[name])))
-            kinds = self._names.kinds(name)
-            shown = self._names.written(name)
-            if kinds:
-                said.append(f"{shown} is a {' and '.join(kinds)}, not a {wanted}")
-            else:
-                said.append(f"{shown} is not known to be a {wanted}")
-        return "; ".join(said)
+    head: Head
+    lacking: Dict[str, Types]
+    failing: Set[int]
+
+
+def _alike(request: Request, demand: _Open) -> List[_Alike]:
+    found = []
+    pattern = demand.pattern
+    for head in request.alike(pattern):
+        ways = [
+            _lacking(request.names, head.action, demand, list(zip(supplied, pattern.atoms)))
+            for supplied in itertools.product(head.atoms, repeat=len(pattern.atoms))
+        ]
+        lacking = min([each for each in ways if each is not None], key=len, default=None)
+        if lacking is None:
+            continue
+        label = head.source.label
+        is_excluded = label in request.exclude
+        is_new = not isinstance(head.source, Live)
+        checks = {
+            _TYPE: bool(lacking),
+            _EXCLUDED: is_excluded,
+            _PAUSED: not is_excluded and is_new and label in request.paused,
+            _DATATYPE: not head.goes_with(pattern.datatype),
+            _RATE: pattern.slow is not None and 0 < head.rate < request.demand.min_rate,
+        }
+        found.append(_Alike(head, lacking, {cause for cause, fails in checks.items() if fails}))
+    return found
+
+
+def _lacking(
+    names: Names, action: Operator, demand: _Open, pairs: Sequence[Tuple[Atom, Atom]]
+) -> Optional[Dict[str, Types]]:
+    """Match atoms of an action without regard to types of the demand's variables.
+
+    Returns:
+        The names that lack some of these types; None if other names are demanded.
+    """
+    for supplied, demanded in pairs:
+        if len(supplied.args) != len(demanded.args):
+            return None
+        if not names.subsumes(demanded.functor, supplied.functor):
+            return None
+    known = dict(zip(demand.pattern.wanted, demand.known))
+    bound = {each: name for each, name in known.items() if isinstance(name, str)}
+    own: Dict[int, str] = {}  # of the action
+    arguments = [args for one, other in pairs for args in zip(one.args, other.args)]
+    for have, want in arguments * 2:  # at first not all that are the same are known
+        name = own.get(have) if isinstance(have, int) else have
+        if isinstance(want, str):
+            if name is not None and not names.subsumes(want, name):
+                return None
+            name = want if name is None and names.is_plain else name
+        else:
+            name = bound.get(want) if name is None else name
+            if name is not None and bound.setdefault(want, name) != name:
+                return None
+        if isinstance(have, int) and name is not None:
+            own[have] = name
+    for variable in {have for have, _ in arguments if isinstance(have, int)}:
+        needed = action.types[variable].union(
+            [want for have, want in arguments if have == variable and isinstance(want, str)]
+        )
+        if variable in own:
+            if not names.fits(own[variable], needed):
+                return None
+        elif needed and not names.below(needed):
+            return None
+    lacking: Dict[str, Types] = {}
+    for variable, name in bound.items():
+        more = known.get(variable)
+        if isinstance(more, frozenset) and not names.fits(name, more):
+            return None
+        types = demand.pattern.types[variable]
+        if not names.fits(name, types):
+            lacking[name] = frozenset(each for each in types if not names.subsumes(each, name))
+    return lacking
+
+
+def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alike]) -> str:
+    names, heads = request.names, [each.head for each in alike]
+    labels = sorted({head.source.label for head in heads})
+    if cause == _EXCLUDED:
+        return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
+    if cause == _PAUSED:
+        return f"no new nodelet of {_listed(labels)} is made now"
+    if cause == _RATE:
+        fastest = max([head.rate for head in heads])
+        return f"it is stated at {fastest:g} Hz, below {request.demand.min_rate:g} Hz"
+    if cause == _DATATYPE:
+        datatypes = sorted({head.datatype for head in heads})
+        return f"it is a {_listed(datatypes)}, not a {demand.pattern.datatype}"
+    lacking = {name: types for each in alike for name, types in each.lacking.items()}
+    said = []
+    for name in sorted(lacking)[:_MOST_LISTED]:
+        wanted = " and ".join(sorted(map(names.written, lacking[name])))
+        kinds = " and ".join(names.kinds(name))
+        how = f"is a {kinds}, not a" if kinds else "is not known to be a"
+        said.append(f"{names.written(name)} {how} {wanted}")
+    return "; ".join(said)
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
+    more = len(names) - _MOST_LISTED
+    return ", ".join(names[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What one request may be planned with, and what everything costs it.
+"""The problem of one request: the library, live streams, and what everything costs this client.
 
-Beside the library there are live streams, which are facts without a cost. A demand that has to be
-*fast* has the complement of its number. An out-port that states no rate is as fast as all that
-feeds it: for it an action is needed whose in-ports are fast, with the complement of its number.
+Live streams are facts without a cost. A demand that has to be *fast* is a pattern of its own. An
+out-port that states no rate is as fast as all that feeds it: it belongs to a second, fast action
+whose in-ports demand fast streams.
 """
 
 from __future__ import annotations
 
 import heapq
 import itertools
+from dataclasses import replace
 from types import MappingProxyType
 from typing import (
     AbstractSet,
@@ -24,21 +25,22 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
+    Set,
     Tuple,
 )
 
 from dyknow.manager.planning.library import (
-    Bucket,
     Buckets,
     Head,
     Offer,
-    RuleLibrary,
+    Operator,
+    OperatorIndex,
+    bucketed,
     candidates,
     microseconds,
 )
 from dyknow.manager.planning.patterns import (
     NO_TYPES,
-    Atom,
     Known,
     Pattern,
     Theta,
@@ -47,13 +49,15 @@ from dyknow.manager.planning.patterns import (
     pattern_of,
     solutions,
 )
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, Live, TaggedStream
+from dyknow.manager.planning.problem import (
+    NO_FREE,
+    NO_LABELS,
+    Demand,
+    Live,
+    TaggedStream,
+)
 from dyknow.manager.specifications.tags import Bindings, Term
 
-GOAL = 1 << 60
-"""The number of the demand that is asked for."""
-_LOCAL = 1 << 50
-"""Actions from this number on are live streams, those of a nodelet together."""
 #: Out-ports that are looked at to explain why one demand is not met.
 _MOST_ALIKE = 5_000
 
@@ -66,16 +70,24 @@ NO_FEEDERS: Mapping[str, FrozenSet[str]] = MappingProxyType({})
 class Need(NamedTuple):
     """A demand under bindings of the variables that are wanted of it."""
 
-    number: int
+    pattern: Pattern
     theta: Theta
 
 
 class Request:
-    """The problem of one request."""
+    """The problem of one request.
+
+    Attributes:
+        goal: what is asked for.
+        limit: its age at most, in microseconds; None for any.
+        kept: actions of which a nodelet is free, each with the names that it has to keep.
+        charges: what actions are charged besides their costs.
+        live: the actions of live streams.
+    """
 
     def __init__(
         self,
-        library: RuleLibrary,
+        library: OperatorIndex,
         demand: Demand,
         streams: Sequence[TaggedStream],
         exclude: AbstractSet[str] = NO_LABELS,
@@ -92,7 +104,7 @@ class Request:
             demand: what is asked for.
             streams: what is live.
             exclude: labels that must not be used, live or new.
-            paused: labels of which nothing new is made.
+            paused: labels of which no new nodelet is made.
             free: nodelets that cost nothing: label and bindings that they keep.
             charges: what has to be paid besides the costs, by label.
             feeders: labels of what feeds a nodelet, by its name.
@@ -102,204 +114,135 @@ class Request:
         self.names = names = library.names
         self.demand = demand
         self.limit = microseconds(demand.max_age) if demand.max_age else None
-        self.goal = ~GOAL if demand.min_rate else GOAL
-        self._pattern = pattern_of(demand.tags, demand.datatype, names, wanted)
-        self._offers: Optional[Tuple[Offer, ...]] = None
-        by_label = library.by_label
-        self._exclude, self._paused = exclude, paused
-        self._excluded = {by_label[each] for each in (*exclude, *paused) if each in by_label}
+        self._fast: Dict[Pattern, Pattern] = {}
+        self._fast_actions: Dict[Operator, Operator] = {}
+        self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)
+        if demand.min_rate:
+            self.goal = self._faster(self.goal)
+        actions = library.actions
+        self.exclude, self.paused = exclude, paused
+        self._barred = {actions[each] for each in (*exclude, *paused) if each in actions}
         self.kept = {
-            by_label[label]: {variable: names.canonical(name) for variable, name in bindings}
+            actions[label]: {variable: names.canonical(name) for variable, name in bindings}
             for label, bindings in free.items()
-            if label in by_label
+            if label in actions
         }
-        self.charges = {by_label[each]: n for each, n in charges.items() if n and each in by_label}
+        self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
         #: What actions cost at least where that is not what they state.
-        self._floors: Dict[int, int] = {}
-        #: The out-ports of live actions, and what these are charged, with their names.
-        self._heads: Dict[int, Tuple[Head, ...]] = {}
-        self.charged: Dict[int, Tuple[str, int]] = {}
-        entries: Dict[Tuple[str, int], Dict[Tuple[Head, Atom], None]] = {}
+        self._floors: Dict[Operator, int] = {}
+        heads: List[Head] = []
+        for action in (*self.kept, *self.charges):
+            floor = 0 if action in self.kept else action.cost
+            self._floors[action] = floor + self.charges.get(action, 0)
+        for action, floor in self._floors.items():
+            if not action.inputs:
+                heads += [replace(head, cost=floor) for head in action.heads]
+        self.live: Set[Operator] = set()
         self._unusable = [each for each in streams if each[0].label in exclude]
-        usable = [each for each in streams if each[0].label not in exclude]
-        self._add_streams(usable, charges, feeders, entries)
-        for action in [*self.kept, *self.charges]:
-            own = 0 if action in self.kept else library.costs[action]
-            floor = self._floors[action] = own + self.charges.get(action, 0)
-            if not library.inputs[action]:
-                heads = [head._replace(cost=floor) for head in library.heads[action]]
-                self._heads[action] = tuple(heads)
-                _enter(heads, entries)
-        self._local: Buckets = {key: Bucket(found) for key, found in entries.items()}
+        by_name: Dict[str, List[TaggedStream]] = {}
+        for each in sorted(streams):
+            if each[0].label not in exclude:
+                by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
+        for name, some in by_name.items():
+            labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
+            action = Operator(name, sum([charges.get(label, 0) for label in labels]), [])
+            action.heads.extend([self._live_head(action, *stream) for stream in some])
+            self.live.add(action)
+            heads += action.heads
+        self._local: Buckets = bucketed(heads)
 
     # Actions
 
-    def label(self, action: int) -> str:
-        """Return the label of an action, or the name of a live one."""
-        if action >= _LOCAL:
-            return self.charged[action][0]
-        return self.library.labels[base(action)]
-
-    def heads(self, action: int) -> Tuple[Head, ...]:
-        """Return the out-ports of an action."""
-        action = base(action)
-        return self._heads.get(action) or self.library.heads[action]
-
-    def inputs(self, action: int) -> Tuple[int, ...]:
-        """Return what the in-ports of an action demand, in the order written."""
-        if action >= 0:
-            return self.library.inputs[action] if action < _LOCAL else ()
-        return tuple([~each for each in self.library.inputs[~action]])
-
-    def variables(self, action: int) -> Sequence[Tuple[int, ...]]:
-        """Return the variables that the in-ports of an action share, in the order written."""
-        rule = self.library.rules.get(base(action))
-        if rule is None or not rule.variables:
-            return ((),) * len(self.inputs(action))
-        found: List[Tuple[int, ...]] = [()] * len(rule.premises)
-        for step in rule.joins:
-            found[step.port] = step.variables
-        return found
-
-    def needs(self, action: int) -> Tuple[int, ...]:
-        """Return the same, each once."""
-        if action >= 0:
-            return self.library.needs[action]
-        return tuple([~each for each in self.library.needs[~action]])
-
-    def floor(self, action: int) -> int:
+    def floor(self, action: Operator) -> int:
         """Return what an action costs at least."""
-        action = base(action)
-        found = self._floors.get(action)
-        return self.library.costs[action] if found is None else found
+        return self._floors.get(action.slow or action, action.cost)
 
-    def cost(self, action: int, theta: Theta) -> int:
-        """Return what an action costs under bindings, if its nodelet that is free is not used."""
-        action = base(action)
-        if action in self._floors and not self.is_free(action, theta):
-            return self.library.costs[action] + self.charges.get(action, 0)
-        return self.floor(action)
+    def cost(self, action: Operator, theta: Theta) -> int:
+        """Return what an action costs under bindings, if it may use the nodelet that is free."""
+        base = action.slow or action
+        if self.is_free(base, theta):
+            return self._floors[base]
+        return action.cost + self.charges.get(base, 0)
 
-    def is_free(self, action: int, theta: Theta) -> bool:
+    def is_free(self, action: Operator, theta: Theta) -> bool:
         """Whether a nodelet that costs nothing could be this one."""
-        action = base(action)
         kept = self.kept.get(action)
         if kept is None:
             return False
-        rule = self.library.rules.get(action)
-        bound = dict(zip(rule.variables, theta)) if rule else {}
+        bound = dict(zip(action.variables, theta))
         return all(bound.get(variable, name) == name for variable, name in kept.items())
+
+    def source(self, action: Operator, theta: Theta, node: Need) -> Head:
+        """Return the out-port with which an instance supplies a node: of several the soonest."""
+        if len(action.heads) == 1:
+            return action.heads[0]
+        pattern = node.pattern
+        found = []
+        for head in action.heads:
+            if head.goes_with(pattern.datatype) and self._is_fast(pattern, action, head):
+                atoms = [atom.ground(theta) for atom in head.atoms]
+                if node.theta in solutions(atoms, pattern, self.names):
+                    found.append(head)
+        return min(found, key=lambda head: head.latency)
 
     # Demands
 
-    def pattern(self, number: int) -> Pattern:
-        """Return the pattern of a demand."""
-        number = base(number)
-        return self._pattern if number == GOAL else self.library.patterns[number]
+    def makers(self, pattern: Pattern) -> Sequence[Operator]:
+        """Return the actions with in-ports that can supply a pattern, each once."""
+        return list(dict.fromkeys([action for action, _ in self.offers(pattern)]))
 
-    def makers(self, number: int) -> Sequence[int]:
-        """Return the actions with in-ports that can supply a demand, each once."""
-        if self.demand.min_rate or number == GOAL:
-            return list(dict.fromkeys([action for action, _ in self.offers(number)]))
-        found = self.library.makers_of.get(number)
-        if found is None:
-            offers = self.library.offers_to(number)
-            found = tuple(dict.fromkeys([offer.head.action for offer in offers]))
-            self.library.makers_of[number] = found
-        if self._excluded:
-            return [action for action in found if action not in self._excluded]
-        return found
-
-    def offers(self, number: int, known: Known = ()) -> Iterator[Tuple[int, Offer]]:
-        """Yield how actions with in-ports can supply a demand; if names are known, some cannot."""
-        for offer in self._all_offers(number, known):
+    def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Operator, Offer]]:
+        """Yield how makers can supply a pattern; with what is known, some of them cannot."""
+        slow, min_rate = pattern.slow or pattern, self.demand.min_rate
+        if any(known) and self.crowd(pattern) is not None:
+            found: Iterable[Offer] = self.library.look_up(slow, known)
+        else:
+            found = self.library.offers(slow)
+        for offer in found:
             head = offer.head
-            if head.action in self._excluded:
+            if head.action in self._barred:
                 continue
-            if not self.demand.min_rate:
+            if pattern.slow is None or head.rate >= min_rate:
                 yield head.action, offer
-            elif number >= 0:
-                yield head.action, offer
-                yield ~head.action, offer
-            elif not head.rate:
-                yield ~head.action, offer
-            elif head.rate >= self.demand.min_rate:
-                yield head.action, offer
+            if min_rate and (not head.rate or pattern.slow is None):
+                yield self._faster_action(head.action), offer
 
-    def _all_offers(self, number: int, known: Known) -> Tuple[Offer, ...]:
-        number = base(number)
-        if number != GOAL:
-            if any(known) and self.library.many(number) is not None:
-                return self.library.offers(self.library.patterns[number], known)
-            return self.library.offers_to(number)
-        if self._offers is None:
-            self._offers = self.library.offers(self._pattern)
-        return self._offers
-
-    def many(self, number: int) -> Optional[int]:
-        """Return what very many makers that may supply a demand cost at least; None if few may."""
-        number = base(number)
-        found = None if number == GOAL else self.library.many(number)
+    def crowd(self, pattern: Pattern) -> Optional[int]:
+        """Return what very many makers that may supply a pattern cost at least; None for few."""
+        found = self.library.crowd(pattern.slow or pattern)
         return found if found is None else min([found, *self._floors.values()])
 
-    def facts(self, number: int, known: Known) -> Iterator[Tuple[Head, Theta]]:
-        """Yield what supplies a demand and needs nothing, the cheapest first."""
-        pattern = self.pattern(number)
+    def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Head, Theta]]:
+        """Yield what supplies a pattern and needs nothing, the cheapest first."""
         match = matcher(pattern, known, self.names)
         heads: Iterable[Head] = candidates(self.library.facts, pattern, known, self.names)
         if self._local:
             local = candidates(self._local, pattern, known, self.names, is_local=True)
-            heads = heapq.merge(local, self._unchanged(heads), key=_cost)
+            others = (head for head in heads if head.action not in self._floors)
+            heads = heapq.merge(local, others, key=lambda head: head.cost)
         for head in heads:
-            if head.action in self._excluded or not head.goes_with(pattern.datatype):
+            if head.action in self._barred or not head.goes_with(pattern.datatype):
                 continue
-            if number < 0 and head.rate and head.rate < self.demand.min_rate:
-                continue
-            for theta in match(head.atoms):
-                yield head, theta
+            if self._is_fast(pattern, head.action, head):
+                for theta in match(head.atoms):
+                    yield head, theta
 
-    def cheapest_fact(self, number: int) -> Optional[Head]:
-        """Return the cheapest supplier of a demand that needs nothing."""
-        if not self._local and 0 <= number < GOAL:
-            cheapest = self.library.cheapest
-            if number not in cheapest:
-                pattern = self.pattern(number)
-                match = matcher(pattern, (), self.names)
-                cheapest[number] = next(
-                    (
-                        head
-                        for head in candidates(self.library.facts, pattern, (), self.names)
-                        if head.goes_with(pattern.datatype) and match(head.atoms)
-                    ),
-                    None,
-                )
-            found = cheapest[number]
-            if found is None or found.action not in self._excluded:
+    def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
+        """Return the cheapest supplier of a pattern that needs nothing."""
+        if not self._local and pattern.slow is None:
+            found = self.library.cheapest_fact(pattern)
+            if found is None or found.action not in self._barred:
                 return found
-        return next((head for head, _ in self.facts(number, ())), None)
+        return next((head for head, _ in self.facts(pattern)), None)
 
-    def source(self, action: int, theta: Theta, node: Need) -> Head:
-        """Return the out-port with which an instance supplies a node: of several the soonest."""
-        heads = self.heads(action)
-        if len(heads) == 1:
-            return heads[0]
-        pattern = self.pattern(node.number)
-        found = []
-        for head in heads:
-            if not head.goes_with(pattern.datatype):
-                continue
-            if node.number < 0 and action >= 0 and not self._is_fast(action, head):
-                continue
-            atoms = [atom.ground(theta) for atom in head.atoms]
-            if node.theta in solutions(atoms, pattern, self.names):
-                found.append(head)
-        return min(found, key=lambda head: head.latency)
+    def is_met(self, head: Head) -> bool:
+        """Whether a supplier is as good as any."""
+        return not head.cost and (self.limit is None or not head.latency)
 
     def alike(self, pattern: Pattern) -> Iterator[Head]:
         """Yield what may supply a pattern if less were demanded, excluded or not; some may not."""
-        names = self.names
-        loose = pattern._replace(datatype="", types=(NO_TYPES,) * len(pattern.types))
-        library = self.library
+        names, library = self.names, self.library
+        loose = Pattern(pattern.atoms, "", (NO_TYPES,) * len(pattern.types), pattern.wanted)
         found = itertools.chain(
             candidates(library.facts, loose, (), names),
             candidates(library.makers, loose, (), names),
@@ -307,78 +250,44 @@ class Request:
         )
         yield from itertools.islice(found, _MOST_ALIKE)
         for each in self._unusable:
-            yield self._head(*each)
-
-    def is_excluded(self, head: Head) -> bool:
-        """Whether an out-port must not be used."""
-        return head.source.label in self._exclude
-
-    def is_paused(self, head: Head) -> bool:
-        """Whether nothing new is to be made for an out-port."""
-        return not isinstance(head.source, Live) and head.source.label in self._paused
-
-    def is_met(self, head: Head) -> bool:
-        """Whether a supplier is as good as any."""
-        return not head.cost and (self.limit is None or not head.latency)
+            yield self._live_head(Operator(each[0].label, 0, []), *each)
 
     # Inside
 
-    def _is_fast(self, action: int, head: Head) -> bool:
-        """Whether an out-port of an action whose in-ports need not be fast is so."""
-        if not head.rate:
-            return not (action < _LOCAL and self.library.inputs[action])
-        return head.rate >= self.demand.min_rate
+    def _faster(self, pattern: Pattern) -> Pattern:
+        """Return the pattern of the same demand for a fast stream."""
+        found = self._fast.get(pattern)
+        if found is None:
+            found = self._fast[pattern] = Pattern(
+                pattern.atoms, pattern.datatype, pattern.types, pattern.wanted, pattern
+            )
+        return found
 
-    def _unchanged(self, heads: Iterable[Head]) -> Iterator[Head]:
-        changed = self._floors
-        return (head for head in heads if head.action not in changed)
+    def _faster_action(self, action: Operator) -> Operator:
+        found = self._fast_actions.get(action)
+        if found is None:
+            inputs, needs = (tuple(map(self._faster, e)) for e in (action.inputs, action.needs))
+            found = replace(action, inputs=inputs, needs=needs, slow=action)
+            self._fast_actions[action] = found
+        return found
 
-    def _add_streams(
-        self,
-        streams: Sequence[TaggedStream],
-        charges: Mapping[str, int],
-        feeders: Mapping[str, FrozenSet[str]],
-        entries: Dict[Tuple[str, int], Dict[Tuple[Head, Atom], None]],
-    ) -> None:
-        numbers: Dict[str, int] = {}
-        for stream, terms in sorted(streams):
-            name = stream.nodelet or stream.topic
-            action = numbers.setdefault(name, _LOCAL + len(numbers))
-            labels = {stream.label, *feeders.get(stream.nodelet, ())}
-            charge = sum([charges.get(each, 0) for each in labels])
-            head = self._head(stream, terms)._replace(cost=charge, action=action)
-            self._heads[action] = (*self._heads.get(action, ()), head)
-            self.charged[action] = (name, charge)
-            self._floors[action] = charge
-            _enter([head], entries)
+    def _is_fast(self, pattern: Pattern, action: Operator, head: Head) -> bool:
+        """Whether an out-port of an action is as fast as a pattern demands it."""
+        if pattern.slow is None:
+            return True
+        if head.rate:
+            return head.rate >= self.demand.min_rate
+        return action.slow is not None or not action.inputs
 
-    def _head(self, stream: Live, terms: Tuple[Term, ...]) -> Head:
-        ground = tuple([term for term in terms if term.is_ground])
+    def _live_head(self, action: Operator, stream: Live, terms: Tuple[Term, ...]) -> Head:
+        ground = [term for term in terms if term.is_ground]
         return Head(
-            0,
+            action.cost,
             stream,
-            _LOCAL,
+            action,
             tuple(map(str, ground)),
             atoms_of(ground, (), self.names),
             stream.datatype,
-            True,
             stream.rate,
             microseconds(stream.latency),
         )
-
-
-def base(number: int) -> int:
-    """Return the number of a demand or an action, fast or not."""
-    return number if number >= 0 else ~number
-
-
-def _cost(head: Head) -> int:
-    return head.cost
-
-
-def _enter(
-    heads: Iterable[Head], entries: Dict[Tuple[str, int], Dict[Tuple[Head, Atom], None]]
-) -> None:
-    for head in heads:
-        for atom in head.atoms:
-            entries.setdefault((atom.functor, len(atom.args)), {})[head, atom] = None

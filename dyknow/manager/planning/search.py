@@ -3,9 +3,9 @@
 
 """The search over ground instances, which begins at the goal and passes bound names on.
 
-A *node* is a demand under bindings of what is wanted of it; a *subgoal* is a demand of which some
-of these names are known. A subgoal begins all actions that can supply it. Each asks for its
-in-ports one after the other, and what one of them is supplied with is known to the next: so a
+A *node* is a pattern under bindings of what is wanted of it; a *subgoal* is a pattern of which
+some of these names are known. A subgoal begins all actions that can supply it. Each asks for its
+in-ports one after the other, and the names that supply one of them are known to the next: so a
 subgoal is about those individuals alone that the goal can use (F. Bancilhon et al., "Magic sets
 and other strange ways to implement logic programs", PODS 1986).
 
@@ -20,6 +20,7 @@ from __future__ import annotations
 import heapq
 from typing import (
     Any,
+    Callable,
     Dict,
     Iterator,
     List,
@@ -27,15 +28,14 @@ from typing import (
     Optional,
     Sequence,
     Tuple,
-    Union,
 )
 
 from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.library import Head, Offer
-from dyknow.manager.planning.patterns import Known, Theta, Types, agrees, solutions
+from dyknow.manager.planning.library import Head, Offer, Operator
+from dyknow.manager.planning.patterns import Known, Pattern, Theta, solutions
 from dyknow.manager.planning.request import Need, Request
 
-#: Steps of a budget that it takes to go on with something.
+#: Steps of a budget that one entry of the search's queue takes.
 _EFFORT = 200
 
 
@@ -43,7 +43,7 @@ class Instance:
     """An action under bindings; a search has one of each.
 
     Attributes:
-        action: its number.
+        action: what is bound.
         theta: names of its variables.
         cost: what it costs.
         needs: what its in-ports need, in the order written.
@@ -51,20 +51,20 @@ class Instance:
 
     __slots__ = ("action", "cost", "needs", "theta")
 
-    def __init__(self, action: int, theta: Theta, cost: int, needs: Tuple[Need, ...]) -> None:
+    def __init__(self, action: Operator, theta: Theta, cost: int, needs: Tuple[Need, ...]) -> None:
         self.action = action
         self.theta = theta
         self.cost = cost
         self.needs = needs
 
     @property
-    def key(self) -> Tuple[int, Theta]:
-        """What tells it from others."""
+    def key(self) -> Tuple[Operator, Theta]:
+        """Equal for equal instances of several searches."""
         return self.action, self.theta
 
 
-class _Subgoal:
-    """A demand of which some names are known.
+class Subgoal:
+    """A pattern of which some names are known.
 
     Attributes:
         above: what a plan with it costs at least besides.
@@ -73,50 +73,44 @@ class _Subgoal:
         answers: the nodes that were supplied, with their values.
         waiting: the joins that go on with each of them.
         facts: what supplies it and needs nothing.
-        uses: the actions that may supply it: least cost of a plan, label, place, number, and how.
+        uses: the actions that may supply it, the cheapest last: least cost of a plan, label,
+            place, action, and how.
     """
 
-    def __init__(self, number: int, known: Known, above: int) -> None:
-        self.number = number
+    def __init__(self, pattern: Pattern, known: Known, above: int) -> None:
+        self.pattern = pattern
         self.known = known
         self.above = above
-        self.is_bound = all(type(each) is str for each in known)
+        self.is_bound = all(isinstance(each, str) for each in known)
         self.is_done = False
         self.answers: Dict[Need, int] = {}
         self.waiting: List[_Join] = []
         self.facts: Iterator[Tuple[Head, Theta]] = iter(())
-        self.uses: List[Tuple[int, str, int, int, Offer]] = []
+        self.uses: List[Tuple[int, str, int, Operator, Offer]] = []
 
 
-class _Use:
+class _Use(NamedTuple):
     """An action that is to supply a subgoal.
 
     Attributes:
-        label: its transformation.
-        cost: what it costs at least.
-        inputs: what its in-ports demand.
-        variables: those of each in-port.
-        order: the in-ports in the order in which they are asked for; empty before the first.
+        subgoal: what it is to supply.
+        action: which one.
+        offer: how.
+        order: the in-ports in the order in which they are asked for.
         rest: what the in-ports from each place of that order on cost at least.
     """
 
-    def __init__(self, request: Request, subgoal: _Subgoal, action: int, offer: Offer) -> None:
-        self.subgoal = subgoal
-        self.action = action
-        self.offer = offer
-        self.label = request.label(action)
-        self.cost = request.floor(action)
-        self.inputs = request.inputs(action)
-        self.variables: Sequence[Tuple[int, ...]] = ()
-        self.order: Sequence[int] = ()
-        self.rest: List[int] = []
+    subgoal: Subgoal
+    action: Operator
+    offer: Offer
+    order: Sequence[int]
+    rest: Sequence[int]
 
 
 class _Join(NamedTuple):
-    """An action whose first in-ports are supplied: how many, with what names, cost and nodes."""
+    """An action whose first in-ports are supplied: with what names, cost and nodes."""
 
     use: _Use
-    step: int
     bounds: Known
     value: int
     nodes: Tuple[Need, ...]
@@ -126,6 +120,7 @@ class Search:
     """Finds the cheapest tree, or everything that plans of less than some cost can have.
 
     Attributes:
+        goal: the subgoal of the goal.
         value: what each node costs.
         chosen: what supplies it so.
         offers: all that supplies it, if that is collected.
@@ -137,7 +132,7 @@ class Search:
         self,
         request: Request,
         bounds: Bounds,
-        least: Dict[int, int],
+        least: Dict[Pattern, int],
         use_sum: bool = True,
         below: Optional[int] = None,
     ) -> None:
@@ -146,34 +141,34 @@ class Search:
         Args:
             request: the problem.
             bounds: what the goal can reach.
-            least: what the demands cost at least that it reaches; others cannot be supplied.
+            least: what the patterns cost at least that it reaches; others cannot be supplied.
             use_sum: use the sum over the inputs; else the maximum, which no plan is below.
             below: collect all that a plan which costs less can have.
         """
         self._request = request
+        self._names = request.names
         self._least = least
-        self._use_sum = use_sum
+        self._combine: Callable[[List[int]], int] = sum if use_sum else max
         self._users = bounds.users
-        #: What a plan costs at least besides each demand, and others; by default that is found.
-        self._above: Optional[Dict[int, int]] = None
+        self._below = below
+        #: What a plan costs at least besides each pattern, and others; by default that is found.
+        self._above: Optional[Dict[Pattern, int]] = None
         self._above_others = 0
         if below is not None:
             self._above, self._above_others = bounds.above(least, below)
-        self._below = below
-        self._collects = below is not None
         self.value: Dict[Need, int] = {}
         self.chosen: Dict[Need, Instance] = {}
         self.offers: Dict[Need, Dict[Instance, None]] = {}
-        self.subgoals: Dict[Tuple[int, Known], _Subgoal] = {}
+        self._subgoals: Dict[Tuple[Pattern, Known], Subgoal] = {}
         self.is_complete = True
         self.reached = 0
         self._best: Dict[Need, int] = {}
-        #: The subgoals of each demand, by the places and names that are known exactly, and types.
-        self._listeners: Dict[int, Dict[Any, Dict[Tuple[str, ...], _Subgoal]]] = {}
+        #: The subgoals of each pattern, by the places and names that are known exactly, and types.
+        self._listeners: Dict[Pattern, Dict[Any, Dict[Theta, Subgoal]]] = {}
         self._heap: List[Tuple[Any, ...]] = []
         self._pushed = 0
-        self._instances: Dict[Tuple[int, Theta], Instance] = {}
-        known = (None,) * len(request.pattern(request.goal).wanted)
+        self._instances: Dict[Tuple[Operator, Theta], Instance] = {}
+        known = (None,) * len(request.goal.wanted)
         self.goal = self._ask(request.goal, known, least.get(request.goal, 0))
 
     def run(self, steps: int, is_all: bool = False) -> int:
@@ -187,65 +182,71 @@ class Search:
             The steps that are left.
         """
         heap, goal = self._heap, self.goal
-        while heap and (is_all or self._collects or not goal.answers):
+        is_all = is_all or self._below is not None
+        while heap and (is_all or not goal.answers):
+            self.reached = heap[0][0]
             if self._pushed * _EFFORT > steps:
                 self.is_complete = False
-                self.reached = heap[0][0]
                 break
-            key, _, _, _, _, item, more = heapq.heappop(heap)
-            self.reached = key
-            if type(item) is _Subgoal:
-                if more is None:
-                    self._next_use(item, key)
-                else:
-                    self._next_fact(item, more)
-            elif type(item) is _Join:
-                if self._collects or not item.use.subgoal.is_done:
-                    self._go_on(item, key)
-            else:
-                self._supply(item, *more)
+            *_, go_on, details = heapq.heappop(heap)
+            go_on(*details)
         return max(0, steps - self._pushed * _EFFORT)
 
-    def can_be(self, number: int) -> bool:
-        """Whether a demand could be supplied if no names were shared."""
-        return number in self._least or number not in self._users
+    def can_be(self, pattern: Pattern) -> bool:
+        """Whether a pattern could be supplied if no names were shared."""
+        return pattern in self._least or pattern not in self._users
 
-    def answers(self, number: int, known: Known) -> List[Need]:
+    def answers(self, pattern: Pattern, known: Known) -> List[Need]:
         """Return the nodes that were supplied for a subgoal."""
-        found = self.subgoals.get((number, known))
+        found = self._subgoals.get((pattern, known))
         return list(found.answers) if found is not None else []
+
+    def _push(
+        self,
+        key: int,
+        subgoal: Subgoal,
+        label: str,
+        theta: Tuple[str, ...],
+        go_on: Callable[..., None],
+        *details: Any,
+    ) -> None:
+        """Put off a step for a subgoal until its turn: what a plan with it costs at least."""
+        if self._below is None or key < self._below:
+            self._pushed += 1
+            entry = (key, subgoal.above, label, theta, self._pushed, go_on, details)
+            heapq.heappush(self._heap, entry)
 
     # Subgoals
 
-    def _ask(self, number: int, known: Known, key: int) -> _Subgoal:
+    def _ask(self, pattern: Pattern, known: Known, key: int) -> Subgoal:
         """Return a subgoal, which is begun if it is new.
 
         Args:
-            number: the demand.
+            pattern: the demand.
             known: what is known of its names.
             key: what a plan that needs it costs at least.
         """
-        found = self.subgoals.get((number, known))
+        found = self._subgoals.get((pattern, known))
         if found is not None:
             return found
         if self._above is not None:
-            above = self._above.get(number, self._above_others)
+            above = self._above.get(pattern, self._above_others)
         else:
-            above = key - self._least.get(number, 0)
-        subgoal = self.subgoals[number, known] = _Subgoal(number, known, above)
-        mask = tuple([at for at, each in enumerate(known) if type(each) is str])
-        types = tuple([(at, each) for at, each in enumerate(known) if type(each) is frozenset])
-        names = tuple([known[at] for at in mask])
-        tables = self._listeners.setdefault(number, {})
-        tables.setdefault((mask, types), {})[names] = subgoal  # type: ignore[index]
+            above = key - self._least.get(pattern, 0)
+        subgoal = self._subgoals[pattern, known] = Subgoal(pattern, known, above)
+        places = [at for at, each in enumerate(known) if isinstance(each, str)]
+        types = tuple([(at, e) for at, e in enumerate(known) if isinstance(e, frozenset)])
+        names: Theta = tuple([known[at] for at in places])  # type: ignore[misc]
+        tables = self._listeners.setdefault(pattern, {})
+        tables.setdefault((tuple(places), types), {})[names] = subgoal
         if subgoal.is_bound:
-            node = Need(number, known)  # type: ignore[arg-type]
+            node = Need(pattern, names)
             if node in self.value:
                 subgoal.answers[node] = self.value[node]
-                subgoal.is_done = True
-                if not self._collects:
+                subgoal.is_done = self._below is None
+                if subgoal.is_done:
                     return subgoal
-        subgoal.facts = self._request.facts(number, known)
+        subgoal.facts = self._request.facts(pattern, known)
         fact = next(subgoal.facts, None)
         if fact is not None:
             self._push_fact(subgoal, *fact)
@@ -255,213 +256,168 @@ class Search:
         self._push_use(subgoal)
         return subgoal
 
-    def _push_fact(self, subgoal: _Subgoal, head: Head, theta: Theta) -> None:
+    def _push_fact(self, subgoal: Subgoal, head: Head, theta: Theta) -> None:
         key = subgoal.above + head.cost
-        if self._below is None or key < self._below:
-            self._push(key, subgoal.above, head.source[0], theta, subgoal, (head, theta))
+        self._push(key, subgoal, head.source[0], theta, self._take_fact, subgoal, head, theta)
 
-    def _next_fact(self, subgoal: _Subgoal, fact: Tuple[Head, Theta]) -> None:
-        head, theta = fact
-        if subgoal.is_done and not self._collects:
+    def _take_fact(self, subgoal: Subgoal, head: Head, theta: Theta) -> None:
+        if subgoal.is_done:
             return
         instance = self._instance(head.action, (), head.cost, ())
-        self._supply(instance, subgoal, Need(subgoal.number, theta), head.cost)
-        if not subgoal.is_done or self._collects:
+        self._supply(instance, subgoal, Need(subgoal.pattern, theta), head.cost)
+        if not subgoal.is_done:
             more = next(subgoal.facts, None)
             if more is not None:
                 self._push_fact(subgoal, *more)
 
-    def _list_uses(self, subgoal: _Subgoal) -> None:
-        """List the actions that may supply a subgoal, the cheapest last."""
-        request, least, users = self._request, self._least, self._users
-        use_sum, below, above = self._use_sum, self._below, subgoal.above
-        found = subgoal.uses
-        for action, offer in request.offers(subgoal.number, subgoal.known):
-            floors = []
-            for each in request.inputs(action):
-                floor = least.get(each)
-                if floor is None:
-                    if each in users:
-                        break
-                    floor = 0
-                floors.append(floor)
-            else:
-                key = above + request.floor(action) + (sum(floors) if use_sum else max(floors))
-                if below is None or key < below:
-                    found.append((key, request.label(action), len(found), action, offer))
-        found.sort(reverse=True)
+    def _list_uses(self, subgoal: Subgoal) -> None:
+        request, least, users, combine = (
+            self._request,
+            self._least,
+            self._users,
+            self._combine,
+        )
+        for action, offer in request.offers(subgoal.pattern, subgoal.known):
+            floors = [least.get(each, -1 if each in users else 0) for each in action.inputs]
+            if -1 not in floors:
+                key = subgoal.above + request.floor(action) + combine(floors)
+                if self._below is None or key < self._below:
+                    place = len(subgoal.uses)
+                    subgoal.uses.append((key, action.label, place, action, offer))
+        subgoal.uses.sort(reverse=True)
 
-    def _push_use(self, subgoal: _Subgoal) -> None:
+    def _push_use(self, subgoal: Subgoal) -> None:
         if subgoal.uses:
             key, label = subgoal.uses[-1][:2]
-            self._push(key, subgoal.above, label, (), subgoal, None)
+            self._push(key, subgoal, label, (), self._begin_use, subgoal)
 
-    def _next_use(self, subgoal: _Subgoal, key: int) -> None:
+    def _begin_use(self, subgoal: Subgoal) -> None:
         """Begin the cheapest action that is left to supply a subgoal."""
-        if subgoal.is_done and not self._collects:
+        if subgoal.is_done:
             return
-        _, _, _, action, offer = subgoal.uses.pop()
+        key, _, _, action, offer = subgoal.uses.pop()
         self._push_use(subgoal)
-        bounds = self.passed(subgoal.known, offer)
+        bounds = self.passed(subgoal.pattern, subgoal.known, offer)
         if bounds is not None:
-            join = _Join(_Use(self._request, subgoal, action, offer), 0, bounds, 0, ())
-            self._order(join)
-            self._go_on(join, key)
+            order = self.order(action, bounds)
+            floors = [self._least.get(action.inputs[port], 0) for port in order]
+            rest = [self._combine([*floors[at:], 0]) for at in range(len(floors) + 1)]
+            self._go_on(_Join(_Use(subgoal, action, offer, order, rest), bounds, 0, ()), key)
 
-    def passed(self, known: Known, offer: Offer) -> Optional[Known]:
+    def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Optional[Known]:
         """Return what is known of the variables of an action that supplies a subgoal.
 
         Returns:
             That, or None if the action cannot supply it.
         """
-        names = self._request.names
-        fixed = offer.solutions if known else None
-        if fixed is not None and not any(agrees(theta, known, names) for theta in fixed):
-            return None
-        if not offer.types:
-            rule = self._request.library.rules.get(offer.head.action)
-            return (None,) * len(rule.variables) if rule is not None else ()
-        if not any(offer.types) and not any(known):
-            return (None,) * len(offer.types)
-        bounds: List[Any] = list(map(names.is_known, offer.types))
+        names = self._names
+        if offer.places is None and offer.head.is_ground:
+            found = solutions(offer.head.atoms, pattern, names)
+            if not any(names.agrees(theta, known) for theta in found):
+                return None
+        bounds = list(map(names.known, offer.types))
         for place, each in zip(offer.places or (), known):
-            if each is None:
-                continue
-            if isinstance(place, str):
-                if not agrees((place,), (each,), names):
-                    return None
-                continue
-            old = bounds[place]
-            if old is None:
-                bounds[place] = each
-            elif isinstance(old, str):
-                if not agrees((old,), (each,), names):
-                    return None
-            elif isinstance(each, str):
-                if not names.fits(each, old):
-                    return None
-                bounds[place] = each
-            else:
-                bounds[place] = names.narrowed(old | each)
-        if names.is_plain and any(type(each) is frozenset for each in bounds):
-            return None  # of two different names
-        return tuple(bounds)
+            if isinstance(place, int):
+                bounds[place] = names.both(bounds[place], each)
+            elif not names.agrees((place,), (each,)):
+                return None
+        return None if "" in bounds else tuple(bounds)
 
     # Joins
 
-    def _push_join(self, join: _Join, key: int) -> None:
-        use = join.use
-        if self._below is None or key < self._below:
-            known = tuple([each for each in join.bounds if type(each) is str])
-            self._push(key, use.subgoal.above, use.label, known, join, None)
-
     def _go_on(self, join: _Join, key: int) -> None:
         """Ask for the next in-port of an action."""
-        use = join.use
-        port = use.order[join.step]
-        known = tuple([join.bounds[each] for each in use.variables[port]])
-        subgoal = self._ask(use.inputs[port], known, key)
+        use, bounds = join.use, join.bounds
+        if use.subgoal.is_done:
+            return
+        port = use.order[len(join.nodes)]
+        known = tuple([bounds[each] for each in use.action.shares[port]])
+        subgoal = self._ask(use.action.inputs[port], known, key)
         if not subgoal.is_done:
             subgoal.waiting.append(join)
         for node, value in subgoal.answers.items():
             self._extend(join, node, value)
 
-    def _order(self, join: _Join) -> None:
-        """Choose the order in which an action asks for its in-ports."""
-        use = join.use
-        use.variables = self._request.variables(use.action)
-        use.order = self.order(use.action, join.bounds)
-        rest = [0]
-        for port in reversed(use.order):
-            floor = self._least.get(use.inputs[port], 0)
-            rest.append(rest[-1] + floor if self._use_sum else max(rest[-1], floor))
-        use.rest = rest[::-1]
-
-    def order(self, action: int, bounds: Known) -> Sequence[int]:
+    def order(self, action: Operator, bounds: Known) -> Sequence[int]:
         """Return the order of an action's in-ports: each time the one of which most is known."""
-        variables = self._request.variables(action)
-        left = list(range(len(variables)))
+        left = list(range(len(action.shares)))
         if len(left) < 2:
             return left
         order: List[int] = []
         bound = {at for at, each in enumerate(bounds) if self._is_one(each)}
+
+        def rank(port: int) -> Tuple[bool, int, int]:
+            free = sum([each not in bound for each in action.shares[port]])
+            is_open = 0 < free == len(action.shares[port])
+            return is_open, free, port
+
         while left:
-
-            def rank(port: int) -> Tuple[bool, int, int]:
-                free = sum([each not in bound for each in variables[port]])
-                is_open = 0 < free == len(variables[port])
-                return is_open, free, port
-
-            best = min(left, key=rank)
-            order.append(best)
-            left.remove(best)
-            bound.update(variables[best])
+            order.append(min(left, key=rank))
+            left.remove(order[-1])
+            bound.update(action.shares[order[-1]])
         return order
 
-    def _is_one(self, known: Union[None, str, Types]) -> bool:
+    def _is_one(self, known: Any) -> bool:
         """Whether what is known of a variable leaves one name at most."""
         if isinstance(known, frozenset):
-            return len(self._request.names.below(known)) < 2
+            return len(self._names.below(known)) < 2
         return known is not None
 
     def _extend(self, join: _Join, node: Need, value: int) -> None:
         """Go on with a join when its next in-port is supplied."""
-        use, step, bounds, before, nodes = join
+        use, bounds, before, nodes = join
         more = list(bounds)
-        for variable, name in zip(use.variables[use.order[step]], node.theta):
+        for variable, name in zip(use.action.shares[use.order[len(nodes)]], node.theta):
             more[variable] = name
-        total = before + value if self._use_sum else max(before, value)
-        step += 1
-        joined = _Join(use, step, tuple(more), total, (*nodes, node))
-        if step < len(use.order):
-            rest = use.rest[step]
-            floor = total + rest if self._use_sum else max(total, rest)
-            self._push_join(joined, use.subgoal.above + use.cost + floor)
+        total = self._combine([before, value])
+        joined = _Join(use, tuple(more), total, (*nodes, node))
+        if len(joined.nodes) < len(use.order):
+            rest = self._combine([total, use.rest[len(joined.nodes)]])
+            key = use.subgoal.above + self._request.floor(use.action) + rest
+            theta = tuple([each for each in more if isinstance(each, str)])
+            self._push(key, use.subgoal, use.action.label, theta, self._go_on, joined, key)
         else:
             self._finish(joined)
 
     def _finish(self, join: _Join) -> None:
         """Let an action under bindings wait for its turns to supply nodes."""
-        request, use = self._request, join.use
+        request, subgoal = self._request, join.use.subgoal
+        _, action, offer, order, _ = join.use
         theta: Theta = join.bounds  # type: ignore[assignment]
-        cost = request.cost(use.action, theta)
-        nodes = tuple([node for _, node in sorted(zip(use.order, join.nodes))])
-        instance = self._instance(use.action, theta, cost, nodes)
+        cost = request.cost(action, theta)
+        nodes = tuple([node for _, node in sorted(zip(order, join.nodes), key=lambda e: e[0])])
+        instance = self._instance(action, theta, cost, nodes)
         value = join.value + cost
-        subgoal = use.subgoal
-        number, offer = subgoal.number, use.offer
         found: Sequence[Theta]
-        if offer.solutions is not None:
-            found = offer.solutions
-        elif offer.places is not None:
-            found = [tuple([e if type(e) is str else theta[e] for e in offer.places])]  # type: ignore[index]
+        if offer.places is not None:
+            found = [tuple([e if isinstance(e, str) else theta[e] for e in offer.places])]
         else:
             atoms = [atom.ground(theta) for atom in offer.head.atoms]
-            found = solutions(atoms, request.pattern(number), request.names)
-        key = subgoal.above + value
+            found = solutions(atoms, subgoal.pattern, self._names)
         for each in found:
-            if not agrees(each, subgoal.known, request.names):
+            node = Need(subgoal.pattern, each)
+            if not self._names.agrees(each, subgoal.known):
                 continue
-            node = Need(number, each)
-            if self._below is not None:
-                if key >= self._below:
+            if self._below is None:
+                if node in subgoal.answers or self._best.get(node, value) < value:
                     continue
-            elif node in subgoal.answers or self._best.get(node, value) < value:
-                continue
-            self._best[node] = value
-            more = subgoal, node, value
-            self._push(key, subgoal.above, use.label, theta, instance, more)
+                self._best[node] = value
+            key = subgoal.above + value
+            details = instance, subgoal, node, value
+            self._push(key, subgoal, action.label, theta, self._supply, *details)
 
-    def _instance(self, action: int, theta: Theta, cost: int, needs: Tuple[Need, ...]) -> Instance:
+    def _instance(
+        self, action: Operator, theta: Theta, cost: int, needs: Tuple[Need, ...]
+    ) -> Instance:
         key = action, theta
         found = self._instances.get(key)
         if found is None:
             found = self._instances[key] = Instance(action, theta, cost, needs)
         return found
 
-    def _supply(self, instance: Instance, subgoal: _Subgoal, node: Need, value: int) -> None:
+    def _supply(self, instance: Instance, subgoal: Subgoal, node: Need, value: int) -> None:
         """Supply a node of a subgoal; the first time is the cheapest."""
-        if self._collects:
+        if self._below is not None:
             self.offers.setdefault(node, {})[instance] = None
         if node in self.value:
             if node not in subgoal.answers:
@@ -469,22 +425,18 @@ class Search:
             return
         self.value[node] = value
         self.chosen[node] = instance
-        theta, fits = node.theta, self._request.names.fits
-        for (mask, types), table in self._listeners[node.number].items():
-            found = table.get(tuple([theta[at] for at in mask]))
-            if found is not None and all(fits(theta[at], each) for at, each in types):
+        theta = node.theta
+        for (places, types), table in self._listeners[node.pattern].items():
+            found = table.get(tuple([theta[at] for at in places]))
+            if found is not None and all(self._names.fits(theta[at], each) for at, each in types):
                 self._answer(found, node, value)
 
-    def _answer(self, subgoal: _Subgoal, node: Need, value: int) -> None:
+    def _answer(self, subgoal: Subgoal, node: Need, value: int) -> None:
         """Let the joins that wait for a subgoal go on with a node of it."""
         subgoal.answers[node] = value
         waiting = subgoal.waiting
         if subgoal.is_bound:
-            subgoal.is_done = True
             subgoal.waiting = []
+            subgoal.is_done = self._below is None
         for join in waiting:
             self._extend(join, node, value)
-
-    def _push(self, key: int, above: int, label: str, theta: Theta, item: Any, more: Any) -> None:
-        self._pushed += 1
-        heapq.heappush(self._heap, (key, above, label, theta, self._pushed, item, more))

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.errors import InvalidTag
-from dyknow.manager.planning.library import LibraryWriter
-from dyknow.manager.planning.problem import Demand, meets
-from dyknow.manager.planning.request import Request
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Demand, Plan, meets
 from dyknow.manager.specifications.tags import (
     Term,
     matches,
@@ -105,9 +104,8 @@ WANTED = st.builds(Term, NAMES, WANTED_ARGS, NO_TYPES)
 def test_the_library_finds_what_matching_says(offers, tags, datatype) -> None:  # type: ignore[no-untyped-def]
     ontology = Kinds()
     demand = Demand(tags, datatype)
-    writer = LibraryWriter(ontology)
-    writer.change(
-        (),
+    planner = Planner(ontology)
+    planner.add(
         [
             Transformation(
                 str(number), "p/X", ports=(Port("out", OUT, kind, tuple(map(str, terms))),)
@@ -122,9 +120,11 @@ def test_the_library_finds_what_matching_says(offers, tags, datatype) -> None:  
     }
 
     def found() -> Set[str]:
-        request = Request(writer.library, demand, ())
-        return {head.source.label for head, _ in request.facts(request.goal, ())}
+        labels: Set[str] = set()
+        while isinstance(answer := planner.plan(demand, exclude=labels), Plan):
+            labels.add(answer.goal.label)
+        return labels
 
     assert found() == expected
-    writer.change([str(number) for number in range(0, len(offers), 2)], ())
+    planner.remove(*[str(number) for number in range(0, len(offers), 2)])
     assert found() == {label for label in expected if int(label) % 2}

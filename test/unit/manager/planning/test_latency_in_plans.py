@@ -174,3 +174,19 @@ def test_latencies_of_what_is_gone_are_forgotten() -> None:
     planner.add([make("network", ["Image(field)"], "Ball(field)", 1, 0.0)])
     answer = planner.plan(Demand(frozenset((parse_tag("Ball(field)"),)), max_age=0.05))
     assert labels(answer) == ["camera", "network"]
+
+
+def test_of_several_out_ports_one_supplies_that_is_fast_enough() -> None:
+    """An out-port that states no rate is as fast as its inputs; a slow one beside it is not."""
+    ports = (
+        Port("in", "in", "", ("Raw(field)",)),
+        Port("preview", "out", "", ("Image(field)",), 5.0),
+        Port("whole", "out", "", ("Image(field)",), 0.0, 0.02),
+    )
+    planner = Planner()
+    planner.add(
+        [make("camera", [], "Raw(field)", 1, 0.0), Transformation("filter", "p/F", ports=ports)]
+    )
+    answer = planner.plan(Demand(frozenset((parse_tag("Image(field)"),)), min_rate=10.0))
+    assert isinstance(answer, Plan)
+    assert answer.goal.port == "whole"

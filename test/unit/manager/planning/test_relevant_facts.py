@@ -10,8 +10,10 @@ from typing import List
 
 import pytest
 
-from dyknow.manager.planning import library, planner
+from dyknow.manager.planning import planner
 from dyknow.manager.planning.bounds import Bounds
+from dyknow.manager.planning.library import OperatorIndex, Reader
+from dyknow.manager.planning.patterns import Names
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, NoPlan, Plan
 from dyknow.manager.planning.request import Request
@@ -36,9 +38,9 @@ def made(label: str, needs: str, supplied: str, cost: int = 1) -> Transformation
 
 def looked_at(large: PlanningLibrary, tag: str) -> int:
     """Return how many actions and instances it took to plan."""
-    writer = library.LibraryWriter(NO_ONTOLOGY)
-    writer.change((), large.transformations)
-    request = Request(writer.library, wanted(tag), ())
+    names = Names(NO_ONTOLOGY)
+    actions = list(map(Reader(names).read, large.transformations))
+    request = Request(OperatorIndex(names, {}, {}, {}).changed((), actions), wanted(tag), ())
     bounds = Bounds(request)
     search = Search(request, bounds, bounds.least()[0])
     left = search.run(_MANY_STEPS)

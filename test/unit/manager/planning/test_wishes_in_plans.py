@@ -15,8 +15,16 @@ from unit.manager.planning.random_problems import Kinds, random_problem
 from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Demand, Live, NoPlan, Plan, TaggedStream, Wishes
-from dyknow.manager.planning.wishes import AVOIDED, NOT_PREFERRED
+from dyknow.manager.planning.problem import (
+    AVOIDED,
+    NOT_PREFERRED,
+    Demand,
+    Live,
+    NoPlan,
+    Plan,
+    TaggedStream,
+    Wishes,
+)
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 
