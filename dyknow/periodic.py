@@ -1,30 +1,37 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Threads that work in rounds: once in a period, and at once when they are woken.
+"""Threads that work in rounds, pools of threads, queues of events, and the clocks that they use.
 
-A thread of DyKnow is one of three kinds: a `PeriodicWorker`, one of a pool
-(`dyknow.workers.Workers`), or a single call in the background (`in_background`), for a call that
-may block for so long that it would keep a pool from its work. All three have the same boundary:
-what the work raises is logged with its traceback, and the thread goes on.
+A thread of DyKnow is one of three kinds: a `PeriodicWorker`, one of a pool (`Workers`), or a
+single call in the background (`in_background`), for a call that may block for so long that it
+would keep a pool from its work. All three have the same boundary: an exception of the work is
+logged with its traceback, and the thread goes on.
 """
 
 from __future__ import annotations
 
 import logging
+import queue
 import threading
 import time
-from typing import Callable, Optional, TypeVar, Union
+from collections import deque
+from typing import Callable, Deque, Generic, Optional, TypeVar, Union
 
 from dyknow.errors import DyKnowError
-from dyknow.locks import state_condition
+from dyknow.locks import state_condition, state_lock
 
 #: Least seconds between two rounds of a worker, however often it is woken.
 PAUSE = 0.05
 #: Seconds until a round that failed is repeated.
 RETRY = 0.5
+#: Seconds between two ticks of a running clock.
+_TICK = 0.1
+#: Seconds that count at most between two of its readings; longer gaps are pauses of the process.
+LONGEST_TICK = 0.3
 
 T = TypeVar("T")
+Event = TypeVar("Event")
 Period = Union[None, float, Callable[[], Optional[float]]]
 """Seconds between two rounds, None for no round before the worker is woken, or a function that
 returns one of these."""
@@ -192,3 +199,101 @@ class PeriodicWorker:
                 if left is not None and left <= 0.0:
                     return
                 self._clock.wait(self._changed, left)
+
+
+class Workers:
+    """A few daemon threads on one queue, first in, first out."""
+
+    def __init__(self, what: str, count: int) -> None:
+        """Start ``count`` threads, with the name of their work for the log."""
+        self._what = what
+        self._queue: queue.SimpleQueue[Optional[Callable[[], object]]] = queue.SimpleQueue()
+        self._closed = False
+        self._threads = [in_background(f"{what} {n}", self._run) for n in range(count)]
+
+    def run(self, work: Callable[[], object]) -> None:
+        """Call ``work`` soon; does not wait for it."""
+        self._queue.put(work)
+
+    def close(self, timeout: float = 0.0) -> None:
+        """Start no further work; wait at most ``timeout`` s for running work."""
+        self._closed = True
+        for _ in self._threads:
+            self._queue.put(None)
+        deadline = time.monotonic() + timeout
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+    def _run(self) -> None:
+        while True:
+            work = self._queue.get()
+            if work is None or self._closed:
+                return
+            attempt(self._what, work)
+
+
+class EventQueue(Generic[Event]):
+    """Passes events to a listener, one at a time and in order, outside the locks of the sender.
+
+    Safe from any thread.
+    """
+
+    def __init__(self, listener: Callable[[Event], None]) -> None:
+        """Start empty; ``listener`` is called with each event."""
+        self.listener = listener
+        self._state_lock = state_lock("event queue")
+        self._events: Deque[Event] = deque()
+        self._delivering = False
+
+    def add(self, event: Event) -> None:
+        """Append an event; called under the lock that decides the order."""
+        with self._state_lock:
+            self._events.append(event)
+
+    def deliver(self) -> None:
+        """Pass all events to the listener, unless another thread does; called under no lock."""
+        while True:
+            with self._state_lock:
+                if self._delivering or not self._events:
+                    return
+                event = self._events.popleft()
+                self._delivering = True
+            try:
+                self.listener(event)
+            finally:
+                with self._state_lock:
+                    self._delivering = False
+
+
+class RunningClock:
+    """Seconds for which this process has run; safe from any thread.
+
+    A process that was stopped has received no messages meanwhile, so the silence of its peers
+    means nothing. By this clock they still have their time to answer when the process goes on.
+    """
+
+    def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
+        """Start at 0; it stands still between readings that are far apart.
+
+        Args:
+            steady: steady time, in seconds.
+        """
+        self._steady = steady
+        self._state_lock = state_lock("running clock")
+        self._last = steady()
+        self._run = 0.0
+
+    def __call__(self) -> float:
+        """Return the time."""
+        with self._state_lock:
+            now = self._steady()
+            self._run += min(now - self._last, LONGEST_TICK)
+            self._last = now
+            return self._run
+
+    @classmethod
+    def started(cls) -> RunningClock:
+        """Return a clock that a thread keeps going for as long as the process runs."""
+        clock = cls()
+        PeriodicWorker("the clock of this process", clock, _TICK).start()
+        return clock

@@ -15,7 +15,7 @@ from typing import Any, Callable, Deque, TypeVar, cast
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError
-from dyknow.workers import Workers
+from dyknow.periodic import Workers
 from dyknow_rqt.graph.filters import BadFilter
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")

@@ -19,9 +19,9 @@ from typing import Any, Callable, Dict, Iterable, Optional, Tuple, Union
 import rospy
 
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused, StreamRefused
-from dyknow.event_queue import EventQueue
 from dyknow.locks import state_condition
 from dyknow.model.streams import Acquisition, ClaimState, StreamEvent, StreamRequest, StreamStatus
+from dyknow.periodic import EventQueue
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
 from dyknow.ros.stream_session import StreamSession
 

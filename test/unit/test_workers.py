@@ -10,7 +10,7 @@ from typing import List
 
 import pytest
 
-from dyknow.workers import Workers
+from dyknow.periodic import Workers
 
 PATIENCE = 10.0
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from dyknow.errors import UnknownClaim
-from dyknow.event_queue import EventQueue
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.claim import Claim, ClaimEvent, Moment
 from dyknow.manager.store import MEANINGLESS, Store
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.periodic import EventQueue
 
 #: Seconds for which this process must have stood still, for leases to outlast it.
 _PAUSE = 1.0

@@ -31,7 +31,7 @@ from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
-from dyknow.periodic import PeriodicWorker
+from dyknow.periodic import PeriodicWorker, RunningClock, Workers
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
@@ -51,8 +51,6 @@ from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
-from dyknow.running_clock import started
-from dyknow.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
@@ -86,7 +84,7 @@ class ManagerNode(Closable):
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         master = self._master = Master(node)
-        running = self._running = started()
+        running = self._running = RunningClock.started()
         context = PeerContext(
             master,
             settings.guards,

@@ -17,11 +17,11 @@ from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
 from dyknow.manager.host import ManagerState
 from dyknow.model.graph import NodeletKind
+from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting import grants
 from dyknow.ros.hosting.grants import DURATION, GUARDS_PERIOD, Guarding, Lease, PeerContext
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceLost
-from dyknow.running_clock import LONGEST, RunningClock
 
 LONG = 30.0
 
@@ -122,7 +122,7 @@ def test_a_pause_of_the_manager_does_not_count() -> None:
         steady.time += 0.1
         running()
     steady.time += 10.0  # it was stopped
-    assert running() == pytest.approx(1.0 + LONGEST)
+    assert running() == pytest.approx(1.0 + LONGEST_TICK)
 
 
 class Parameters(Master):
