@@ -204,16 +204,7 @@ class Subscription:
         options: Dict[str, Any],
         owner: str = "",
     ) -> None:
-        """Describe a subscription.
-
-        Args:
-            datatype: message class.
-            queue_size: messages that wait at most; None or 0 for no bound, as in rospy.
-            strand: runs the callbacks.
-            failed: called with an error of a callback.
-            options: further arguments for the registration outside.
-            owner: name of the nodelet.
-        """
+        """Describe a subscription; ``failed`` is called with the errors of its callbacks."""
         self.datatype = datatype
         self.queue_size = queue_size
         self.strand = strand
@@ -233,12 +224,7 @@ class Subscription:
         return self.connection.topic if self.connection is not None else ""
 
     def add(self, callback: Callback, adapt: Callable[[Any, Receive], Receive]) -> int:
-        """Call this back too; returns the number of the callback.
-
-        Args:
-            callback: the function and its arguments after the message.
-            adapt: as ``Transport.adapt``.
-        """
+        """Call this back too; returns the number of the callback."""
         self.callbacks = (*self.callbacks, callback)
         function, args = callback
         alone = len(self.callbacks) == 1 and not args
@@ -284,19 +270,7 @@ class Publication:
         age_of: Callable[[Any], Optional[float]] = lambda message: None,
         owner: str = "",
     ) -> None:
-        """Describe a publication.
-
-        Args:
-            datatype: message class.
-            latch: whether the last message is kept for later subscriptions.
-            queue_size: bound for each slow subscriber outside.
-            build: makes a message from its class and fields, as ``Transport.build``.
-            clock: steady seconds, for the statistics.
-            refusal: makes the exception that a publish raises after the end.
-            options: further arguments for the registration outside.
-            age_of: returns the age of a message, as ``Transport.age_of``.
-            owner: name of the nodelet.
-        """
+        """Describe a publication; ``refusal`` makes the exception of a publish after its end."""
         self.datatype = datatype
         self.latch = latch
         self.queue_size = queue_size

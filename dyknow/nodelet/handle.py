@@ -271,16 +271,7 @@ class Service(Closable):
         concurrent: bool,
         options: Dict[str, Any],
     ) -> None:
-        """Offer a service under a global name.
-
-        Args:
-            context: the nodelet that answers.
-            resolved_name: global name.
-            service_class: class with the request and response types.
-            handler: makes the response of a request, with rospy's rules for its result.
-            concurrent: whether calls may overlap with each other and with other callbacks.
-            options: further arguments for ``rospy.Service``.
-        """
+        """Offer a service under a global name."""
         self.resolved_name = resolved_name
         self.service_class = service_class
         self.handler = handler

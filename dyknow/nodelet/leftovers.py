@@ -62,11 +62,7 @@ class _Leftover:
 
 
 class Leftovers:
-    """The nodelets of one loader that were unloaded and are not gone yet.
-
-    Args:
-        give_back: returns free memory to the system, after unloads.
-    """
+    """The nodelets of one loader that were unloaded and are not gone yet."""
 
     def __init__(self, give_back: Callable[[], object] = return_free_memory) -> None:
         self._lock = state_lock("leftovers")
@@ -82,14 +78,7 @@ class Leftovers:
         age: Callable[[], float],
         hooks: List[Callable[[], None]],
     ) -> None:
-        """Free a nodelet that was unloaded, now or as soon as none of its code runs.
-
-        Args:
-            name: the name that it had.
-            nodelet: to which the runtime does not refer any more.
-            age: returns for how many seconds code of it has been running; 0.0 if none runs.
-            hooks: called then.
-        """
+        """Free an unloaded nodelet once none of its code runs, and call ``hooks`` then."""
         left = _Leftover(name, nodelet, age, hooks)
         is_gone = left.is_gone()
         with self._lock:

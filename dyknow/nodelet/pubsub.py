@@ -27,14 +27,7 @@ class Publisher:
     def __init__(
         self, context: Context, name: str, publication: Publication, listener: Any = None
     ) -> None:
-        """Make a handle on a publication.
-
-        Args:
-            context: the owner.
-            name: for errors and logs.
-            publication: the state behind the handle.
-            listener: is notified of subscribers, as rospy's ``subscriber_listener``; may be None.
-        """
+        """Make a handle on a publication; ``name`` is for errors and logs."""
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
         self.data_class = publication.datatype
@@ -92,18 +85,7 @@ class Subscriber:
         strand: Strand,
         **options: Any,
     ) -> None:
-        """Make a handle with a subscription of its own, which is not connected yet.
-
-        Args:
-            context: the owner.
-            name: for errors and logs.
-            datatype: message class.
-            callback: called with each message; more can be added.
-            callback_args: given to ``callback`` after the message, unless None, as in rospy.
-            queue_size: messages that wait at most.
-            strand: where the callbacks run; one of its own goes with the subscription.
-            options: for the registration outside.
-        """
+        """Make a handle with a subscription of its own, which is not connected yet."""
         self._context = context
         self._strand = strand
         self.subscription = context.subscription(name, datatype, queue_size, strand, **options)
@@ -160,14 +142,7 @@ class SubscriberEvents(Closable):
         strand: Strand,
         failed: Callable[[BaseException], None],
     ) -> None:
-        """Start to watch the peers.
-
-        Args:
-            publication: whose peers.
-            listener: has ``peer_subscribe`` and ``peer_unsubscribe``.
-            strand: where they are called, so that they never overlap with the nodelet's callbacks.
-            failed: called with their errors.
-        """
+        """Watch the peers; ``failed`` is called with the errors of ``listener``."""
         self._publication = publication
         self._listener = listener
         self._strand = strand

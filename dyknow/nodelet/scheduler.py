@@ -87,14 +87,7 @@ class Strand:
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
-        """Create a strand on ``executor``.
-
-        Args:
-            executor: runs it.
-            name: for the log.
-            held: whether it only collects tasks until ``resume``.
-            mark: of the nodelet whose code it runs, for the crash record.
-        """
+        """Create a strand; a ``held`` one only collects tasks until ``resume``."""
         self.name = name
         self.mark = as_word(mark)
         self.alive = True

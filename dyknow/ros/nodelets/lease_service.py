@@ -44,12 +44,7 @@ _QUESTION = (
 
 
 class LeaseService(Closable):
-    """Offers the service; the node must be initialised.
-
-    Args:
-        bus: where the nodelets publish.
-        guards: limits of requests.
-    """
+    """Offers the service; the node must be initialised."""
 
     def __init__(self, bus: Bus, guards: GuardParameters) -> None:
         self._guards = guards

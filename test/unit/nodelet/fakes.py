@@ -118,6 +118,17 @@ class World:
         """A plain handle in the root namespace, of a nodelet of its own."""
         return PlainNodeHandle(self.context(name), "/", concurrent)
 
+    def publisher(self, topic: str, datatype: Any = Message, **options: Any) -> Any:
+        """A publisher of a nodelet of its own."""
+        return self.handle("/publisher").Publisher(topic, datatype, queue_size=1, **options)
+
+    def listen(self, topic: str, **options: Any) -> List[Any]:
+        """The numbers of all messages that a nodelet of its own receives on a topic."""
+        received: List[Any] = []
+        handle = self.handle("/listener")
+        handle.Subscriber(topic, Message, lambda m: received.append(m.number), **options)
+        return received
+
     def loader(self, **classes: Any) -> Loader:
         """A loader whose types are the keywords."""
         return Loader(self.runtime, lambda name, _: classes[name])

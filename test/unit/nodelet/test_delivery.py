@@ -6,290 +6,202 @@
 from __future__ import annotations
 
 import pytest
-from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, numbers
+from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.nodelet.endpoints import Traffic
 
 
-def test_every_subscriber_gets_the_very_object_that_was_published(world):
-    got = []
-    nh = world.handle()
-    nh.Subscriber("t", Message, got.append)
-    world.handle("/second").Subscriber("/t", Message, got.append)
-    message = Message(1)
-    nh.Publisher("t", Message, queue_size=1).publish(message)
+def test_every_subscriber_gets_the_very_object_that_was_published_on_its_strand(world):
+    got, message = [], Message(1)
+    for name in ("/first", "/second"):
+        world.handle(name).Subscriber("/t", Message, got.append)
+    world.publisher("/t").publish(message)
+    assert got == []
     world.drain()
-    assert len(got) == 2
-    assert got[0] is message and got[1] is message
+    assert [id(each) for each in got] == [id(message)] * 2
 
 
 def test_a_message_can_be_given_as_its_fields(world):
-    got = []
-    nh = world.handle()
-    nh.Subscriber("t", Message, got.append)
-    publisher = nh.Publisher("t", Message, queue_size=1)
+    got, publisher = world.listen("/t"), world.publisher("/t")
     publisher.publish(1)
     publisher.publish(number=2)
     publisher.publish()
     world.drain()
-    assert numbers(got) == [1, 2, 0]
+    assert got == [1, 2, 0]
     with pytest.raises(TypeError):
         publisher.publish(1, 2, 3)
 
 
-def test_callbacks_run_on_the_strand_and_not_in_publish(world):
-    got = []
-    nh = world.handle()
-    nh.Subscriber("t", Message, got.append)
-    nh.Publisher("t", Message, queue_size=1).publish(1)
-    assert got == []
-    world.drain()
-    assert len(got) == 1
-
-
 def test_a_full_queue_drops_the_oldest_and_counts_it(world):
     got = []
-    nh = world.handle()
-    subscriber = nh.Subscriber("t", Message, got.append, queue_size=2)
-    publisher = nh.Publisher("t", Message, queue_size=1)
+    subscriber = world.handle().Subscriber(
+        "t", Message, lambda m: got.append(m.number), queue_size=2
+    )
+    publisher = world.publisher("/t")
     for number in range(5):
         publisher.publish(number)
     world.drain()
     publisher.publish(5)
     world.drain()
-    assert numbers(got) == [3, 4, 5]
+    assert got == [3, 4, 5]
     traffic = subscriber.subscription.traffic
     assert (traffic.messages, traffic.dropped) == (3, 3)
 
 
-@pytest.mark.parametrize("queue_size", [None, 0])
-def test_without_a_bound_nothing_is_dropped(world, queue_size):
-    got = []
-    nh = world.handle()
-    nh.Subscriber("t", Message, got.append, queue_size=queue_size)
-    publisher = nh.Publisher("t", Message, queue_size=1)
-    for number in range(1000):
+def test_each_subscription_has_a_queue_with_a_bound_of_its_own_or_none(world):
+    sizes = {1: [99], 10: list(range(90, 100)), None: list(range(100)), 0: list(range(100))}
+    got = {size: world.listen("/t", queue_size=size) for size in sizes}
+    publisher = world.publisher("/t")
+    for number in range(100):
         publisher.publish(number)
     world.drain()
-    assert numbers(got) == list(range(1000))
-
-
-def test_subscriptions_have_queues_of_their_own(world):
-    small, large = [], []
-    nh = world.handle()
-    nh.Subscriber("t", Message, small.append, queue_size=1)
-    nh.Subscriber("t", Message, large.append, queue_size=10)
-    publisher = nh.Publisher("t", Message, queue_size=1)
-    for number in range(5):
-        publisher.publish(number)
-    world.drain()
-    assert numbers(small) == [4]
-    assert numbers(large) == [0, 1, 2, 3, 4]
+    assert got == sizes
 
 
 def test_messages_of_several_topics_are_called_back_in_the_order_of_publishing(world):
-    got = []
-    nh = world.handle()
-    nh.Subscriber("a", Message, got.append)
-    nh.Subscriber("b", Message, got.append)
-    publishers = [nh.Publisher(topic, Message, queue_size=1) for topic in ("a", "b")]
+    got, nh = [], world.handle()
+    for topic in ("a", "b"):
+        nh.Subscriber(topic, Message, lambda m: got.append(m.number))
+    publishers = [world.publisher(topic) for topic in ("/a", "/b")]
     for number in range(10):
         publishers[number % 2].publish(number)
     world.drain()
-    assert numbers(got) == list(range(10))
+    assert got == list(range(10))
 
 
 def test_a_failing_callback_takes_nothing_else_down(world, caplog):
-    got = []
-    nh = world.handle("/failing")
+    got, nh = [], world.handle("/failing")
 
     def fail(message):
-        got.append(message)
+        got.append(message.number)
         if message.number == 0:
             raise ValueError("no good")
         if message.number == 1:
             raise SystemExit
 
     nh.Subscriber("t", Message, fail)
-    neighbour = []
-    world.handle("/neighbour").Subscriber("/t", Message, neighbour.append)
-    publisher = nh.Publisher("t", Message, queue_size=1)
+    neighbour, publisher = world.listen("/t"), world.publisher("/t")
     for number in range(3):
         publisher.publish(number)
     world.drain()
-    assert numbers(got) == numbers(neighbour) == [0, 1, 2]
+    assert got == neighbour == [0, 1, 2]
     assert nh.context.callback_errors == 2
-    assert "/failing: the callback of 't' raised" in caplog.text
-    assert "ValueError: no good" in caplog.text
-    assert "Traceback" in caplog.text
+    for text in (
+        "/failing: the callback of 't' raised",
+        "ValueError: no good",
+        "Traceback",
+    ):
+        assert text in caplog.text
 
 
 class TestLatch:
-    def test_a_late_subscriber_gets_the_last_message_once(self, world):
-        got = []
-        nh = world.handle()
-        publisher = nh.Publisher("t", Message, latch=True, queue_size=1)
-        publisher.publish(1)
-        publisher.publish(2)
-        nh.Subscriber("t", Message, got.append)
-        world.drain()
-        assert numbers(got) == [2]
-        publisher.publish(3)
-        world.drain()
-        assert numbers(got) == [2, 3]
-
-    def test_each_of_several_publishers_gives_its_last(self, world):
-        got = []
-        nh = world.handle()
+    def test_a_late_subscriber_gets_the_last_message_of_each_publisher_once(self, world):
+        publishers = [world.publisher("/t", latch=True) for _ in range(2)]
         for number in (1, 2):
-            nh.Publisher("t", Message, latch=True, queue_size=1).publish(number)
-        nh.Subscriber("t", Message, got.append)
+            for publisher in publishers:
+                publisher.publish(number)
+        got = world.listen("/t")
         world.drain()
-        assert sorted(numbers(got)) == [1, 2]
+        assert got == [2, 2]
+        publishers[0].publish(3)
+        world.drain()
+        assert got == [2, 2, 3]
 
     def test_subscribers_that_are_there_get_it_only_when_it_is_published(self, world):
-        got = []
-        nh = world.handle()
-        nh.Subscriber("t", Message, got.append)
-        nh.Publisher("t", Message, latch=True, queue_size=1).publish(1)
-        nh.Subscriber("t", Message, lambda message: None)
-        nh.Subscriber("u", Message, lambda message: None)
+        got = world.listen("/t")
+        world.publisher("/t", latch=True).publish(1)
+        world.listen("/t")
+        world.listen("/u")
         world.drain()
-        assert numbers(got) == [1]
+        assert got == [1]
 
-    def test_without_latch_a_late_subscriber_gets_nothing(self, world):
-        got = []
-        nh = world.handle()
-        nh.Publisher("t", Message, queue_size=1).publish(1)
-        nh.Subscriber("t", Message, got.append)
+    def test_a_late_subscriber_gets_nothing_without_latch_or_of_a_publisher_that_left(self, world):
+        world.publisher("/t").publish(1)
+        gone = world.publisher("/t", latch=True)
+        gone.publish(1)
+        gone.unregister()
+        got = world.listen("/t")
         world.drain()
         assert got == []
 
     def test_it_moves_with_the_publication(self, world):
-        there, here = [], []
-        nh = world.handle()
-        nh.Subscriber("old", Message, here.append)
-        nh.Subscriber("new", Message, there.append)
-        publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
+        here, there = world.listen("/old"), world.listen("/new")
+        publisher = world.publisher("/old", latch=True)
         publisher.publish(1)
         world.bus.rewire([(publisher.publication, "/new")])
         world.drain()
-        assert numbers(here) == numbers(there) == [1]
+        assert here == there == [1]
 
     def test_both_ends_that_move_together_meet_it_once(self, world):
         got = []
-        nh = world.handle()
-        subscriber = nh.Subscriber("old", Message, got.append)
-        publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
+        subscriber = world.handle().Subscriber("old", Message, lambda m: got.append(m.number))
+        publisher = world.publisher("/old", latch=True)
         publisher.publish(1)
         world.drain()
-        moves = [
-            (subscriber.subscription, "/new"),
-            (publisher.publication, "/new"),
-        ]
-        world.bus.rewire(moves)
+        world.bus.rewire([(subscriber.subscription, "/new"), (publisher.publication, "/new")])
         world.drain()
-        assert numbers(got) == [1, 1], "once on each connection"
-
-    def test_it_goes_with_its_publisher(self, world):
-        got = []
-        nh = world.handle()
-        publisher = nh.Publisher("t", Message, latch=True, queue_size=1)
-        publisher.publish(1)
-        publisher.unregister()
-        nh.Subscriber("t", Message, got.append)
-        world.drain()
-        assert got == []
+        assert got == [1, 1], "once on each connection"
 
 
 class TestTypes:
-    def test_a_second_type_on_a_topic_is_refused_by_name(self, world):
-        nh = world.handle()
-        nh.Publisher("t", Message, queue_size=1)
-        with pytest.raises(TypeMismatch) as caught:
-            nh.Subscriber("t", OtherMessage, print)
-        assert "'/t' carries test/Message, but test/OtherMessage" in str(caught.value)
-        with pytest.raises(TypeMismatch):
-            nh.Publisher("t", OtherMessage, queue_size=1)
-
-    def test_a_refused_handle_leaves_nothing_behind(self, world):
-        got = []
-        nh = world.handle()
-        publisher = nh.Publisher("t", Message, queue_size=1)
+    def test_a_second_type_on_a_topic_is_refused_by_name_and_leaves_nothing(self, world):
+        nh, publisher, got = world.handle(), world.publisher("/t"), []
         before = world.registrations
         for make in (nh.Subscriber, nh.Publisher):
-            with pytest.raises(TypeMismatch):
+            with pytest.raises(TypeMismatch) as caught:
                 make("t", OtherMessage, got.append)
+            assert "'/t' carries test/Message, but test/OtherMessage" in str(caught.value)
         publisher.publish(1)
         world.drain()
         assert got == []
         assert world.registrations == before
-        publisher.unregister()
-        nh.Publisher("t", OtherMessage, queue_size=1)
 
-    def test_a_topic_may_change_type_once_nobody_is_on_it(self, world):
-        nh = world.handle()
-        nh.Publisher("t", Message, queue_size=1).unregister()
+    @pytest.mark.parametrize("with_any", [False, True])
+    def test_a_topic_may_change_type_once_only_ends_of_any_type_are_on_it(self, world, with_any):
+        if with_any:
+            world.handle().Subscriber("t", AnyMessage, print)
+        world.publisher("/t").unregister()
         assert world.bus.datatype_of("/t") == ""
-        nh.Publisher("t", OtherMessage, queue_size=1)
+        world.publisher("/t", OtherMessage)
         assert world.bus.datatype_of("/t") == "test/OtherMessage"
 
     def test_a_subscriber_of_any_type_fits_every_topic(self, world):
-        got = []
-        nh = world.handle()
+        got, nh = [], world.handle()
         nh.Subscriber("t", AnyMessage, got.append)
         assert world.bus.datatype_of("/t") == ""
-        nh.Publisher("t", OtherMessage, queue_size=1).publish(1)
+        world.publisher("/t", OtherMessage).publish(1)
         nh.Subscriber("t", AnyMessage, got.append)
         with pytest.raises(TypeMismatch):
-            nh.Publisher("t", Message, queue_size=1)
+            world.publisher("/t")
         world.drain()
-        assert numbers(got) == [1]
-        assert type(got[0]) is OtherMessage
-
-    def test_a_topic_on_which_only_any_is_left_takes_every_type_again(self, world):
-        nh = world.handle()
-        nh.Subscriber("t", AnyMessage, print)
-        nh.Publisher("t", Message, queue_size=1).unregister()
-        assert world.bus.datatype_of("/t") == ""
-        nh.Publisher("t", OtherMessage, queue_size=1)
-        assert world.bus.datatype_of("/t") == "test/OtherMessage"
+        assert [(type(each), each.number) for each in got] == [(OtherMessage, 1)]
 
     def test_a_refused_type_does_not_become_that_of_a_topic_of_any(self, world):
-        nh = world.handle()
-        nh.Subscriber("t", AnyMessage, print)
+        world.handle().Subscriber("t", AnyMessage, print)
         world.transport.refused["/t"] = RuntimeError("no")
         with pytest.raises(RuntimeError):
-            nh.Publisher("t", Message, queue_size=1)
+            world.publisher("/t")
         del world.transport.refused["/t"]
-        nh.Publisher("t", OtherMessage, queue_size=1)
+        world.publisher("/t", OtherMessage)
 
-    def test_the_type_of_a_topic_outside_is_asked_for(self, world):
+    def test_the_type_of_a_topic_outside_is_queried(self, world):
         world.transport.types["/t"] = "test/Outside"
         assert world.bus.datatype_of("/t") == "test/Outside"
 
 
 class TestUnregister:
     def test_publishing_afterwards_raises(self, world):
-        nh = world.handle("/probe")
-        publisher = nh.Publisher("t", Message, queue_size=1)
+        publisher = world.publisher("/t")
+        bound = publisher.publish
         publisher.unregister()
-        with pytest.raises(HandleClosed, match="publisher 't' of /probe is closed"):
-            publisher.publish(1)
-
-    def test_a_bound_publish_raises_too(self, world):
-        publisher = world.handle().Publisher("t", Message, queue_size=1)
-        publish = publisher.publish
-        publisher.unregister()
-        with pytest.raises(HandleClosed):
-            publish(1)
+        for publish in (publisher.publish, bound):
+            with pytest.raises(HandleClosed, match="publisher '/t' of /publisher is closed"):
+                publish(1)
 
     def test_queued_messages_are_dropped(self, world):
-        got = []
-        nh = world.handle()
-        subscriber = nh.Subscriber("t", Message, got.append)
-        publisher = nh.Publisher("t", Message, queue_size=1)
+        got, publisher = [], world.publisher("/t")
+        subscriber = world.handle().Subscriber("t", Message, got.append)
         publisher.publish(1)
         subscriber.unregister()
         publisher.publish(2)
@@ -297,10 +209,8 @@ class TestUnregister:
         assert got == []
 
     def test_twice_is_once(self, world):
-        nh = world.handle()
-        publisher = nh.Publisher("t", Message, queue_size=1)
-        other = nh.Publisher("t", Message, queue_size=1)
-        subscriber = nh.Subscriber("t", Message, print)
+        publisher, other = world.publisher("/t"), world.publisher("/t")
+        subscriber = world.handle().Subscriber("t", Message, print)
         for _ in range(2):
             publisher.unregister()
             subscriber.unregister()
@@ -339,16 +249,15 @@ class TestTraffic:
         assert traffic.rate() == pytest.approx(100.0)
 
 
-def test_the_same_error_is_logged_once_a_second_with_the_number_of_the_others(world, caplog):
-    now = [0.0]
-    context = world.context("/n")
-    object.__setattr__(context.runtime, "clock", lambda: now[0])
+def test_the_same_error_is_logged_once_a_second_with_the_number_of_repetitions(caplog):
+    clock = FakeClock()
+    context = World(clock=clock).context("/n")
     for _ in range(1000):
         context.failed("'in'", ValueError("same"))
     context.failed("'in'", ValueError("other"))
     assert context.callback_errors == 1001
     assert [record.getMessage().count("same") for record in caplog.records] == [1, 0]
-    now[0] = 1.5
+    clock.seconds += 1.5
     caplog.clear()
     context.failed("'in'", ValueError("same"))
     assert "999 times more" in caplog.records[0].getMessage()

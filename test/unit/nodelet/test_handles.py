@@ -27,75 +27,36 @@ from dyknow.nodelet.handle import PlainNodeHandle
 pool = pool_world(2)
 
 
-def parameters(function):
-    return [
-        (name, parameter.default)
-        for name, parameter in inspect.signature(function).parameters.items()
-        if name != "self"
-    ]
+#: Signatures of rospy: a call that works with it works here, positional arguments included.
+SIGNATURES = {
+    "Publisher": "name, data_class, subscriber_listener=None, tcp_nodelay=False, latch=False, "
+    "headers=None, queue_size=None",
+    "Subscriber": "name, data_class, callback=None, callback_args=None, queue_size=None, "
+    "buff_size=65536, tcp_nodelay=False",
+    "Service": "name, service_class, handler, buff_size=65536, error_handler=None",
+    "Timer": "period, callback, oneshot=False, reset=False",
+    "wait_for_message": "topic, topic_type, timeout=None",
+}
+
+
+def signature(function):
+    parameters = inspect.signature(function).parameters.values()
+    return ", ".join(
+        each.name if each.default is each.empty else f"{each.name}={each.default!r}"
+        for each in parameters
+        if each.name != "self"
+    )
 
 
 class TestSignatures:
-    """A call that works with rospy works here, positional arguments included."""
-
-    NONE = inspect.Parameter.empty
-
-    def test_publisher(self):
-        assert parameters(PlainNodeHandle.Publisher) == [
-            ("name", self.NONE),
-            ("data_class", self.NONE),
-            ("subscriber_listener", None),
-            ("tcp_nodelay", False),
-            ("latch", False),
-            ("headers", None),
-            ("queue_size", None),
-        ]
-
-    def test_subscriber(self):
-        assert parameters(PlainNodeHandle.Subscriber) == [
-            ("name", self.NONE),
-            ("data_class", self.NONE),
-            ("callback", None),
-            ("callback_args", None),
-            ("queue_size", None),
-            ("buff_size", 65536),
-            ("tcp_nodelay", False),
-        ]
-
-    def test_service(self):
-        assert parameters(PlainNodeHandle.Service)[:4] == [
-            ("name", self.NONE),
-            ("service_class", self.NONE),
-            ("handler", self.NONE),
-            ("buff_size", 65536),
-        ]
-
-    def test_timer(self):
-        assert parameters(PlainNodeHandle.Timer) == [
-            ("period", self.NONE),
-            ("callback", self.NONE),
-            ("oneshot", False),
-            ("reset", False),
-        ]
-
-    def test_wait_for_message(self):
-        assert parameters(PlainNodeHandle.wait_for_message) == [
-            ("topic", self.NONE),
-            ("topic_type", self.NONE),
-            ("timeout", None),
-        ]
-
-    def test_rospy_itself_has_these(self):
-        rospy = pytest.importorskip("rospy")
-        for ours, theirs in [
-            (PlainNodeHandle.Publisher, rospy.Publisher.__init__),
-            (PlainNodeHandle.Subscriber, rospy.Subscriber.__init__),
-            (PlainNodeHandle.Service, rospy.Service.__init__),
-            (PlainNodeHandle.Timer, rospy.Timer.__init__),
-            (PlainNodeHandle.wait_for_message, rospy.wait_for_message),
-        ]:
-            names = [name for name, _ in parameters(ours)]
-            assert [name for name, _ in parameters(theirs)][: len(names)] == names
+    @pytest.mark.parametrize("name", SIGNATURES)
+    def test_are_those_of_rospy(self, name):
+        assert signature(getattr(PlainNodeHandle, name)) == SIGNATURES[name]
+        theirs = getattr(pytest.importorskip("rospy"), name)
+        theirs = getattr(theirs, "__init__", theirs) if isinstance(theirs, type) else theirs
+        names = [each.partition("=")[0] for each in SIGNATURES[name].split(", ")]
+        known = [each.partition("=")[0] for each in signature(theirs).split(", ")]
+        assert known[: len(names)] == names
 
     @pytest.mark.parametrize("given", [int, None, Message(1), "std_msgs/String"])
     def test_what_is_no_message_class_is_refused(self, world, given):

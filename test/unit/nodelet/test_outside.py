@@ -14,14 +14,6 @@ from dyknow.errors import HandleClosed
 from dyknow.nodelet.local import LocalPublisher, LocalSubscriber
 
 
-def publication_of(publisher):
-    return publisher.publication
-
-
-def subscription_of(subscriber):
-    return subscriber.subscription
-
-
 def test_topics_are_registered_and_withdrawn(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
@@ -43,7 +35,7 @@ def test_moves_leave_one_registration_for_each_endpoint(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
     subscriber = nh.Subscriber("a", Message, print)
-    ends = [publication_of(publisher), subscription_of(subscriber)]
+    ends = [publisher.publication, subscriber.subscription]
     for topic in ("/b", "/c", "/a", "/d"):
         world.bus.rewire([(end, topic) for end in ends])
         assert world.registrations == [("publisher", topic), ("subscriber", topic)]
@@ -58,7 +50,7 @@ def test_an_endpoint_that_is_there_already_keeps_its_registration(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
     before = list(world.transport.made)
-    world.bus.rewire([(publication_of(publisher), "/a")])
+    world.bus.rewire([(publisher.publication, "/a")])
     assert world.transport.made == before
 
 
@@ -68,7 +60,7 @@ def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
     subscriber = nh.Subscriber("x", Message, print)
     seen = []
     world.transport.on_register = lambda topic: seen.append((topic, world.registrations))
-    world.bus.rewire([(publication_of(publisher), "/b"), (subscription_of(subscriber), "/y")])
+    world.bus.rewire([(publisher.publication, "/b"), (subscriber.subscription, "/y")])
     both = [("publisher", "/a"), ("subscriber", "/x")]
     assert seen[0] == ("/b", both)
     assert seen[1] == ("/y", sorted([*both, ("publisher", "/b")]))
@@ -132,7 +124,7 @@ def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(w
 
     world.transport.subscribe = early_subscribe
     world.bus.rewire(
-        [(subscription_of(subscriber), "/new")],
+        [(subscriber.subscription, "/new")],
         on_switch=lambda: nh.context.strand.post(lambda: got.append(Message("between"))),
         patience=1.0,
     )
@@ -145,7 +137,7 @@ def test_what_comes_late_through_an_old_registration_is_not_delivered(world):
     nh = world.handle()
     subscriber = nh.Subscriber("old", Message, got.append)
     (old,) = world.transport.made
-    world.bus.rewire([(subscription_of(subscriber), "/new")])
+    world.bus.rewire([(subscriber.subscription, "/new")])
     old.receive(Message("late"))
     world.drain()
     assert got == []
@@ -159,7 +151,7 @@ def test_a_latched_message_is_handed_to_the_half_that_comes_later(world):
     outside = world.transport.listeners.setdefault("/new", [])
     got = []
     outside.append(got.append)
-    world.bus.rewire([(publication_of(publisher), "/new")])
+    world.bus.rewire([(publisher.publication, "/new")])
     assert numbers(got) == [1]
 
 
@@ -179,7 +171,7 @@ def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(worl
             got.append(message)
 
     world.transport.listeners.setdefault("/new", []).append(listen)
-    world.bus.rewire([(publication_of(publisher), "/new")])
+    world.bus.rewire([(publisher.publication, "/new")])
     assert numbers(got)[0] == 1
     assert numbers(got)[-1] == 2
 
@@ -219,7 +211,7 @@ def test_a_refused_registration_undoes_the_whole_switch(world):
     told = []
     with pytest.raises(RuntimeError):
         world.bus.rewire(
-            [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")],
+            [(publisher.publication, "/b"), (subscriber.subscription, "/c")],
             on_switch=lambda: told.append(1),
         )
     assert told == []
@@ -240,7 +232,7 @@ def test_a_refused_registration_of_a_live_topic_leaves_no_old_ones(world):
     first, second = (nh.Publisher(topic, Message, queue_size=1) for topic in ("a", "c"))
     world.transport.refused["/b"] = RuntimeError("no")
     with pytest.raises(RuntimeError, match="no"):
-        world.bus.rewire([(publication_of(first), "/b"), (publication_of(second), "/d")])
+        world.bus.rewire([(first.publication, "/b"), (second.publication, "/d")])
     assert (first.name, second.name) == ("/b", "/d")
     first.publish(1)
     second.publish(2)
@@ -273,7 +265,7 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
         return registration
 
     world.transport.advertise = slow_advertise
-    moves = [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")]
+    moves = [(publisher.publication, "/b"), (subscriber.subscription, "/c")]
     with pytest.raises(HandleClosed):
         world.bus.rewire(moves, patience=1.0)
     before, after = seen
@@ -305,7 +297,7 @@ def test_what_comes_until_the_switch_is_delivered_before_the_new(world):
 
     registration.on_drain = last_words
     world.bus.rewire(
-        [(subscription_of(subscriber), "/new")],
+        [(subscriber.subscription, "/new")],
         lambda: world.transport.send("/old", Message("late")),
         patience=1.0,
     )
@@ -321,7 +313,7 @@ def test_a_switch_that_fails_after_the_last_words_leaves_the_port_receiving(worl
     (registration,) = world.transport.subscribers
     registration.__class__ = Draining
     registration.on_drain = lambda: join(in_thread(other.context.close))
-    moves = [(subscription_of(subscriber), "/new"), (publication_of(publisher), "/a")]
+    moves = [(subscriber.subscription, "/new"), (publisher.publication, "/a")]
     with pytest.raises(HandleClosed):
         world.bus.rewire(moves, patience=1.0)
     assert world.registrations == [("subscriber", "/old")]
@@ -339,21 +331,11 @@ def test_a_nodelet_unloaded_during_the_last_words_of_its_topic_leaves_nothing(wo
     registration.__class__ = Draining
     registration.on_drain = lambda: join(in_thread(nh.context.close))
     with pytest.raises(HandleClosed):
-        world.bus.rewire([(subscription_of(subscriber), "/new")], patience=1.0)
+        world.bus.rewire([(subscriber.subscription, "/new")], patience=1.0)
     assert world.registrations == []
 
 
-def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):
-    nh = world.handle()
-    publisher = nh.Publisher("a", Message, queue_size=1)
-    world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
-    with pytest.raises(HandleClosed):
-        world.bus.rewire([(publication_of(publisher), "/b")])
-    assert world.registrations == []
-    assert world.bus.datatype_of("/b") == ""
-
-
-def test_nobody_waits_for_the_peers_of_a_nodelet_that_was_unloaded(world):
+def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing_and_no_wait(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
     world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
@@ -366,9 +348,10 @@ def test_nobody_waits_for_the_peers_of_a_nodelet_that_was_unloaded(world):
 
     world.transport.advertise = impatient_advertise
     with pytest.raises(HandleClosed):
-        world.bus.rewire([(publication_of(publisher), "/b")], patience=1.0)
+        world.bus.rewire([(publisher.publication, "/b")], patience=1.0)
     assert waited == []
     assert world.registrations == []
+    assert world.bus.datatype_of("/b") == ""
 
 
 def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(world):
@@ -376,7 +359,7 @@ def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(worl
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
     world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
-    world.bus.rewire([(publication_of(publisher), "/b")])
+    world.bus.rewire([(publisher.publication, "/b")])
     assert world.registrations == [("subscriber", "/b")]
     with pytest.raises(HandleClosed):
         publisher.publish(1)
