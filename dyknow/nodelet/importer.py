@@ -113,7 +113,7 @@ class Importer:
         self._blind = frozenset(blind)
         self._found: Dict[str, bool] = {}
         self._found_on: Tuple[str, ...] = ()
-        self._turn = module_lock()  # held while modules are executed, as Python's own
+        self._import_lock = module_lock()  # held while modules are executed, as Python's own
         own = {**vars(builtins), **(functions or {})}
         self._seeing = {**own, "__import__": self._import}
         self._unseeing = {**own, "__import__": self._import_blindly}
@@ -233,7 +233,7 @@ class Importer:
         return not is_standard(top) and PathFinder.find_spec(top, folders) is not None
 
     def _load(self, name: str) -> Module:
-        with self._turn:
+        with self._import_lock:
             above, _, child = name.rpartition(".")
             parent = self._load(above) if above and name not in self.modules else None
             if name in self.modules:

@@ -15,7 +15,7 @@ lease ends no later than the manager knows. The clock runs on while the process 
 read when a message is published, so a process that goes on after a pause sends nothing first.
 
 A manager that was killed, is being restarted or is stopped replaces nothing either. Shortly before
-a lease runs out, this process looks at the manager's host: one that refuses the connection, or
+a lease runs out, this process probes the manager's host: one that refuses the connection, or
 takes it and does not answer, has no manager at work, and the lease is extended. A silent host may
 be cut off. Only the manager renews a lease that has run out. It names the nodelets that are to
 publish; the other nodelets stay silent on these topics.
@@ -31,9 +31,9 @@ from typing import Callable, Dict, FrozenSet, Iterable, Mapping, Tuple
 
 from dyknow.locks import state_lock
 
-#: Seconds before the end of a lease from which the manager's host is looked at.
-LOOK_AHEAD = 1.2
-#: Seconds, from the look on, by which a lease is extended if no manager is at work.
+#: Seconds before the end of a lease from which the manager's host is probed.
+PROBE_AHEAD = 1.2
+#: Seconds, from the probe on, by which a lease is extended if no manager is at work.
 EXTENSION = 1.5
 
 Fence = Callable[[str], bool]
@@ -41,7 +41,7 @@ Fence = Callable[[str], bool]
 
 
 class Sight(enum.Enum):
-    """The result of a look at a manager's host."""
+    """The result of probing a manager's host."""
 
     AT_WORK = enum.auto()
     NOT_AT_WORK = enum.auto()
@@ -139,17 +139,17 @@ class Leases:
                 return False
         return True
 
-    def watch(self, look: Callable[[str], Sight]) -> None:
+    def watch(self, probe: Callable[[str], Sight]) -> None:
         """Extend the leases that are about to run out, where no manager is at work.
 
         Args:
-            look: looks at the host of a manager's address.
+            probe: probes the host of a manager's address.
         """
         now = self._clock()
         for lease in tuple(self._leases.values()):
-            if not now < lease.until < now + LOOK_AHEAD:
+            if not now < lease.until < now + PROBE_AHEAD:
                 continue
-            sight = look(lease.uri)
+            sight = probe(lease.uri)
             with self._state_lock:
                 if sight is Sight.NOT_AT_WORK and self._clock() < lease.until:
                     lease.until = max(lease.until, now + EXTENSION)

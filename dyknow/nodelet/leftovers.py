@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 #: Seconds between two examinations, and at least between two returns of memory to the system.
 _PERIOD = 0.5
 #: Examinations after the last code has ended, until a nodelet that is not free is left to Python.
-_LOOKS = 4
+_ATTEMPTS = 4
 #: Objects of the runtime, which do not refer to a nodelet any more.
 _OURS = (Context, PlainNodeHandle, Publisher, Subscriber, Service, Timer)
 #: Rounds in the time after which a callback is reported.
@@ -49,7 +49,7 @@ class _Leftover:
     reference: weakref.ReferenceType[Any]
     age: Callable[[], float]
     hooks: List[Callable[[], None]]
-    looks: int = _LOOKS
+    attempts: int = _ATTEMPTS
 
     def is_gone(self) -> bool:
         """Examine it; whether nothing is left, or nothing that can be freed."""
@@ -57,8 +57,8 @@ class _Leftover:
             return False
         while self.hooks:
             attempt("freeing a nodelet", self.hooks.pop())
-        self.looks -= 1
-        return break_cycles(self.reference, _OURS) or self.looks <= 0
+        self.attempts -= 1
+        return break_cycles(self.reference, _OURS) or self.attempts <= 0
 
 
 class Leftovers:
@@ -69,7 +69,7 @@ class Leftovers:
         self._left: List[_Leftover] = []
         self._give_back = give_back
         self._closed = threading.Event()
-        self._is_looking = False
+        self._is_examining = False
 
     def add(
         self,
@@ -84,9 +84,9 @@ class Leftovers:
         with self._lock:
             if not is_gone:
                 self._left.append(left)
-            starts, self._is_looking = not self._is_looking, True
+            starts, self._is_examining = not self._is_examining, True
         if starts:
-            in_background("freeing nodelets", self._look)
+            in_background("freeing nodelets", self._examine)
 
     def running(self) -> Dict[str, float]:
         """Nodelets whose code still runs, sorted by name, with the seconds since it began."""
@@ -99,13 +99,13 @@ class Leftovers:
         """Stop the examinations."""
         self._closed.set()
 
-    def _look(self) -> None:
+    def _examine(self) -> None:
         """Examine until nothing is left, and return memory each time."""
         while not self._closed.wait(_PERIOD):
             gone = [each for each in list(self._left) if each.is_gone()]
             with self._lock:
                 self._left = [each for each in self._left if each not in gone]
-                self._is_looking = bool(self._left)
+                self._is_examining = bool(self._left)
                 is_over = not self._left
             self._give_back()
             if is_over:
@@ -139,11 +139,11 @@ class StuckCallbacks:
         self._due: Dict[str, float] = {}  # age at which a nodelet is announced again
         self._remains_due: Dict[str, float] = {}
         what = "looking for callbacks that do not return"
-        self._worker = PeriodicWorker(what, self.look, after / _ROUNDS, clock=clock)
+        self._worker = PeriodicWorker(what, self.check, after / _ROUNDS, clock=clock)
         self.start = self._worker.start
         self.close = self._worker.close
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Announce changes, and a callback that still runs each time that its age has doubled."""
         ages = self._ages()
         before = set(self._due)

@@ -54,7 +54,6 @@ class ManualTicker(Ticker):
         self._due: Optional[float] = None
 
     def now(self) -> float:
-        """Seconds advanced so far."""
         return self._seconds
 
     def advance(self, seconds: float) -> None:
@@ -81,7 +80,6 @@ class ManualTicker(Ticker):
             return self._due
 
     def wait(self, until: Optional[float]) -> None:
-        """Block until the time is ``until`` (None: for ever), or until ``wake``."""
         with self._changed:
             self._waiting, self._due = True, until
             self._changed.notify_all()
@@ -89,13 +87,11 @@ class ManualTicker(Ticker):
             self._waiting = self._woken = False
 
     def wake(self) -> None:
-        """End the present or the next ``wait``: timers came or went."""
         with self._changed:
             self._used = self._woken = True
             self._changed.notify_all()
 
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make an event in plain seconds."""
         return LocalTimerEvent(
             last and last.current_expected, last and last.current_real, expected, real, duration
         )
@@ -121,20 +117,16 @@ class LocalPublisher(OutsidePublisher):
 
     @property
     def heard(self) -> bool:
-        """Whether there are listeners."""
         return bool(self.connections)
 
     def peers(self) -> Tuple[Any, ...]:
-        """The listeners."""
         return tuple(self.connections)
 
     def publish(self, message: Any) -> None:
-        """Call every listener."""
         for listener in self.connections:
             listener(message)
 
     def publish_to(self, peer: Any, message: Any) -> None:
-        """Call one listener."""
         if peer in self.connections:
             peer(message)
 
@@ -146,11 +138,9 @@ class LocalPublisher(OutsidePublisher):
         """Return at once: listeners are there or not."""
 
     def drain(self, seconds: float) -> bool:
-        """Return at once: there is no network."""
         return True
 
     def close(self) -> None:
-        """Withdraw the registration."""
         self.transport.withdraw(self.transport.publishers, self)
 
 
@@ -179,7 +169,6 @@ class LocalSubscriber(OutsideSubscriber):
         self.drained = True
 
     def close(self) -> None:
-        """Withdraw the registration."""
         self.transport.withdraw(self.transport.subscribers, self)
 
 
@@ -233,19 +222,16 @@ class LocalTransport(Transport):
             made.remove(registration)
 
     def advertise(self, topic: str, datatype: Any, *details: Any) -> LocalPublisher:
-        """Register a publisher."""
         assert_no_state_lock(f"advertising {topic}")
         return LocalPublisher(self, topic, datatype)
 
     def subscribe(
         self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
     ) -> LocalSubscriber:
-        """Register a subscriber."""
         assert_no_state_lock(f"subscribing to {topic}")
         return LocalSubscriber(self, topic, datatype, receive)
 
     def datatype_of(self, topic: str) -> str:
-        """Type of a topic that lives outside."""
         assert_no_state_lock(f"asking for the type of {topic}")
         return self.types.get(topic, "")
 
@@ -264,7 +250,6 @@ class LocalService(Closable):
     name: str
 
     def close(self) -> None:
-        """Withdraw it."""
         assert_no_state_lock(f"withdrawing {self.name}")
         self.handlers.pop(self.name, None)
 
@@ -286,7 +271,6 @@ class LocalServices(Services):
     def offer(
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> LocalService:
-        """Offer a service to ``call``."""
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler
         return LocalService(self.handlers, service)
@@ -305,11 +289,9 @@ class LocalNode(Node):
         self.remappings: Dict[str, str] = {}
 
     def is_shutdown(self) -> bool:
-        """The process goes on."""
         return False
 
     def remap(self, name: str) -> str:
-        """Apply ``remappings``."""
         return self.remappings.get(name, name)
 
     def member(self, name: str, handle: Any) -> Any:

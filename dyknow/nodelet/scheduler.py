@@ -422,7 +422,7 @@ class WorkerPool(Executor):
                 self._dozes = True
                 if any(w.strand is not None for w in list(self._workers)):
                     self._dozes = False
-                    self._awake.set()  # taken up between the look and the clear
+                    self._awake.set()  # taken up between the check and the clear
                 continue
             now = self.clock()
             stuck: Dict[_Worker, float] = {}

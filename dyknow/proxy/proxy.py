@@ -285,7 +285,7 @@ class NodeletProxy(Closable):
         if context.closed:
             raise UnloadedMeanwhile(self.name, "reconfiguration")
 
-        def tell() -> None:
+        def notify() -> None:
             assert callback is not None
             try:
                 callback(*maps)
@@ -297,7 +297,7 @@ class NodeletProxy(Closable):
                 port.topic = topic
             self._reconfigurations += 1
             if callback is not None:
-                context.strand.post(tell)
+                context.strand.post(notify)
 
         try:
             context.runtime.bus.rewire(moves, on_switch, PATIENCE)

@@ -56,7 +56,6 @@ class HarnessTicker(ManualTicker):
     """Time that a test sets, with rospy's events."""
 
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make a ``rospy.timer.TimerEvent``."""
         before = (None, None) if last is None else (last.current_expected, last.current_real)
         now = map(rospy.Time.from_sec, (expected, real))
         return rospy.timer.TimerEvent(*before, *now, duration)
@@ -216,7 +215,6 @@ class LocalServiceProxy:
     call = __call__
 
     def wait_for_service(self, timeout: Optional[float] = None) -> None:
-        """Return if it is offered."""
         if self.resolved_name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{self.resolved_name}' is not offered")
 

@@ -4,7 +4,7 @@
 """Keeps a process from publishing beside its successor: leases, and the name of the node.
 
 The rules of leases are in ``dyknow.nodelet.leases``; here are the service with which DyKnow
-managers renew them, the thread that watches over them, and its look at a manager's host.
+managers renew them, the thread that watches over them, and its probe of a manager's host.
 
 A node ends when another one has registered under its name. The master notifies it at that moment,
 but only once. A node that is cut off just then never hears of it, so each also polls the master.
@@ -30,7 +30,7 @@ from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 
 SERVICE = "renew_lease"
-#: Seconds between two looks at the leases.
+#: Seconds between two checks of the leases.
 PERIOD = 0.2
 #: Seconds for a connection to a manager's host, and for an answer.
 PATIENCE = 0.4
@@ -50,7 +50,7 @@ class LeaseService(Closable):
         self._guards = guards
         self._leases = Leases(lambda topic: bus.owners(topic)[0], bus.fence)
         self._worker = PeriodicWorker(
-            "watching over leases", lambda: self._leases.watch(look), PERIOD
+            "watching over leases", lambda: self._leases.watch(probe), PERIOD
         )
         self._service = rospy.Service("~" + SERVICE, RenewLease, self._renew)
 
@@ -75,8 +75,8 @@ class LeaseService(Closable):
         return RenewLeaseResponse(clock)
 
 
-def look(uri: str) -> Sight:
-    """Look at the host of a node's address: is the process there, and does it answer?
+def probe(uri: str) -> Sight:
+    """Probe the host of a node's address: is the process there, and does it answer?
 
     A connection is made by the kernel, so that of a process that was stopped is made too.
     """

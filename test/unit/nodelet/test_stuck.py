@@ -79,16 +79,16 @@ def test_a_callback_that_does_not_return_is_announced_each_time_its_age_has_doub
     wait_for(Hanging.started)
     announced = []
     for _ in range(10):
-        stuck.look()
+        stuck.check()
         announced.append(len(told))
         clock.seconds += 5.0
     assert announced == [0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
     Hanging.release.set()
     world.drain()
     wait_until(lambda: loader.get("/n").context.callback_age() == 0.0)
-    stuck.look()
+    stuck.check()
     assert told == ["/n"] * 4, "its end is announced too"
-    stuck.look()
+    stuck.check()
     assert len(told) == 4
 
 
@@ -104,7 +104,7 @@ def test_a_callback_that_outlives_its_nodelet_is_named_until_it_ends(
     clock.seconds += 12.0
     assert stuck.remains() == ["/n was unloaded, but code of it has been running for 12 s"]
     for _ in range(3):
-        stuck.look()
+        stuck.check()
     assert [each.getMessage() for each in caplog.records] == [
         "/n was unloaded, but code of it has been running for 12 s; it ends with its process "
         "alone: rosnode kill /manager, which a DyKnow manager starts again with the other "
