@@ -15,16 +15,14 @@ from typing import Callable, ContextManager, Iterator, Sequence
 import rospy
 import rostest
 from hosts import Host, Network, missing
-from manager_suite import CHILD, LIBRARY, ManagerProcess, eventually
-from nodelet.srv import NodeletList
+from manager_suite import CHILD, LIBRARY, ManagerProcess, eventually, listed
 from processes import NODELET, Running
 from stream_suite import GOAL, StreamCase
 
-from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.errors import Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamEvent, StreamRequest
 from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
 
 #: The manager notices within this many seconds that a host is unreachable, or back.
 NOTICED = 5.0
@@ -65,7 +63,7 @@ class HostsCase(StreamCase):
         process = host.run(*NODELET, "manager", f"__name:={name}")
         self.addCleanup(process.__exit__)
         process.wait_for("Initializing nodelet")
-        eventually(lambda: self.listed(f"/{name}") is not None, 10.0, f"{name} is up")
+        eventually(lambda: listed(f"/{name}") is not None, 10.0, f"{name} is up")
         return process
 
     def hosting(self, manager: ManagerProcess, name: str) -> None:
@@ -81,14 +79,6 @@ class HostsCase(StreamCase):
 
         eventually(spawned, NOTICED, f"/{name} is used")
         manager.client.destroy(f"/{name}_probe")
-
-    def listed(self, name: str) -> list[str] | None:
-        """The nodelets that a nodelet manager lists; None if it does not answer."""
-        master = Master(rospy.get_name())
-        try:
-            return sorted(ServiceClient(master, f"{name}/list", NodeletList).call(5.0).nodelets)
-        except (HostError, PeerTimeout):
-            return None
 
     def state_of(self, manager: ManagerProcess, name: str) -> State | None:
         found = manager.nodelet(name)
@@ -106,12 +96,12 @@ class HostsCase(StreamCase):
             where: nodelet manager to use; empty for the manager's choice.
         """
         times = []
-        for number in range(5):
+        for number in range(3):
             begin = time.monotonic()
             name, wiring = f"/timed{number}", {"out": f"/timed{number}/out"}
             manager.client.spawn("counter", name, wiring, manager=where)
             times.append(time.monotonic() - begin)
-        for number in range(5):
+        for number in range(3):
             manager.client.destroy(f"/timed{number}")
         return min(times)
 
@@ -141,7 +131,7 @@ class Split(HostsCase):
         eventually(lambda: self.placed(manager, "/twin"), NOTICED, "/twin is used")
         events = self.events()
         claim = manager.client.acquire_stream(StreamRequest(GOAL))
-        self.assertEqual(len(self.listed("/twin")), 3)
+        self.assertEqual(len(listed("/twin")), 3)
         flow = self.flow(claim.topic)
         flow.wait()
         with self.network.cut(far):
@@ -155,7 +145,7 @@ class Split(HostsCase):
         eventually(lambda: elder.has_ended, NOTICED, "the elder ends")
         self.stays(2.0, lambda: not newcomer.has_ended, lambda: newcomer.output)
         self.assertEqual(self.state_of(manager, "/probe"), State.RUNNING)
-        self.assertEqual(self.listed("/twin"), ["/probe"])
+        self.assertEqual(listed("/twin"), ["/probe"])
         self.assertEqual(self.claim(manager, claim.claim_id).state, ClaimState.ACTIVE)
         changes = changes_of_state(events.all)
         self.assertEqual(len(changes), told, changes)
@@ -168,7 +158,7 @@ class Split(HostsCase):
         try:
             if manager.nodelet("/probe") is None:
                 manager.client.spawn("camera", "/probe", manager=name)
-            return self.listed(name) == ["/probe"]
+            return listed(name) == ["/probe"]
         except Refused:
             return False
 
@@ -223,11 +213,11 @@ class ClaimOverHosts(HostsCase):
             self.assertTrue(self.is_met(), self.reasons())
         self.becomes(self.manager, "/far_camera", State.RUNNING)
         alone = ["/far_camera"]
-        eventually(lambda: self.listed("/far") == alone, 3 * NOTICED, "/far is cleared up")
-        self.stays(seconds, lambda: self.listed("/far") == alone, lambda: self.listed("/far"))
+        eventually(lambda: listed("/far") == alone, 3 * NOTICED, "/far is cleared up")
+        self.stays(seconds, lambda: listed("/far") == alone, lambda: listed("/far"))
         self.assertEqual(len(self.reasons()), changes, self.reasons())
         self.manager.client.destroy("/far_camera")
-        self.assertEqual(self.listed("/far"), [])
+        self.assertEqual(listed("/far"), [])
         self.settled(self.manager)
 
     def keeps_it(self, fault: ContextManager[None], seconds: float) -> None:

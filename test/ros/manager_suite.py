@@ -21,14 +21,17 @@ from typing import Any, Iterator
 import graph  # noqa: F401 - it makes the test packages known
 import rosgraph
 import rospy
+from nodelet.srv import NodeletList
 from processes import TellingCase, eventually, forget_ended, nodes
 from roslib.packages import find_node
 from std_msgs.msg import Header
 
-from dyknow.errors import DyKnowError, Refused
+from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.streams import StreamStatus
 from dyknow.ros.client import ManagerClient
+from dyknow.ros.master import Master
 from dyknow.ros.os_process import ProcessId
+from dyknow.ros.service_client import ServiceClient
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"
@@ -91,10 +94,7 @@ class ManagerProcess:
             rospy.set_param(f"{self.node}/{name}", value)
         with open(self.log, "ab") as log:
             self.process = subprocess.Popen(
-                self.command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
+                self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
             )
         if wait:
             eventually(self.is_up, 30.0, "the manager is up", lambda: self.output)
@@ -289,6 +289,15 @@ def _children_of(pid: int) -> list[ProcessId]:
             if _stat(int(each.name))[1] == str(pid):
                 found.append(ProcessId.of(int(each.name)))
     return [process for process in found if process is not None]
+
+
+def listed(manager: str) -> list[str] | None:
+    """The nodelets that a nodelet manager lists; None if it does not answer."""
+    master = Master(rospy.get_name())
+    try:
+        return sorted(ServiceClient(master, f"{manager}/list", NodeletList).call(5.0).nodelets)
+    except (HostError, PeerTimeout):
+        return None
 
 
 def registrations(prefix: str) -> list[str]:

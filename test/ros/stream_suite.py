@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from typing import Any, Callable
+from typing import Any
 
+import rosgraph
 import rospy
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
-from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, nodes
+from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, listed, nodes
 from processes import BUSY
 from std_msgs.msg import Header, String
 
@@ -167,31 +167,26 @@ class StreamCase(ManagerCase):
 
 def _violations(manager: ManagerProcess) -> list[str]:
     """Violated invariants, judged by the nodelet managers' lists and the proxies."""
-    import rosgraph
-    from nodelet.srv import NodeletList
-
     found = []
     model = manager.client.get_model()
     claims = manager.claims()
     needed = {name for claim in claims for name in claim.nodelets}
-    listed = set()
-    for child in manager.children():
-        listed |= set(_within(2.0, rospy.ServiceProxy(f"{child}/list", NodeletList)).nodelets)
+    real = {name for child in manager.children() for name in listed(child) or ()}
     names = {each.name for each in model.nodelets}
-    if listed != names:
-        found.append(f"the model has {sorted(names)}, reality {sorted(listed)}")
+    if real != names:
+        found.append(f"the model has {sorted(names)}, reality {sorted(real)}")
     for nodelet in model.nodelets:
         if nodelet.state is not State.RUNNING:
             found.append(f"{nodelet.name} is {nodelet.state.name}")
             continue
         try:
-            real = {port.name: port.topic for port in manager.client.get_config(nodelet.name)}
+            there = {port.name: port.topic for port in manager.client.get_config(nodelet.name)}
         except DyKnowError as error:  # it goes just now
             found.append(str(error))
             continue
         shown = {port.name: port.topic for port in nodelet.ports}
-        if real != shown:
-            found.append(f"{nodelet.name}: the model has {shown}, reality {real}")
+        if there != shown:
+            found.append(f"{nodelet.name}: the model has {shown}, reality {there}")
     state = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
     for claim in claims:
         if claim.state is not ClaimState.ACTIVE and not claim.detail:
@@ -217,27 +212,3 @@ def _violations(manager: ManagerProcess) -> list[str]:
 
 #: Prefix of the names of nodelets that the manager makes for claims in these suites.
 OF_CLAIMS = ("/camera", "/ceiling", "/filter", "/cheap", "/spare", "/tracker")
-
-
-def _within(seconds: float, call: Callable[[], Any]) -> Any:
-    """Call a service that may hang."""
-    answers: list[Any] = []
-
-    def ask() -> None:
-        try:
-            answers.append(call())
-        except rospy.ServiceException as error:
-            answers.append(error)
-
-    thread = threading.Thread(target=ask, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    assert answers, "no answer"
-    return answers[0] if not isinstance(answers[0], Exception) else _NOTHING
-
-
-class _Nothing:
-    nodelets: tuple[str, ...] = ()
-
-
-_NOTHING = _Nothing()

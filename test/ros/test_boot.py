@@ -196,7 +196,7 @@ class BootTest(ManagerCase):
         self.manager.client.add_transformation(LIBRARY)
         eventually(lambda: self.hosted_by_children() == [], 20.0, "its nodelet manager is up")
         self.before = self.at_the_master()
-        for life in range(rospy.get_param("~lives", 2)):
+        for life in range(rospy.get_param("~lives", 1)):
             print(f"life {life}", flush=True)
             self.work(dice)
             while dice.random() < 0.25:  # once more, while it comes back

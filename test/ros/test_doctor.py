@@ -30,6 +30,9 @@ MOODY = "dyknow_manager_test/Moody"
 
 
 class DoctorTest(ManagerCase):
+    #: Of a manager for two tests.
+    parameters = {"denied_topics": ["/e_stop"], "ontolgies": "/x.owl"}
+
     def findings(self, check: str, **options: object) -> list[tuple[str, str, str]]:
         """The findings of one check: subject, problem and cure."""
         checks = dict(Doctor(ShellClient(MANAGER), **options).checks())
@@ -56,7 +59,7 @@ class DoctorTest(ManagerCase):
         self.assertEqual(len(done.json["checks"]), 13)
 
     def test_mistakes_in_the_library_and_in_parameters(self):
-        manager = self.started(ontolgies="/x.owl")
+        manager = self.started(**self.parameters)
         manager.client.add_transformation(specification("lost", "dyknow/Sourse", ">out"))
         manager.client.spawn("counter", "c", parameters=[Parameter("rte", "", "5")])
         done = Done("doctor", "--quiet")
@@ -121,7 +124,7 @@ class DoctorTest(ManagerCase):
         self.assertEqual(Done("doctor", ROS_MASTER_URI="http://localhost:1").code, 3)
 
     def test_guards_that_are_gone(self):
-        manager = self.started(denied_topics=["/e_stop"])
+        manager = self.started(**self.parameters)
         manager.client.spawn("counter", "c")
         # It cannot hand them over again while it is suspended, and is not waited for.
         doctor = Doctor(ShellClient(MANAGER))

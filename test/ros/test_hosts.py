@@ -15,7 +15,7 @@ import rospy
 from graph import PEER
 from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, ClaimOverHosts, HostsCase, Split
-from manager_suite import LIBRARY, ManagerProcess, eventually
+from manager_suite import LIBRARY, ManagerProcess, eventually, listed
 from processes import DYKNOW
 from stream_suite import GOAL
 from stream_suite import LIBRARY as STREAMS
@@ -50,12 +50,12 @@ class AbsentHostsTest(HostsCase):
             self.becomes(manager, "/kept", State.LOST)
             self.assertIn("does not answer", manager.nodelet("/kept").detail)
         self.becomes(manager, "/kept", State.RUNNING)
-        self.assertEqual(self.listed("/far0"), ["/kept"])
+        self.assertEqual(listed("/far0"), ["/kept"])
         self.assertEqual(manager.nodelet("/kept").host, far[0].address)
         self.assertEqual(manager.topics("/kept"), {"out": "/kept/out"})
         self.assertLess(self.spawn_time(manager), before + CALL_TIMEOUT)
         manager.client.destroy("/kept")
-        self.assertEqual(self.listed("/far0"), [])
+        self.assertEqual(listed("/far0"), [])
 
     def test_a_host_whose_name_nobody_can_look_up_holds_up_nobody(self):
         folder = tempfile.TemporaryDirectory()
@@ -99,7 +99,7 @@ class AbsentHostsTest(HostsCase):
         for name in ("/one", "/two"):
             self.becomes(manager, name, None)
         self.becomes(manager, "/three", State.RUNNING)
-        self.assertEqual(self.listed("/far"), ["/three"])
+        self.assertEqual(listed("/far"), ["/three"])
 
 
 class SplitTest(Split):

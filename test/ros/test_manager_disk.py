@@ -56,10 +56,7 @@ class ManagerDiskTest(ManagerCase):
     def all_run(self, manager: ManagerProcess, *names: str) -> None:
         wanted = dict.fromkeys(names, State.RUNNING)
         eventually(
-            lambda: self.states(manager) == wanted,
-            30.0,
-            f"{names} run",
-            lambda: manager.output,
+            lambda: self.states(manager) == wanted, 30.0, f"{names} run", lambda: manager.output
         )
 
     def test_a_full_disk_stops_nothing_and_takes_what_it_missed_later(self):

@@ -181,7 +181,7 @@ class ManagerFaultsTest(ManagerCase):
         self.addCleanup(receiver.close)
         receiver.flows()
         children = manager.children()
-        for _ in range(3):
+        for _ in range(2):
             manager.kill()
             receiver.flows()
             manager.start()
@@ -266,7 +266,7 @@ class ManagerFaultsTest(ManagerCase):
         self.addCleanup(receiver.close)
         receiver.flows()
         promised = {"/counter": {"out": "/s0"}, "/steady": {"in": "/s0", "out": "/s1"}}
-        for _ in range(3):
+        for _ in range(2):
             doubtful = self.work_until_killed(manager, dice, promised)
             manager.start()
             found = {
@@ -312,7 +312,7 @@ class ManagerFaultsTest(ManagerCase):
         return doubtful
 
 
-__all__ = ["BootTest"]  # is run here for two lives, and for many in the long run
+__all__ = ["BootTest"]  # is run here for one life, and for many in the long run
 
 
 def offers(master: rosgraph.Master, service: str) -> bool:

@@ -50,12 +50,7 @@ class WithManager:
 
     def load(self, *arguments, name="nodelet"):
         process = self.start(
-            *NODELET,
-            "load",
-            self.type,
-            *arguments,
-            f"__name:={name}",
-            "__ns:=/command_test",
+            *NODELET, "load", self.type, *arguments, f"__name:={name}", "__ns:=/command_test"
         )
         eventually(
             lambda: f"/command_test/{name}" in nodelets() or process.has_ended,
@@ -157,14 +152,7 @@ class WithManager:
     def test_a_name_that_is_taken_stays_with_the_first(self):
         self.load(MANAGER, "--no-bond").stop(signal.SIGKILL)
         code, output = finished(
-            [
-                *NODELET,
-                "load",
-                self.type,
-                MANAGER,
-                "__name:=nodelet",
-                "__ns:=/command_test",
-            ]
+            [*NODELET, "load", self.type, MANAGER, "__name:=nodelet", "__ns:=/command_test"]
         )
         self.assertEqual(code, 255, output)
         self.assertEqual(nodelets(), ["/command_test/nodelet"])

@@ -173,10 +173,7 @@ class SetConfigTest(Refusals):
     def test_bad_requests(self):
         for pairs, texts in (
             ([("out", "/x"), ("lens", "/y")], ["unknown port 'lens'", "known ports: in, out"]),
-            (
-                [("in", "/x"), ("out", "/y"), ("in", "/z")],
-                ["port 'in' is named twice or more"],
-            ),
+            ([("in", "/x"), ("out", "/y"), ("in", "/z")], ["port 'in' is named twice or more"]),
             *(
                 (
                     [("in", "/x"), ("out", name)],

@@ -67,12 +67,7 @@ class ScriptLeakTest(NodeletManagerCase):
             return False
 
         print(f"after {cycles} cycles: {grown()}")
-        eventually(
-            is_settled,
-            5.0,
-            f"no more than {most} is left of {cycles} cycles",
-            grown,
-        )
+        eventually(is_settled, 5.0, f"no more than {most} is left of {cycles} cycles", grown)
 
     def cycle(self) -> None:
         for name, (script, *arguments) in SCRIPTS.items():

@@ -31,10 +31,11 @@ from manager_suite import (
     MANAGER,
     ManagerCase,
     eventually,
+    listed,
     parameters,
     specification,
 )
-from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
+from nodelet.srv import NodeletLoad, NodeletUnload
 from std_msgs.msg import String
 
 from dyknow.errors import Refused
@@ -58,14 +59,6 @@ SERVICES = {
 }
 #: Specifications may be long: they have their own limits.
 UNLIMITED = ("specification",)
-
-
-def running(manager):
-    """The nodelets of a nodelet manager; none while it does not run."""
-    try:
-        return list(rospy.ServiceProxy(f"{manager}/list", NodeletList)().nodelets)
-    except (rospy.ServiceException, rospy.TransportException):
-        return []
 
 
 def refusal(manager, name=RELAY):
@@ -293,7 +286,7 @@ class ProtectionTest(ManagerCase):
         manager = self.started()
         manager.client.spawn("relay", RELAY, is_protected=True)
         self.assertIn("protected from unloading", refusal(CHILD))
-        self.assertEqual(running(CHILD), [RELAY])
+        self.assertEqual(listed(CHILD), [RELAY])
         with self.assertRaises(Refused):
             manager.client.destroy(RELAY)
         manager.client.set_protection(RELAY, False)
@@ -309,19 +302,19 @@ class ProtectionTest(ManagerCase):
         self.assertEqual(refusal(CHILD, "/two"), "")
         manager.client.set_protection("/one", False)
         manager.client.destroy("/one")
-        self.assertEqual(running(CHILD), [])
+        self.assertEqual(listed(CHILD), [])
 
     def test_a_restarted_nodelet_manager_and_a_restarted_manager(self):
         manager = self.started()
         manager.client.spawn("relay", RELAY, is_protected=True)
         manager.kill_child()
-        eventually(lambda: RELAY in running(CHILD), 20.0, "the nodelet is back")
+        eventually(lambda: listed(CHILD) == [RELAY], 20.0, "the nodelet is back")
         self.assertIn("protected from unloading", refusal(CHILD))
         manager.kill()
         self.assertIn("protected from unloading", refusal(CHILD))
         manager.start()
         self.assertIn("protected from unloading", refusal(CHILD))
-        self.assertEqual(running(CHILD), [RELAY])
+        self.assertEqual(listed(CHILD), [RELAY])
 
     def test_a_nodelet_manager_of_others(self):
         other = Manager("/other")
@@ -330,7 +323,7 @@ class ProtectionTest(ManagerCase):
         manager.client.spawn("relay", RELAY, manager="/other", is_protected=True)
         self.assertIn("protected from unloading", refusal("/other"))
         manager.stop()  # deliberately: its nodelets there end with it
-        eventually(lambda: running("/other") == [], 10.0, "nothing is left")
+        eventually(lambda: listed("/other") == [], 10.0, "nothing is left")
 
 
 class LimitsTest(ManagerCase):

@@ -56,11 +56,7 @@ class SoccerTest(LaunchedManagerCase):
         """Load what makes field positions of a camera's images; returns its nodelets."""
         mount = "nao_bottom" if owner == "nao" else CEILING_MOUNT
         half, quarter = f"{camera}/half", f"{camera}/quarter"
-        subsampler = {
-            "yuv": f"{camera}/image",
-            "yuv_half": half,
-            "yuv_quarter": quarter,
-        }
+        subsampler = {"yuv": f"{camera}/image", "yuv_half": half, "yuv_quarter": quarter}
         detector = {
             "yuv_fine": half,
             "yuv_coarse": quarter,

@@ -6,9 +6,11 @@
 import re
 
 import pytest
+import rospy
 
 from dyknow.cli import manager, nodelet
 from dyknow.cli.node_help import MANAGER, NODELET_MANAGER
+from dyknow.errors import BadParameter
 from dyknow.ros.manager import manager_settings
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.nodelets.nodelet_manager import Settings
@@ -54,3 +56,15 @@ def test_the_nodelet_manager_describes_all_its_parameters():
     assert {name: float(default[0]) for name, default in described.items()} == {
         name: getattr(Settings, name) for name in Settings.__dataclass_fields__
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [("num_worker_threads", each, "an integer from 0") for each in (-1, "many", 1.5, True)]
+    + [("stuck_after", each, "seconds above 0") for each in (0, -1.0, "soon", True)],
+)
+def test_the_nodelet_manager_refuses_a_parameter_without_sense(monkeypatch, name, value, expected):
+    given = {f"~{name}": value}
+    monkeypatch.setattr(rospy, "get_param", given.get)
+    with pytest.raises(BadParameter, match=f"~{name}' is .*: expected {expected}"):
+        Settings.read()
