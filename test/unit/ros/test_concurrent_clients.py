@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 
 KIND = NodeletKind.PYTHON
 NAME = "/far"
-SECONDS = 1.0
+SECONDS = 0.4
 PATIENCE = 30.0
 
 

@@ -19,6 +19,13 @@ from dyknow.ros.scripts.sandbox import Sandbox, defer_in_finalizers, outside_of_
 PATIENCE = 10.0
 
 
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    monkeypatch.setattr(sandbox_module, "_PATIENCE", 0.01)
+    monkeypatch.setattr(sandbox_module, "_FORCE", 0.01)
+    monkeypatch.setattr(sandbox_module, "_AFTERWARDS", 0.1)
+
+
 def ended_sandbox(work):
     """End a sandbox while its thread waits; return the thread, and the event that frees it."""
     sandbox, go_on = Sandbox("sandbox"), threading.Event()
@@ -63,7 +70,7 @@ def test_a_thread_that_catches_its_end_does_not_spin(monkeypatch):
     slept.clear()
     go_on.set()
     thread.join(PATIENCE)
-    assert not thread.is_alive() and slept and min(slept) >= 1.0
+    assert not thread.is_alive() and slept and min(slept) >= 0.1
 
 
 class Asker:

@@ -10,13 +10,15 @@ import socket
 import struct
 import threading
 import time
-from typing import Iterator, Tuple
+from types import SimpleNamespace
+from typing import Iterator, List, Tuple
 
 import pytest
 from nodelet.srv import NodeletList
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import PeerTimeout
+from dyknow.ros import service_client
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.tcpros import TcprosConnection
@@ -88,25 +90,32 @@ def test_a_hung_server_holds_up_the_first_call_alone(
 
 
 def test_the_wait_for_other_threads_counts_with_the_call(
-    manager: SmallManager, client: ServiceClient
+    manager: SmallManager, client: ServiceClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    now = [time.monotonic()]
+    deadlines: List[float] = []
+
     class SlowTurn:
         """A turn that is free only when the time of the call is over."""
 
         def acquire(self, blocking: bool = True, timeout: float = 0.0) -> bool:
-            time.sleep(timeout)
+            now[0] += timeout
             return True
 
         def release(self) -> None:
             pass
 
+    def answer(connection: TcprosConnection, deadline: float) -> Tuple[bool, bytes]:
+        deadlines.append(deadline)
+        raise socket.timeout
+
     client.call(LONG)
-    manager.goes_on.clear()
     client._turn = SlowTurn()  # type: ignore[assignment]
-    began = time.monotonic()
+    monkeypatch.setattr(TcprosConnection, "receive_answer", answer)
+    monkeypatch.setattr(service_client, "time", SimpleNamespace(monotonic=lambda: now[0]))
     with pytest.raises(PeerTimeout):
         client.call(5.0)
-    assert time.monotonic() - began < 9.5
+    assert deadlines == [now[0]]
 
 
 @pytest.mark.parametrize("persistent", [False, True])
