@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import Any, Dict, Iterable, List, Tuple
+from typing import Any, Callable, Dict, Generic, Iterable, Tuple, TypeVar
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
@@ -23,8 +23,29 @@ from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.transformation import Transformation
 from dyknow.ros.messages import nodelet_message, transformation_message
 
+T = TypeVar("T")
+
 _HEAD = struct.Struct("<QQII")
 _COUNT = struct.Struct("<I")
+
+
+class _Parts(Generic[T]):
+    """Serialised values, kept while they are the same objects."""
+
+    def __init__(self, name: Callable[[T], str], convert: Callable[[T], Any]) -> None:
+        self._name = name
+        self._convert = convert
+        self._kept: Dict[str, Tuple[T, bytes]] = {}
+
+    def serialise(self, values: Iterable[T]) -> bytes:
+        kept: Dict[str, Tuple[T, bytes]] = {}
+        for each in values:
+            part = self._kept.get(self._name(each))
+            if part is None or part[0] is not each:
+                part = each, _bytes(self._convert(each))
+            kept[self._name(each)] = part
+        self._kept = kept
+        return _COUNT.pack(len(kept)) + b"".join(part for _, part in kept.values())
 
 
 class ModelMessages:
@@ -33,8 +54,10 @@ class ModelMessages:
     def __init__(self) -> None:
         """Make an empty cache."""
         self._turn = turn_lock("parts of model messages")
-        self._nodelets: Dict[str, Tuple[NodeletStatus, bytes]] = {}
-        self._transformations: Dict[str, Tuple[Transformation, bytes]] = {}
+        self._nodelets = _Parts[NodeletStatus](lambda each: each.name, nodelet_message)
+        self._transformations = _Parts[Transformation](
+            lambda each: each.label, transformation_message
+        )
         self._library: Tuple[int, bytes] = (-1, b"")
 
     def topic(self, model: Model) -> ModelMessage:
@@ -43,38 +66,18 @@ class ModelMessages:
 
     def response(self, model: Model) -> GetModelResponse:
         """Answer of the service: nodelets and transformations."""
-        return _ReadyResponse(self._graph(model) + self._library_of(model))
+        with self._turn:
+            if self._library[0] != model.library_revision:
+                part = self._transformations.serialise(model.transformations)
+                self._library = (model.library_revision, part)
+            library = self._library[1]
+        return _ReadyResponse(self._graph(model) + library)
 
     def _graph(self, model: Model) -> bytes:
         now = rospy.Time.now()
         head = _HEAD.pack(model.revision, model.library_revision, now.secs, now.nsecs)
         with self._turn:
-            known = self._nodelets
-            kept = {
-                each.name: known[each.name]
-                if known.get(each.name, (None,))[0] is each
-                else (each, _bytes(nodelet_message(each)))
-                for each in model.nodelets
-            }
-            self._nodelets = kept
-        return head + _sequence(part for _, part in kept.values())
-
-    def _library_of(self, model: Model) -> bytes:
-        with self._turn:
-            revision, part = self._library
-            if revision == model.library_revision:
-                return part
-            known = self._transformations
-            kept = {
-                each.label: known[each.label]
-                if known.get(each.label, (None,))[0] is each
-                else (each, _bytes(transformation_message(each)))
-                for each in model.transformations
-            }
-            part = _sequence(part for _, part in kept.values())
-            self._transformations = kept
-            self._library = (model.library_revision, part)
-            return part
+            return head + self._nodelets.serialise(model.nodelets)
 
 
 class _Ready:
@@ -101,8 +104,3 @@ def _bytes(message: Any) -> bytes:
     buffer = BytesIO()
     message.serialize(buffer)
     return buffer.getvalue()
-
-
-def _sequence(parts: Iterable[bytes]) -> bytes:
-    gathered: List[bytes] = list(parts)
-    return _COUNT.pack(len(gathered)) + b"".join(gathered)

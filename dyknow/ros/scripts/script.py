@@ -29,7 +29,7 @@ PATIENCE = 2.0
 _log = logging.getLogger("rosout.dyknow")
 
 
-class ScriptCode:
+class ScriptCode(Closable):
     """One script, ready to be executed once in a sandbox.
 
     Args:
@@ -65,6 +65,12 @@ class ScriptCode:
         self._sandbox.end_threads(frozenset(self.importer.files()))
         self._sandbox.run_exits()
 
+    def close(self) -> None:
+        """End it in the background if its load has failed, or took too long."""
+        if not self._sandbox.closing.is_set():
+            self._sandbox.closing.set()
+            in_background(f"end of {self._sandbox.name}", self.end)
+
     def let_go(self) -> None:
         """Free all that its modules hold, unless a thread does not end."""
         self._sandbox.let_go()
@@ -96,15 +102,17 @@ class ScriptNodelet(Nodelet):
         by_reference = bool(self.private_node_handle.get_param("~by_reference", False))
         sandbox = self._sandbox = Sandbox(self.name, copies=not by_reference)
         sandbox.on_refusal = self._refused
-        sandbox.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
         arguments = NodeArguments()
 
         def init_node(*args: Any, **kwds: Any) -> None:
             arguments.note(args, kwds)
 
-        self._code = ScriptCode(sandbox, argv, init_node)
-        self.context.close_with(_End(sandbox, self._code))
-        self.context.last_hooks.append(self._code.let_go)
+        code = self._code = ScriptCode(sandbox, argv, init_node)
+        sandbox.main = threading.Thread(
+            target=self._main, args=(sandbox, code), name=f"{self.name} main", daemon=True
+        )
+        self.context.close_with(code)
+        self.context.last_hooks.append(code.let_go)
         sandbox.begin(ScriptHandle(self.mt_node_handle))
         sandbox.main.start()
         sandbox.settled.wait(PATIENCE)
@@ -119,17 +127,15 @@ class ScriptNodelet(Nodelet):
             self._sandbox.shut_down("unloaded", HOOKS_PATIENCE)
             self._code.end()
 
-    def _main(self) -> None:
-        sandbox, code = self._sandbox, self._code
-        assert sandbox is not None and code is not None
+    def _main(self, sandbox: Sandbox, code: ScriptCode) -> None:
         try:
             with self.context.executor.record.noting(self.context.mark):
                 code.execute()
         except SystemExit as end:
             if end.code not in (None, 0):
-                self._failed(ScriptEnded(self.name, end.code))
+                self._failed(sandbox, ScriptEnded(self.name, end.code))
         except BaseException as error:  # the boundary of the script
-            self._failed(error)
+            self._failed(sandbox, error)
         sandbox.join()
         sandbox.settled.set()
         if not sandbox.closing.is_set():
@@ -149,29 +155,13 @@ class ScriptNodelet(Nodelet):
         _log.info("%s: the script has ended", self.name)
         in_background(f"unloading {self.name}", self.context.unload)
 
-    def _failed(self, error: BaseException) -> None:
-        sandbox = self._sandbox
-        assert sandbox is not None
+    def _failed(self, sandbox: Sandbox, error: BaseException) -> None:
         if sandbox.closing.is_set():
             return
         if sandbox.settled.is_set():
             lines = traceback.format_exception(type(error), error, error.__traceback__)
             _log.error("%s: the script has failed\n%s", self.name, "".join(lines))
         self._error = error
-
-
-class _End(Closable):
-    """Ends a script whose load failed, or was given up."""
-
-    def __init__(self, sandbox: Sandbox, code: ScriptCode) -> None:
-        self._sandbox = sandbox
-        self._code = code
-
-    def close(self) -> None:
-        """End what still runs, without waiting for it."""
-        if not self._sandbox.closing.is_set():
-            self._sandbox.closing.set()
-            in_background(f"end of {self._sandbox.name}", self._code.end)
 
 
 class NodeArguments:

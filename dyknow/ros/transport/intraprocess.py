@@ -288,7 +288,7 @@ class LocalTopic:
         return received
 
 
-class IntraProcess:
+class IntraProcess(rospy.impl.registration.RegistrationListener):
     """The hook, and the topics that it is for."""
 
     def __init__(self, executor: Executor) -> None:
@@ -301,7 +301,7 @@ class IntraProcess:
         handler = rospy.impl.tcpros.get_tcpros_handler()
         self._connect_outside = handler.create_transport
         handler.create_transport = self._create_transport
-        rospy.impl.registration.get_registration_listeners().add_listener(_Departures(self.retire))
+        rospy.impl.registration.get_registration_listeners().add_listener(self)
 
     def publishing(self, topic: str) -> LocalTopic:
         """Take over a topic, before rospy's publisher is made."""
@@ -322,6 +322,11 @@ class IntraProcess:
                 return
             del self._topics[topic]
         local.unlink()
+
+    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Retire a topic whose last publisher in this process is gone."""
+        if reg_type == rospy.impl.registration.Registration.PUB:
+            self.retire(resolved_name)
 
     def _address_of(self, caller: str) -> str:
         try:
@@ -349,18 +354,6 @@ class IntraProcess:
             return 0, f"no subscriber of {topic}", 0
         local.link(subscriber)
         return 1, "intraprocess", 0
-
-
-class _Departures(rospy.impl.registration.RegistrationListener):
-    """Reports that the last publisher of a topic in this process is gone."""
-
-    def __init__(self, gone: Callable[[str], None]) -> None:
-        self._gone = gone
-
-    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        """Pass publishers on."""
-        if reg_type == rospy.impl.registration.Registration.PUB:
-            self._gone(resolved_name)
 
 
 def _ours(callback: Any) -> bool:

@@ -12,7 +12,6 @@ import threading
 import time
 from typing import Any, Callable, Dict, Optional
 
-import rosgraph
 import rospy
 import rospy.rostime
 import rospy.timer
@@ -21,6 +20,7 @@ from dyknow import names
 from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import Node, Ticker
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
+from dyknow.ros.master import Master
 
 #: Seconds of a wait between two looks whether the nodelet is still there.
 _SLICE = 1.0
@@ -96,8 +96,8 @@ def _resolve_service(handle: Any, name: str) -> str:
 
 def _search_param(handle: Any, param_name: str) -> Any:
     try:
-        return rosgraph.Master(handle.get_name()).searchParam(param_name) or None
-    except rosgraph.MasterError:
+        return Master(handle.get_name()).ask("searchParam", param_name) or None
+    except LookupError:
         return None
 
 
