@@ -22,7 +22,7 @@ from dyknow.nodelet.local import (
     ManualTicker,
 )
 from dyknow.nodelet.middleware import Handler
-from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
+from dyknow.ros.transport.node import ClosedHandle, Interrupted, MessageTimeout
 
 #: Members of rospy that need neither a node nor a master.
 _PLAIN = frozenset(

@@ -28,7 +28,7 @@ from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.remote_calls import call_within
+from dyknow.ros.service_client import call_within
 from dyknow.ros.signals import DONE, FAILED, INTERRUPTED, on_signals
 
 _UNLOAD_TIMEOUT = 10.0

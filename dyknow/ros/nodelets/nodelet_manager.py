@@ -45,7 +45,7 @@ from dyknow.ros.nodelets.lease_service import LeaseService, end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.transport.middleware import rospy_middleware
-from dyknow.ros.transport.own_topics import guard_topics, hide_topics
+from dyknow.ros.transport.registrar import guard_topics, hide_topics
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5

@@ -17,9 +17,9 @@ import rospy.rostime
 import rospy.timer
 
 from dyknow import names
+from dyknow.errors import DyKnowError, HandleClosed
 from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import Node, Ticker
-from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.master import Master
 
 #: Seconds of a wait between two looks whether the nodelet is still there.
@@ -125,6 +125,18 @@ _OURS: Dict[str, Callable[..., Any]] = {
     "search_param": _search_param,
     "wait_for_service": _wait_for_service,
 }
+
+
+class ClosedHandle(HandleClosed, rospy.ROSException):
+    """A handle was used after it was unregistered or its nodelet unloaded."""
+
+
+class MessageTimeout(DyKnowError, rospy.ROSException):
+    """A message did not come in time."""
+
+
+class Interrupted(DyKnowError, rospy.ServiceException, rospy.ROSInterruptException):
+    """The nodelet was unloaded during a wait."""
 
 
 class RospyNode(Node):

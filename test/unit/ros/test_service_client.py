@@ -20,8 +20,7 @@ from unit.ros.small_graph import SmallManager, small_graph
 from dyknow.errors import PeerTimeout
 from dyknow.ros import service_client
 from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
-from dyknow.ros.tcpros import TcprosConnection
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost, TcprosConnection
 
 LONG = 30.0
 SOON = 0.05
