@@ -1,18 +1,22 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Sessions of a process with its managers: opened once for each, independently of the others."""
+"""Streams that a process acquires: one session for each manager, and no outdated status."""
 
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Callable, Dict, List
+from unittest import mock
 
 import pytest
 import rospy
 
+from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
 from dyknow.ros import stream_session
+from dyknow.ros.acquiring import AcquiredStream
 from dyknow.ros.stream_session import StreamSession
 
 PATIENCE = 10.0
@@ -102,3 +106,58 @@ def test_a_session_that_cannot_be_opened_leaves_nothing(
     assert around.open == []
     assert StreamSession._sessions == {}
     open_session("/manager").close()
+
+
+# Outdated statuses and events do not replace newer ones
+
+
+ACTIVE = StreamStatus("c", "me", "A", "/a", "std_msgs/Header", ClaimState.ACTIVE, "", (), 0.0)
+DEGRADED = replace(ACTIVE, state=ClaimState.DEGRADED, detail="a part is in doubt")
+RELEASED = replace(ACTIVE, state=ClaimState.RELEASED)
+
+
+@pytest.fixture
+def events() -> List[StreamEvent]:
+    return []
+
+
+@pytest.fixture
+def stream(events: List[StreamEvent], monkeypatch: pytest.MonkeyPatch) -> AcquiredStream:
+    monkeypatch.setattr("rospy.get_time", lambda: 0.0)
+    return AcquiredStream(mock.Mock(), mock.Mock(), ACTIVE, 30.0, events.append)
+
+
+def event(status: StreamStatus) -> StreamEvent:
+    return StreamEvent(0.0, ACTIVE, status, "because")
+
+
+def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
+    asked_at = stream.events
+    stream.apply(event(DEGRADED))
+    stream.update(ACTIVE, asked_at)
+    assert stream.state is ClaimState.DEGRADED
+    stream.update(ACTIVE, stream.events)
+    assert stream.state is ClaimState.ACTIVE
+
+
+def test_a_late_event_does_not_revive_what_was_released(
+    stream: AcquiredStream, events: List[StreamEvent]
+) -> None:
+    stream.release()
+    stream.apply(event(DEGRADED))
+    stream.update(DEGRADED, stream.events)
+    stream.end("unknown")
+    assert stream.state is ClaimState.RELEASED
+    assert [each.after.state for each in events] == [ClaimState.RELEASED]
+
+
+def test_a_callback_that_releases_gets_that_event_afterwards(
+    stream: AcquiredStream, events: List[StreamEvent]
+) -> None:
+    def release(news: StreamEvent) -> None:
+        events.append(news)
+        stream.release()
+
+    stream._notifications.listener = release
+    stream.apply(event(DEGRADED))
+    assert [each.after.state for each in events] == [ClaimState.DEGRADED, ClaimState.RELEASED]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""File descriptors of topics, their limit, and a server that accepts many connections at once."""
+"""Resources of a node: descriptors of topics, their limit, connections at once, and memory."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import os
 import resource
 import socket
 import struct
+import subprocess
+import sys
 from typing import Any, Iterator
 
 import pytest
@@ -145,3 +147,37 @@ def test_a_peer_that_connects_when_no_descriptor_is_left_waits(
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(socket.timeout):
         descriptors.PatientSocket(Full()).accept()  # type: ignore[arg-type]
+
+
+CODE = """
+import threading
+from dyknow.nodelet.memory import return_free_memory
+from dyknow.ros.node_process import NodeProcess
+
+def resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
+
+def work():
+    for _ in range(3):
+        block = b"x" * 20_000_000
+        together.wait()
+
+NodeProcess("test", ["test"], lambda: None)
+before = resident()
+together = threading.Barrier(4)
+threads = [threading.Thread(target=work) for _ in range(4)]
+for each in threads:
+    each.start()
+for each in threads:
+    each.join()
+return_free_memory()
+print(resident() - before)
+"""
+
+
+def test_nothing_stays_with_the_process() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CODE], stdout=subprocess.PIPE, check=True, timeout=120
+    )
+    assert int(done.stdout) < 10_000_000
