@@ -70,15 +70,15 @@ def carry_out(
         except DyKnowError as error:
             if not keep_going:
                 maybe = [step] if may_be_done(error) else []
-                raise StepFailed(step, error, _take_back(done, maybe)) from error
+                raise StepFailed(step, error, take_back(done, maybe)) from error
             failed.append((step, error))
         except BaseException:
-            _take_back(done, [step])
+            take_back(done, [step])
             raise
     return failed
 
 
-def _take_back(done: List[ReversibleStep], maybe: List[ReversibleStep]) -> List[str]:
+def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = ()) -> List[str]:
     """Take steps back, the last first; return in words which could not be.
 
     Args:

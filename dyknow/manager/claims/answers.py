@@ -114,13 +114,6 @@ class CheaperPlans:
     def __init__(
         self, table: ClaimTable, planner: ClaimPlanner, clock: Callable[[], float]
     ) -> None:
-        """Begin with no comparison.
-
-        Args:
-            table: the claims.
-            planner: knows the prices.
-            clock: steady time, in seconds.
-        """
         self._table = table
         self._planner = planner
         self._clock = clock
@@ -142,7 +135,7 @@ class CheaperPlans:
 
         In each call one claim is compared anew, if anything new is on offer.
         """
-        offers, now = self._planner.supplies.offers(), self._clock()
+        offers, now = self._planner.inputs.offers(), self._clock()
         claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
         for claim in claims:
             known = self._compared.get(claim.claim_id)

@@ -34,7 +34,7 @@ from dyknow.errors import DyKnowError, HostTimeout, NameTaken, SpawnFailed, Stre
 from dyknow.manager.claims.connector import Transaction
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import relay
-from dyknow.manager.claims.supplies import Instance, instance_of, with_feeders
+from dyknow.manager.claims.plan_inputs import Instance, add_upstream, instance_of
 from dyknow.manager.claims.world import World
 from dyknow.manager.host import Count, Host
 from dyknow.manager.manager import Manager
@@ -124,14 +124,6 @@ class PlanContext:
         request: AssemblyRequest,
         spawned: Sequence[str],
     ) -> None:
-        """Begin before the first step of the plan.
-
-        Args:
-            manager: knows the nodelets.
-            world: returns the world of the moment.
-            request: what has to be made.
-            spawned: names of the nodelets that were made for it; grows.
-        """
         self._manager = manager
         self._world = world
         self._request = request
@@ -329,13 +321,6 @@ class Assembly:
     def __init__(
         self, context: ClaimContext, request: AssemblyRequest, handover: Handover
     ) -> None:
-        """Prepare; ``carry_out`` does it.
-
-        Args:
-            context: what the parts of the reconciler share.
-            request: what has to be made.
-            handover: waits for replacements.
-        """
         self._manager = context.manager
         self._world = context.connector.world
         self._lock = context.lock
@@ -345,7 +330,7 @@ class Assembly:
         self._plan = PlanContext(context.manager, self._world, request, self._transaction.spawned)
         self._result = AssemblyResult()
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
-        self.culprit = ""
+        self.failed_label = ""
 
     def carry_out(self) -> AssemblyResult:
         """Make what the plan says; whatever this raises, what was made is undone.
@@ -367,7 +352,7 @@ class Assembly:
             self._take(step)
         self._publish(request.plan.goal)
         records = self._world().records
-        with_feeders(records, request.ordinary, result.wiring, result.sources, result.reused)
+        add_upstream(records, request.ordinary, result.wiring, result.sources, result.reused)
         result.spawned = list(self._transaction.spawned)
         result.reused -= set(result.spawned)
         result.remarks = self._handover.remarks
@@ -378,7 +363,7 @@ class Assembly:
         """Keep the nodelets that the plan counts on, and their feeders, from being destroyed."""
         used = {live.nodelet for live in self._request.plan.live if live.nodelet}
         fed: Dict[str, Dict[str, str]] = {name: {} for name in used}
-        with_feeders(self._world().records, self._request.ordinary, fed, set(), used)
+        add_upstream(self._world().records, self._request.ordinary, fed, set(), used)
         self._lock.reserve([*self._request.movable, *fed])
 
     # Steps
@@ -536,7 +521,7 @@ class Assembly:
                 topics = {port: topic for port, (topic, _) in inputs.items()}
                 config = {**(certain if kind.is_written_for_dyknow else topics), **own}
             except DyKnowError:
-                self.culprit = transformation.label
+                self.failed_label = transformation.label
                 raise
             request = SpawnRequest(transformation.label, name, config, parameters=given)
             cut = self._transaction.make_way_for(transformation, request)
@@ -548,7 +533,7 @@ class Assembly:
                 continue
             except DyKnowError as error:
                 if not timed_out(error):
-                    self.culprit = transformation.label
+                    self.failed_label = transformation.label
                 raise
             self._transaction.connect_again(cut)
             self._connect(name, config)

@@ -30,10 +30,10 @@ from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.assembly import STAMPED
 from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.supplies import (
+from dyknow.manager.claims.plan_inputs import (
     Instance,
     OwnNodelet,
-    Supplies,
+    PlanInputs,
     assigned,
     instance_of,
     wishes_of,
@@ -70,7 +70,7 @@ class Situation(NamedTuple):
         paused: labels of which nothing is to be made since they failed lately.
         engaged: labels of nodes of others that can only be used as they are connected.
         wishes: what the client would rather have.
-        feeders: labels of what feeds each nodelet of the streams, where there are wishes.
+        upstream: labels upstream of each nodelet of the streams, where there are wishes.
         budget: seconds that the improvement of the plan may take.
         known: transformations by label.
     """
@@ -84,7 +84,7 @@ class Situation(NamedTuple):
     paused: FrozenSet[str]
     engaged: FrozenSet[str]
     wishes: Wishes
-    feeders: Mapping[str, FrozenSet[str]]
+    upstream: Mapping[str, FrozenSet[str]]
     budget: float
     known: Mapping[str, Transformation]
 
@@ -105,12 +105,6 @@ class ClaimPlanner:
     """Plans with what exists; used under the lock of the claims."""
 
     def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
-        """Begin without a look at the topics.
-
-        Args:
-            context: what the parts of the reconciler share.
-            ontology: what is a kind of what.
-        """
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
@@ -120,7 +114,7 @@ class ClaimPlanner:
         self._planner = KeptPlanner(ontology)
         self._known: Mapping[str, Transformation] = {}
         #: What exists.
-        self.supplies = Supplies(context, ontology)
+        self.inputs = PlanInputs(context, ontology)
         self._failures = context.failures
 
     def signature(self) -> Hashable:
@@ -129,16 +123,16 @@ class ClaimPlanner:
         return (
             manager.library.revision,
             manager.graph.revision,
-            self.supplies.published,
+            self.inputs.published,
             self._failures.paused,
             self._monitor.unhealthy,
             self._monitor.quality.signature,
         )
 
     def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> List[OwnNodelet]:
-        """Return the nodelets that can be connected elsewhere for a claim (``Supplies.own``)."""
+        """Return the nodelets that can be connected elsewhere for a claim (``PlanInputs.own``)."""
         self._update()
-        own = self.supplies.own(claim, self._known)
+        own = self.inputs.own(claim, self._known)
         return [each for each in own if each.name not in without]
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
@@ -152,11 +146,11 @@ class ClaimPlanner:
         if wishes_of(claim) == NO_WISHES:
             return saved
         exclude = frozenset(claim.request.exclude)
-        streams = self.supplies.streams(exclude)
+        streams = self.inputs.streams(exclude)
         demand = demand_of(self._table.together(claim))
         charges = self._planner.at(self._known).charges(demand, streams, exclude, wishes_of(claim))
         return saved + sum(
-            charges.get(label, 0) for label in self.supplies.labels(claim.nodelets, claim.sources)
+            charges.get(label, 0) for label in self.inputs.labels(claim.nodelets, claim.sources)
         )
 
     # Plans
@@ -248,11 +242,11 @@ class ClaimPlanner:
         present = [each for each in own if self._known[each.label].node]
         exclude = frozenset(claim.request.exclude)
         without = frozenset(saved) | self._monitor.quality.unfit(together)
-        streams = self.supplies.without_relays(self.supplies.streams(exclude, without))
+        streams = self.inputs.without_relays(self.inputs.streams(exclude, without))
         paused = self._paused(together) - frozenset(saved.values())
         demand = demand_of(together)
-        paused |= self.supplies.engaged(present)
-        feeders = self.supplies.feeders(claim, streams)
+        paused |= self.inputs.engaged(present)
+        feeders = self.inputs.upstream(claim, streams)
         with self._planning(self._known) as (planner, _):
             return planner.plan(
                 demand,
@@ -267,7 +261,7 @@ class ClaimPlanner:
     def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
         """Find what the variables of a demand can stand for now, and whether that is all."""
         self._update()
-        streams = self.supplies.without_relays(self.supplies.streams(NO_LABELS))
+        streams = self.inputs.without_relays(self.inputs.streams(NO_LABELS))
         with self._planning(self._known) as (planner, _):
             return planner.bindings(demand, streams)
 
@@ -340,18 +334,18 @@ class ClaimPlanner:
         exclude = avoid | {label for claim in claims for label in claim.request.exclude}
         own = tuple(each for each in self.own(first, without) if each.label not in exclude)
         unfit = self._monitor.quality.unfit(claims) | without
-        streams = tuple(self.supplies.streams(exclude, unfit))
+        streams = tuple(self.inputs.streams(exclude, unfit))
         return Situation(
             demand_of(claims),
             topic,
             streams,
-            tuple(self.supplies.without_relays(streams)),
+            tuple(self.inputs.without_relays(streams)),
             own,
             exclude,
             self._paused(claims),
-            self.supplies.engaged(own),
+            self.inputs.engaged(own),
             wishes_of(first),
-            self.supplies.feeders(first, streams),
+            self.inputs.upstream(first, streams),
             max(claim.request.budget for claim in claims) or BUDGET,
             self._known,
         )
@@ -384,7 +378,7 @@ class ClaimPlanner:
                     paused - free.keys(),
                     situation.budget if is_aside else min(situation.budget, BUDGET),
                     situation.wishes,
-                    situation.feeders,
+                    situation.upstream,
                 )
                 if isinstance(answer, NoPlan):
                     return answer
@@ -418,7 +412,7 @@ class ClaimPlanner:
 
     def _update(self) -> None:
         """Read what plans may have steps of."""
-        self._known = self.supplies.transformations()
+        self._known = self.inputs.transformations()
 
 
 def _cost(step: PlanStep, known: Mapping[str, Transformation]) -> int:
@@ -434,7 +428,6 @@ class KeptPlanner:
     """
 
     def __init__(self, ontology: Subsumption) -> None:
-        """Start with an empty library."""
         self._planner = Planner(ontology)
         self._known: Mapping[str, Transformation] = {}
 

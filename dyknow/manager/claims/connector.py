@@ -21,7 +21,6 @@ from typing import (
     Iterable,
     List,
     Mapping,
-    Optional,
     Set,
     Tuple,
 )
@@ -31,6 +30,7 @@ from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.world import Config, World, WorldReader
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of, with_ports
+from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.transformation import Transformation
 
@@ -48,13 +48,6 @@ class Connector:
     """Connects ports, and asks the nodelets whose connections are not known."""
 
     def __init__(self, manager: Manager, worlds: WorldReader, clock: Callable[[], float]) -> None:
-        """Start with all connections known.
-
-        Args:
-            manager: reaches the nodelets.
-            worlds: reads the world; learns where late connections may put ports.
-            clock: steady time, in seconds.
-        """
         self._manager = manager
         self._graph = manager.graph
         self._worlds = worlds
@@ -188,20 +181,12 @@ class Transaction:
     def __init__(
         self, manager: Manager, connector: Connector, unresponsive: AbstractSet[str]
     ) -> None:
-        """Begin.
-
-        Args:
-            manager: makes nodelets.
-            connector: connects them.
-            unresponsive: nodelets that do not answer.
-        """
         self._manager = manager
         self._connector = connector
         self._unresponsive = unresponsive
         #: Names of the nodelets that were made.
         self.spawned: List[str] = []
-        #: Nodelets and how they were connected before; None for those that did not exist.
-        self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
+        self._done: List[ReversibleStep] = []
 
     def make_way_for(
         self, transformation: Transformation, request: SpawnRequest
@@ -237,9 +222,12 @@ class Transaction:
         Raises:
             DyKnowError: it did not work.
         """
-        record = self._manager.lifecycle.spawn(transformation, request, True, near)
-        self.spawned.append(record.name)
-        self._before.append((record.name, None))
+        lifecycle, name = self._manager.lifecycle, request.name
+        spawn = partial(lifecycle.spawn, transformation, request, True, near)
+        step = ReversibleStep(f"spawning '{name}'", name, spawn, partial(lifecycle.destroy, name))
+        step.do()
+        self._done.append(step)
+        self.spawned.append(name)
         self._connector.remember()
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
@@ -255,8 +243,11 @@ class Transaction:
         if before == dict(config) and self._connector.is_known(name):
             return
         cut = self._make_way(record, config)
-        self._before.append((name, before))  # what was not answered may have been done, too
-        self._connector.connect(name, config)
+        connect = partial(self._connector.connect, name, config)
+        undo = partial(self._reconnect, name, before)
+        step = ReversibleStep(f"connecting '{name}'", name, connect, undo)
+        self._done.append(step)  # what was not answered may have been done, too
+        step.do()
         self.connect_again(cut)
 
     def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
@@ -276,12 +267,9 @@ class Transaction:
 
     def undo(self, needed: AbstractSet[str]) -> None:
         """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
-        for name, before in reversed(self._before):
-            if before is None:
-                if name not in needed:
-                    _attempt(partial(self._manager.lifecycle.destroy, name))
-            elif name not in self.spawned or name not in needed:
-                _attempt(partial(self._reconnect, name, before))
+        kept = needed & set(self.spawned)
+        for trouble in take_back([step for step in self._done if step.subject not in kept]):
+            _log.warning("undoing a plan: %s", trouble)
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> Dict[str, Mapping[str, str]]:
         """Disconnect what is in the way of a connection.
@@ -339,10 +327,3 @@ class Transaction:
             return  # it is asked how it is connected, and connected as it should be then
         fits = self._connector.world().fitting(replace(record, topics=before))
         self._connector.connect(name, fits)
-
-
-def _attempt(step: Callable[[], None]) -> None:
-    try:
-        step()
-    except DyKnowError as error:
-        _log.warning("undoing a plan: %s", error)

@@ -26,7 +26,6 @@ class ClaimLock:
     """
 
     def __init__(self) -> None:
-        """Make a free lock."""
         self._requests = turn_lock("claim request")
         self._work = turn_lock("claim work")
         self._may_pause = False

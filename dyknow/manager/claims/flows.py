@@ -71,14 +71,6 @@ class FlowMeter:
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
-        """Begin without any place.
-
-        Args:
-            host: counts messages.
-            graph: the nodelets.
-            clock: steady time, in seconds.
-            running: time for which this process has run, in seconds.
-        """
         self._running = running
         self._host = host
         self._graph = graph
@@ -265,8 +257,8 @@ class StreamParts:
         """What publishes where the client listens."""
         return goal_of(self.claim)
 
-    def feeders(self, place: Place) -> List[List[Place]]:
-        """List what feeds a place: the senders on the topic of each in-port of its nodelet."""
+    def suppliers(self, place: Place) -> List[List[Place]]:
+        """List the suppliers of a place, by in-port of its nodelet."""
         name, _ = place
         topics = self.claim.wiring.get(name, {}).values()
         feeding = [

@@ -42,7 +42,7 @@ _WINDOW = 4.5
 _MESSAGES = 10
 #: Messages by which two counts may differ by chance.
 _CHANCE = 2
-#: A part that sends more than this part of what it receives from a feeder does not wait for it.
+#: A part that sends more than this part of what it receives from a sender does not wait for it.
 _ALIKE = 1.25
 #: Messages that are judged together, and seconds that lie between two of them at the least.
 _SAMPLES = 9
@@ -71,7 +71,6 @@ class Judge(ABC):
     """Judges streams by one limit, from counts of their parts."""
 
     def __init__(self) -> None:
-        """Begin without a count."""
         #: When the stream of a claim was first and last found good since it was changed.
         self._good: Dict[str, Tuple[float, float]] = {}
 
@@ -132,7 +131,7 @@ def kept(by_claim: Mapping[str, _Value], claim_ids: Iterable[str]) -> Dict[str, 
 
 
 class _Cause(NamedTuple):
-    """Whether a feeder slows a place down, if that is sure, and its share of what is needed."""
+    """Whether a sender slows a place down, if that is sure, and its share of what is needed."""
 
     is_slow: bool
     is_sure: bool
@@ -165,7 +164,6 @@ class RateJudge(Judge):
     """Judges by ``min_rate``, from the latest counts of each place."""
 
     def __init__(self) -> None:
-        """Begin without a count."""
         super().__init__()
         self._counts: Dict[Place, Deque[Count]] = {}
         self._began: Dict[Place, float] = {}
@@ -247,10 +245,10 @@ class RateJudge(Judge):
                 if span is not None:
                     usual[place] = max(span.rate, usual.get(place, 0.0))
             return None
-        culprit = self._culprit(parts, window)
-        if culprit is None:
+        bottleneck = self._bottleneck(parts, window)
+        if bottleneck is None:
             return None
-        place, needed = culprit
+        place, needed = bottleneck
         whole, own = self._span(parts.goal, window), self._span(place, window)
         assert whole is not None and own is not None
         has = f"the stream has {whole.rate:.3g} Hz, at least {limit:g} Hz are demanded"
@@ -266,7 +264,7 @@ class RateJudge(Judge):
                 return span
         return None
 
-    def _culprit(self, parts: StreamParts, window: float) -> Optional[Tuple[Place, float]]:
+    def _bottleneck(self, parts: StreamParts, window: float) -> Optional[Tuple[Place, float]]:
         """Follow what is too slow to where it begins; None as long as that is not certain.
 
         Returns:
@@ -274,31 +272,31 @@ class RateJudge(Judge):
         """
         place, needed, seen = parts.goal, parts.claim.request.min_rate, {parts.goal}
         while True:
-            feeders = {each for senders in parts.feeders(place) for each in senders} - seen
-            if any(self._span(each, window) is None for each in feeders):
+            senders = {each for senders in parts.suppliers(place) for each in senders} - seen
+            if any(self._span(each, window) is None for each in senders):
                 return None
-            causes = {each: self._cause(each, place, needed, parts, window) for each in feeders}
-            slow = sorted((each.share, feeder) for feeder, each in causes.items() if each.is_slow)
+            causes = {each: self._cause(each, place, needed, parts, window) for each in senders}
+            slow = sorted((each.share, sender) for sender, each in causes.items() if each.is_slow)
             if not slow:
                 return (place, needed) if all(each.is_sure for each in causes.values()) else None
-            _, feeder = slow[0]
-            needed *= self._ratio(feeder, place, parts)
-            place = feeder
+            _, sender = slow[0]
+            needed *= self._ratio(sender, place, parts)
+            place = sender
             seen.add(place)
 
     def _cause(
-        self, feeder: Place, place: Place, needed: float, parts: StreamParts, window: float
+        self, sender: Place, place: Place, needed: float, parts: StreamParts, window: float
     ) -> _Cause:
-        """Tell whether a place is too slow since its feeder is.
+        """Tell whether a place is too slow since its sender is.
 
-        A place that kept up with a feeder that is too slow is not to blame. Neither is a feeder
+        A place that kept up with a sender that is too slow is not to blame. Neither is a sender
         that the place did not keep up with, or that it never waited for. Nor is one that is as
         fast as while the stream was fast enough, but that does not say who is.
         """
-        given, sent = self._span(feeder, window), self._span(place, window)
+        given, sent = self._span(sender, window), self._span(place, window)
         assert given is not None and sent is not None
-        usual, _ = known = self._known(feeder, place, parts)
-        ratio, is_known = self._ratio(feeder, place, parts), all(known)
+        usual, _ = known = self._known(sender, place, parts)
+        ratio, is_known = self._ratio(sender, place, parts), all(known)
         changes_alone = not given.messages and given.last.latched
         is_ahead = not is_known and sent.messages > _ALIKE * given.messages + _CHANCE
         is_behind = (sent.messages + _CHANCE) * ratio < given.messages
@@ -309,15 +307,15 @@ class RateJudge(Judge):
         is_slow = not is_as_ever and (given.messages + 1) / ratio + 1 < needed * given.seconds
         return _Cause(is_slow, is_slow, share)
 
-    def _ratio(self, feeder: Place, place: Place, parts: StreamParts) -> float:
-        """Messages of a feeder for each one of a place; 1 where that was never seen."""
-        given, sent = self._known(feeder, place, parts)
+    def _ratio(self, sender: Place, place: Place, parts: StreamParts) -> float:
+        """Messages of a sender for each one of a place; 1 where that was never seen."""
+        given, sent = self._known(sender, place, parts)
         return given / sent if given and sent else 1.0
 
-    def _known(self, feeder: Place, place: Place, parts: StreamParts) -> Tuple[float, float]:
+    def _known(self, sender: Place, place: Place, parts: StreamParts) -> Tuple[float, float]:
         """Usual rates of both; 0 where there was no message while the stream was fast enough."""
         usual = self._usual.get(parts.claim.claim_id, {})
-        return usual.get(feeder, 0.0), usual.get(place, 0.0)
+        return usual.get(sender, 0.0), usual.get(place, 0.0)
 
 
 class _Sample(NamedTuple):
@@ -331,11 +329,6 @@ class AgeJudge(Judge):
     """Judges by ``max_age``, from the latest messages of each place."""
 
     def __init__(self, stated_latency: Callable[[Place], float]) -> None:
-        """Begin without a message.
-
-        Args:
-            stated_latency: returns the seconds that a place states to add.
-        """
         super().__init__()
         self._stated_latency = stated_latency
         self._counts: Dict[Place, Count] = {}
@@ -396,7 +389,7 @@ class AgeJudge(Judge):
         if not is_late:
             self._note_good(claim_id, now)
             return None
-        place, added = self._culprit(parts, since)
+        place, added = self._bottleneck(parts, since)
         age = statistics.median(ages)
         behind = age - statistics.median(self._ages(place, since))
         needed = max(limit - behind, _FAIR_PART * limit)
@@ -413,7 +406,7 @@ class AgeJudge(Judge):
             if each.age is not None and each.asked >= since
         ]
 
-    def _culprit(self, parts: StreamParts, since: float) -> Tuple[Place, float]:
+    def _bottleneck(self, parts: StreamParts, since: float) -> Tuple[Place, float]:
         """Follow the oldest messages to their source; find what adds most beyond what it states.
 
         Returns:
@@ -424,27 +417,27 @@ class AgeJudge(Judge):
         while True:
             ages = self._ages(place, since)
             age = statistics.median(ages)
-            feeders = self._stamped_feeders(place, parts, since, seen)
+            senders = self._stamped_senders(place, parts, since, seen)
             # A place that sends younger messages than it receives has another stamp for them.
             typical = {
-                each: received for each, received in feeders.items() if received <= max(ages)
+                each: received for each, received in senders.items() if received <= max(ages)
             }
             base = max(sorted(typical), key=lambda each: typical[each], default=None)
             added = age if base is None else age - min(age, typical[base])
             found.append((added - self._stated_latency(place), len(found), place, added))
             if base is None:
-                _, _, culprit, seconds = max(found)
-                return culprit, seconds
+                _, _, bottleneck, seconds = max(found)
+                return bottleneck, seconds
             place = base
 
-    def _stamped_feeders(
+    def _stamped_senders(
         self, place: Place, parts: StreamParts, since: float, seen: set[Place]
     ) -> Dict[Place, float]:
         """Typical ages of what feeds a place; of what feeds that, where it has no stamps."""
         found: Dict[Place, float] = {}
         waiting = [place]
         while waiting:
-            for each in [one for senders in parts.feeders(waiting.pop()) for one in senders]:
+            for each in [one for senders in parts.suppliers(waiting.pop()) for one in senders]:
                 if each in seen:
                     continue
                 seen.add(each)

@@ -74,14 +74,6 @@ class QualityMonitor:
         clock: Callable[[], float],
         topics: Callable[[], Iterable[Transformation]] = tuple,
     ) -> None:
-        """Begin with no claim.
-
-        Args:
-            meter: the counts.
-            graph: the nodelets.
-            clock: steady time, in seconds.
-            topics: returns what the library says about ordinary topics.
-        """
         self._meter = meter
         self._graph = graph
         self._clock = clock
@@ -109,7 +101,7 @@ class QualityMonitor:
             for judge in self._limits(claim):
                 judgement = judge.judge(parts, now)
                 if judgement is not None:
-                    self._blame(claim, judge, judgement)
+                    self._add_shortfall(claim, judge, judgement)
 
     def restart(self, claim_id: str, rewired: Iterable[str]) -> None:
         """Begin again with nodelets that were connected elsewhere for a claim."""
@@ -179,7 +171,7 @@ class QualityMonitor:
         ports = [each for one in found if one is not None for each in one.ports]
         return max((each.latency for each in ports if not name or each.name == port), default=0.0)
 
-    def _blame(self, claim: Claim, judge: Judge, judgement: Judgement) -> None:
+    def _add_shortfall(self, claim: Claim, judge: Judge, judgement: Judgement) -> None:
         name = name_of(judgement.place)
         shortfalls = self._shortfalls.setdefault(claim.claim_id, {})
         if name in shortfalls:
@@ -232,16 +224,6 @@ class StreamMonitor:
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
-        """Start without any stream.
-
-        Args:
-            host: counts messages.
-            graph: the nodelets.
-            table: the claims.
-            topics: returns what the library says about ordinary topics.
-            clock: steady time, in seconds.
-            running: time for which this process has run, in seconds.
-        """
         self._table = table
         self._meter = FlowMeter(host, graph, clock, running)
         self._silence = SilenceMonitor(self._meter, graph)
@@ -317,13 +299,6 @@ class Failures:
     """Transformations that failed lately: nothing is made of them for a while."""
 
     def __init__(self, graph: Graph, monitor: StreamMonitor, clock: Callable[[], float]) -> None:
-        """Start without a failure.
-
-        Args:
-            graph: the nodelets, and how long they lived.
-            monitor: knows for how long they sent messages.
-            clock: steady time, in seconds.
-        """
         self._graph = graph
         self._monitor = monitor
         self._backoff = Backoff(clock, _FIRST_PAUSE_OF_ALL)
@@ -353,12 +328,6 @@ class SilenceMonitor:
     """
 
     def __init__(self, meter: FlowMeter, graph: Graph) -> None:
-        """Begin with no part silent.
-
-        Args:
-            meter: the counts.
-            graph: the nodelets.
-        """
         self._meter = meter
         self._graph = graph
         #: Silent nodelets and topics, each with a sentence about it.
@@ -415,7 +384,7 @@ class SilenceMonitor:
         since = flows[place].quiet_from
         return all(
             any(each in flows and flows[each].came_after >= since for each in senders)
-            for senders in parts.feeders(place)
+            for senders in parts.suppliers(place)
         )
 
 
@@ -431,14 +400,6 @@ class FirstMessageMonitor:
     def __init__(
         self, table: ClaimTable, meter: FlowMeter, graph: Graph, clock: Callable[[], float]
     ) -> None:
-        """Begin with no message awaited.
-
-        Args:
-            table: the claims.
-            meter: the counts.
-            graph: the nodelets.
-            clock: steady time, in seconds.
-        """
         self._table = table
         self._meter = meter
         self._graph = graph

@@ -31,8 +31,8 @@ from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.monitors import Failures, StreamMonitor
+from dyknow.manager.claims.plan_inputs import instance_of
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
-from dyknow.manager.claims.supplies import instance_of
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.claims.world import WorldReader
 from dyknow.manager.graph import Graph
@@ -144,7 +144,7 @@ class StreamReconciler:
             raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
             self.manager.guards.check_writable(f"acquiring '{request.tag}'")
-        self._planner.supplies.look(at_once=True)
+        self._planner.inputs.look(at_once=True)
         if dry_run:
             return self._explained(*self._drafted(claim))
         for attempt in itertools.count(1):
@@ -186,7 +186,7 @@ class StreamReconciler:
         if not dry_run:
             self.manager.guards.check_writable(f"replanning claim '{claim_id}'")
         for attempt in itertools.count(1):
-            self._planner.supplies.look(at_once=True)
+            self._planner.inputs.look(at_once=True)
             claim, proposal = self._redrafted(claim_id)
             if dry_run:
                 return self._explained(claim, proposal)
@@ -241,7 +241,7 @@ class StreamReconciler:
             InvalidTag: the tag is no term.
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
-        self._planner.supplies.look()
+        self._planner.inputs.look()
         with self._lock.reading():
             return self._planner.bindings(demand)
 
@@ -299,7 +299,7 @@ class StreamReconciler:
             if self._ended:
                 return
             self._table.expire_late()
-            self._planner.supplies.look()
+            self._planner.inputs.look()
             self._connector.ask()
             self._connector.remember()
             self._collector.disconnect()
@@ -308,7 +308,7 @@ class StreamReconciler:
                 record = self.manager.graph.find(name)
                 if record is not None:
                     self._failures.fell(record)
-            for claim in sorted(self._table.living(), key=_consumers_last):
+            for claim in sorted(self._table.living(), key=_small_streams_first):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
                 try:
@@ -371,7 +371,7 @@ def open_reconciler(
     return StreamReconciler(context, settings, sleep)
 
 
-def _consumers_last(claim: Claim) -> int:
+def _small_streams_first(claim: Claim) -> int:
     """Sort a claim that uses another claim's stream behind that one.
 
     A lost part that a client listens to is then replaced where that client listens, and its other

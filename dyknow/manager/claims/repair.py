@@ -21,7 +21,7 @@ from dyknow.manager.claims.assembly import (
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.supplies import OwnNodelet, is_current
+from dyknow.manager.claims.plan_inputs import OwnNodelet, is_current
 from dyknow.manager.claims.topology import wanted_type
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record
@@ -58,14 +58,6 @@ class Repair:
         collector: GarbageCollector,
         handover: Callable[[], Handover],
     ) -> None:
-        """Start without a claim that cannot be repaired.
-
-        Args:
-            context: what the parts of the reconciler share.
-            planner: plans streams.
-            collector: takes streams apart that cannot be repaired.
-            handover: makes the waits of a plan.
-        """
         self._context = context
         self._graph = context.manager.graph
         self._table = context.table
@@ -75,9 +67,9 @@ class Repair:
         self._handover = handover
         self._failures = Backoff(context.clock, _FIRST_PAUSE)
         #: Transformation of which no nodelet could be made since the present repair began.
-        self._culprit = ""
+        self._failed_label = ""
         #: Claims without a plan: what existed when they were planned, and what was wrong.
-        self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
+        self._unplannable: Dict[str, Tuple[Hashable, str]] = {}
 
     # What is wrong
 
@@ -88,11 +80,11 @@ class Repair:
         if not claim.is_made:
             return Fault("it has no stream")
         for topic in claim.sources:
-            if topic not in self._planner.supplies.published:
+            if topic not in self._planner.inputs.published:
                 return Fault(f"topic {topic} is not published any more")
             if not self._is_described(topic, claim):
                 return Fault(f"topic {topic} is not described any more as what is needed")
-        doubts = []
+        weaknesses = []
         for name in claim.nodelets:
             record = self._graph.find(name)
             if record is None or record.transformation is None:
@@ -102,11 +94,11 @@ class Repair:
             for port, topic in claim.wiring[name].items():
                 if record.topics.get(port, "") != topic:
                     return Fault(f"port {port} of {name} was connected elsewhere")
-            doubts += self._doubts(record)
-        doubts += self._monitor.quality.faults(claim)
+            weaknesses += self._weaknesses(record)
+        weaknesses += self._monitor.quality.faults(claim)
         silent = self._monitor.silent
-        doubts += [silent[topic] for topic in claim.sources if topic in silent]
-        return Fault(doubts[0], severed=False) if doubts else None
+        weaknesses += [silent[topic] for topic in claim.sources if topic in silent]
+        return Fault(weaknesses[0], severed=False) if weaknesses else None
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as what the claim needs."""
@@ -123,7 +115,7 @@ class Repair:
             for consumer in consumers
         )
 
-    def _doubts(self, record: Record) -> List[str]:
+    def _weaknesses(self, record: Record) -> List[str]:
         """Say why a nodelet that runs cannot be relied on."""
         if record.name in self._monitor.silent:
             return [self._monitor.silent[record.name]]
@@ -203,16 +195,16 @@ class Repair:
             unhealthy=self._monitor.unhealthy,
             unresponsive=self._monitor.unresponsive,
             claim_id=claim.claim_id,
-            ordinary=self._planner.supplies.ordinary(),
+            ordinary=self._planner.inputs.ordinary(),
             is_stamped=claim.request.max_age > 0,
         )
         assembly = Assembly(self._context, request, self._handover())
         try:
             done = assembly.carry_out()
         except DyKnowError:
-            if assembly.culprit:
-                self._culprit = assembly.culprit
-                self._context.failures.failed(assembly.culprit)
+            if assembly.failed_label:
+                self._failed_label = assembly.failed_label
+                self._context.failures.failed(assembly.failed_label)
             raise
         done.detail = self._monitor.restart(claim, done.goal, done.topic, done.wiring)
         self._collector.note_replaced(replace(claim, **outcome(done)))
@@ -237,11 +229,11 @@ class Repair:
                 self._table.change(claim_id, "it is whole again", **whole)
             return
         situation = (self._planner.signature(), fault.what)
-        if self._hopeless.get(claim_id) == situation:
+        if self._unplannable.get(claim_id) == situation:
             return
         answer = self._planner.plan(claim)
         if isinstance(answer, NoPlan):
-            self._hopeless[claim_id] = situation
+            self._unplannable[claim_id] = situation
             self._give_up(claim, fault, answer)
             return
         if not self._failures.allows(claim_id):
@@ -249,11 +241,11 @@ class Repair:
         if claim.state is ClaimState.ACTIVE and answer.steps:
             changes = {"state": ClaimState.RECOVERING, "detail": fault.what}
             claim = self._table.change(claim_id, fault.what, **changes) or claim
-        self._culprit = ""
+        self._failed_label = ""
         try:
             _, done = self.make(claim, answer)
         except DyKnowError as error:
-            if not self._culprit:
+            if not self._failed_label:
                 self._failures.failed(claim_id)
             failed = {"state": ClaimState.FAILED, "detail": str(error)}
             self._table.change(claim_id, fault.what, **failed)
@@ -310,13 +302,13 @@ class Repair:
             else:
                 still = "but a part of it cannot be disconnected yet"
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
-                self._hopeless.pop(claim.claim_id, None)  # it is tried again
+                self._unplannable.pop(claim.claim_id, None)  # it is tried again
         self._table.change(claim.claim_id, fault.what, **changes)
 
     def forget_ended(self) -> None:
         """Forget claims that have ended."""
-        for claim_id in [each for each in self._hopeless if self._table.find(each) is None]:
-            del self._hopeless[claim_id]
+        for claim_id in [each for each in self._unplannable if self._table.find(each) is None]:
+            del self._unplannable[claim_id]
 
 
 def outcome(done: AssemblyResult) -> Dict[str, Any]:

@@ -68,12 +68,6 @@ class DependentNodelets:
     def __init__(
         self, producers: Callable[[str], Sequence[Producer]], ontology: Subsumption
     ) -> None:
-        """Begin with none.
-
-        Args:
-            producers: returns all producers of a topic.
-            ontology: what is a kind of what.
-        """
         self._producers = producers
         self._ontology = ontology
         self._nodelets: List[NodeletEnds] = []

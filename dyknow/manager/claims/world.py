@@ -63,7 +63,6 @@ class World:
         ends: Mapping[str, NodeletEnds],
         topology: Topology,
     ) -> None:
-        """Keep a snapshot; ``ends`` are those of the nodelets that may send or receive."""
         self.records = records
         self.claims = claims
         self.described = described
@@ -284,15 +283,6 @@ class WorldReader:
         host: Host,
         namespace: str,
     ) -> None:
-        """Start with no snapshot.
-
-        Args:
-            graph: the nodelets.
-            table: the claims.
-            library: describes ordinary topics.
-            host: knows which nodelet managers run on.
-            namespace: where relative topics of the library begin.
-        """
         self._graph = graph
         self._table = table
         self._library = library

@@ -65,4 +65,4 @@ def test_claims_that_could_not_be_made_and_ended(field: Field) -> None:
         field.tick()
         field.reconciler.release(raised.value.claim_id)
         field.tick()
-    assert field.reconciler._repair._hopeless == {}
+    assert field.reconciler._repair._unplannable == {}

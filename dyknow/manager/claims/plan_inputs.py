@@ -214,7 +214,7 @@ def _outputs(record: Record) -> List[TaggedStream]:
     return found
 
 
-def with_feeders(
+def add_upstream(
     records: Mapping[str, Record],
     ordinary: AbstractSet[str],
     wiring: Dict[str, Dict[str, str]],
@@ -260,16 +260,10 @@ def _publishers(records: Mapping[str, Record], topic: str) -> List[Tuple[str, st
     ]
 
 
-class Supplies:
+class PlanInputs:
     """What exists; used under the lock of the claims."""
 
     def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
-        """Begin without a look at the topics.
-
-        Args:
-            context: what the parts of the reconciler share.
-            ontology: what is a kind of what.
-        """
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
@@ -385,8 +379,8 @@ class Supplies:
         records = world.records.values()
         return live_streams(records, published, world.topology, self._ontology, unfit)
 
-    def feeders(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
-        """Labels of what feeds each nodelet of streams, where the claim has wishes about it."""
+    def upstream(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
+        """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
         if wishes_of(claim) == NO_WISHES:
             return {}
         records, ordinary = self._world().records, self.ordinary()
@@ -394,7 +388,7 @@ class Supplies:
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
             fed: Dict[str, Dict[str, str]] = {name: {}}
             topics: Set[str] = set()
-            with_feeders(records, ordinary, fed, topics, {name})
+            add_upstream(records, ordinary, fed, topics, {name})
             found[name] = frozenset(self.labels(fed.keys() - {name}, topics))
         return found
 
