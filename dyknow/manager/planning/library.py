@@ -49,6 +49,8 @@ from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 #: Makers that are looked up by the names that a search knows, not all at once.
 MANY = 300
+#: Patterns of requests about which something is remembered, beside those of transformations.
+_ASKED = 1_000
 #: Transformations whose variables are remembered: many have equal ones.
 _REMEMBERED = 1_000
 
@@ -259,6 +261,8 @@ class OperatorIndex:
         """Return how makers can supply a pattern."""
         found = self._offers.get(pattern)
         if found is None:
+            if len(self._offers) > _ASKED + 2 * len(self.actions):
+                self._offers, self._cheapest, self._crowds = {}, {}, {}  # others may read these
             found = self._offers[pattern] = tuple(self.look_up(pattern, ()))
         return found
 
@@ -285,27 +289,29 @@ class OperatorIndex:
 
     def crowd(self, pattern: Pattern) -> Optional[int]:
         """Return what the cheapest one costs of very many makers that may supply a pattern."""
-        if pattern not in self._crowds:
+        crowds = self._crowds
+        if pattern not in crowds:
             atom = pattern.atoms[0]
             functors = self.names.below(frozenset((atom.functor,)))
             found = [self.makers.get((functor, len(atom.args))) for functor in functors]
             buckets = [each for each in found if each is not None]
             is_crowd = pattern.wanted and sum([len(each.entries) for each in buckets]) > MANY
             least = min([each.by_cost()[0].action.cost for each in buckets]) if is_crowd else None
-            self._crowds[pattern] = least
-        return self._crowds[pattern]
+            crowds[pattern] = least
+        return crowds[pattern]
 
     def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
         """Return the cheapest fact that supplies a pattern."""
-        if pattern not in self._cheapest:
+        known = self._cheapest
+        if pattern not in known:
             match, cheapest = None, None
             for head in candidates(self.facts, pattern, (), self.names):
                 match = match or matcher(pattern, (), self.names)
                 if head.goes_with(pattern.datatype) and match(head.atoms):
                     cheapest = head
                     break
-            self._cheapest[pattern] = cheapest
-        return self._cheapest[pattern]
+            known[pattern] = cheapest
+        return known[pattern]
 
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
