@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The arguments of commands: what a word must look like."""
+"""The types of arguments: how each word is checked and read."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What TAB offers: argcomplete finds the argument at the cursor, this module its possible values.
+"""Completion: argcomplete finds the argument at the cursor, this module its possible values.
 
 `argument` adds an argument with its completer. It asks the manager and the master,
 and offers nothing if they do not answer quickly.
@@ -54,8 +54,8 @@ def argument(
     Args:
         parser: gets it.
         names: its name, or its options, separated by blanks.
-        metavar: what stands for its value in the help.
-        help_text: what it is.
+        metavar: placeholder of its value in the help.
+        help_text: its description.
         completer: returns possible values.
         **kwds: as argparse takes them.
     """
@@ -85,7 +85,7 @@ def connect(manager_node: str) -> ShellClient:
 
 
 class _Cursor:
-    """The value at the cursor: what is typed of it, the arguments before it, and the manager."""
+    """The value at the cursor, as far as it is typed, with the arguments before it."""
 
     def __init__(self, client: ShellClient, prefix: str, arguments: argparse.Namespace) -> None:
         self.client = client

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Launch files as roslaunch finds and reads them; what is wrong with one is said with its line."""
+"""Launch files as roslaunch finds and reads them, and the lines of their errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def find_files(words: Sequence[str]) -> List[str]:
     """Find launch files: `PKG FILE ...` or `FILE ...`.
 
     Raises:
-        CannotLaunch: there is no such package or file.
+        CannotLaunch: the package or file does not exist.
     """
     try:
         files = [str(each) for each in resolve_launch_arguments(list(words))]
@@ -46,7 +46,7 @@ def find_files(words: Sequence[str]) -> List[str]:
 
 
 def launch_files(package: str) -> List[str]:
-    """Return the names of a package's launch files, sorted; empty if there is no such package."""
+    """Return the names of a package's launch files, sorted; empty if the package is unknown."""
     try:
         folder = Path(rospkg.RosPack().get_path(package))
     except rospkg.ResourceNotFound:
@@ -68,7 +68,7 @@ def unknown_arguments(
     """Say which arguments were given that no launch file speaks of; roslaunch ignores those.
 
     Args:
-        files: the launch files that were asked for.
+        files: the launch files that the user named.
         loaded: those, and all that they include.
         given: `NAME:=VALUE`.
     """
@@ -82,7 +82,7 @@ def unknown_arguments(
 
 
 def explain(sources: Sequence[Source], error: BaseException) -> str:
-    """Say in one line why launch files cannot be read, with file and line where it can be told.
+    """Say in one line why launch files cannot be read, with file and line where these are known.
 
     Args:
         sources: the launch files. They are read again.
@@ -95,7 +95,7 @@ def explain(sources: Sequence[Source], error: BaseException) -> str:
 
 
 def place_of_node(sources: Sequence[Source], node: Any) -> str:
-    """Return `FILE:LINE` of one of roslaunch's nodes, or as much of that as can be told.
+    """Return `FILE:LINE` of one of roslaunch's nodes, or as much of that as is known.
 
     Args:
         sources: the launch files. They are read again.
@@ -108,7 +108,7 @@ def _read_again(sources: Sequence[Source]) -> _Locator:
     loader = _Locator()
     try:
         roslaunch.config.load_config_default(sources, None, loader=loader, assign_machines=False)
-    except Exception:  # the boundary: what it was is known
+    except Exception:  # the boundary: the error is known
         loader.has_failed = True
     return loader
 
@@ -146,7 +146,7 @@ class _Locator(XmlLoader):  # type: ignore[misc]
         self.place = ""
         self.nodes: Dict[Tuple[str, str], str] = {}
         self.has_failed = False
-        self._machines: Dict[str, str] = {}  # places, by what machines are called and where
+        self._machines: Dict[str, str] = {}  # places, by names and addresses of machines
         self._found = False
 
     def place_of(self, text: str) -> str:
@@ -155,8 +155,8 @@ class _Locator(XmlLoader):  # type: ignore[misc]
         return self._machines.get(named.group(1), "") if named else ""
 
     def _parse_launch(self, filename: str, verbose: bool) -> Any:
-        if os.path.isfile(filename):  # else the place is that of what includes it
-            self.place = filename  # all that is known of one that is no XML
+        if os.path.isfile(filename):  # else the place is in the file that includes it
+            self.place = filename  # the only place in a file that is not XML
             with contextlib.suppress(expat.ExpatError):
                 self.place = f"{filename}:{_lines(filename)[0]}"
         launch = super()._parse_launch(filename, verbose)

@@ -52,7 +52,7 @@ _ELSEWHERE = frozenset(
 )
 #: `cwd="node"` is the folder of the first word of the command: the prefix goes there itself.
 _GO_TO_THE_NODE = 'cd "${1%/*}" && '
-#: What runs on another machine: DyKnow's prefix if its workspace has it, else the node as it is.
+#: On another machine: DyKnow's prefix if the workspace there has it, else the node alone.
 _IF_THERE = (
     "IFS=:; for folder in $CMAKE_PREFIX_PATH; do "
     'test -x "$folder/lib/dyknow/rewirable" && exec "$folder/lib/dyknow/rewirable" "$@"; '
@@ -71,11 +71,11 @@ class How(Enum):
 
 @dataclass(frozen=True)
 class Treatment:
-    """What becomes of a node.
+    """How a node is started.
 
     Attributes:
         node: its global name.
-        program: what it runs, `PACKAGE/TYPE`.
+        program: its program, `PACKAGE/TYPE`.
         machine: where it runs, as the launch file calls it; empty for this machine.
         how: how it runs.
         why: why it is left as it is, else empty.
@@ -92,7 +92,7 @@ class Treatment:
 
 @dataclass(frozen=True)
 class NodeFilter:
-    """Patterns, as of a shell, for names of nodes and for what they run.
+    """Patterns, as of a shell, for names of nodes and for their programs.
 
     Attributes:
         only: if there are any, nodes that match none are left alone.
@@ -146,7 +146,7 @@ class LaunchPlanner:
     chosen: NodeFilter
 
     def treat(self, node: Any) -> Treatment:
-        """Decide what becomes of one of roslaunch's nodes, which is not changed."""
+        """Decide how one of roslaunch's nodes is started; the node is not changed."""
         local = self.is_local(node.machine)
         name = names.join(node.namespace, node.name)
         program = f"{node.package}/{node.type}"
@@ -179,7 +179,7 @@ class LaunchPlanner:
         return (How.AS_IT_IS, trouble) if trouble else (How.LIBRARY, "")
 
     def _prefix(self, words: Sequence[str], local: bool, in_its_folder: bool) -> str:
-        """Put what makes a node re-wirable into the words of its prefix."""
+        """Insert our command into the words of a node's prefix."""
         go = _GO_TO_THE_NODE if in_its_folder else ""
         if not local:
             own = ["/bin/sh", "-c", go + _IF_THERE, "sh"]
@@ -226,10 +226,10 @@ def _hidden(node: Any) -> str:
 
 @contextlib.contextmanager
 def session(options: argparse.Namespace, files: Sequence[str]) -> Iterator[str]:
-    """Wait for a master if that is asked for, and set up roslaunch's log; yields the run's id.
+    """Wait for a master if `--wait` is set, and set up roslaunch's log; yields the run's id.
 
     Args:
-        options: what `dyknow launch` was told.
+        options: the arguments of `dyknow launch`.
         files: the launch files.
     """
     if options.wait:
@@ -255,7 +255,7 @@ def read(
     """Make roslaunch's parent and let it read launch files.
 
     Args:
-        options: what `dyknow launch` was told.
+        options: the arguments of `dyknow launch`.
         files: the launch files; `-` for standard input.
         given: their arguments, `NAME:=VALUE`.
         run_id: id of the run.
@@ -285,7 +285,7 @@ def read(
 
 
 def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
-    """Decide what becomes of the nodes of a launch, in roslaunch's order.
+    """Decide how the nodes of a launch are started, in roslaunch's order.
 
     Raises:
         CannotLaunch: DyKnow is in no workspace, or a machine's address is unknown.
@@ -321,7 +321,7 @@ def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
 
     Args:
         parent: has read the launch files.
-        treatments: what becomes of its nodes, in their order.
+        treatments: how its nodes are started, in their order.
 
     Raises:
         CannotLaunch: it cannot be started.
@@ -336,6 +336,6 @@ def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
 
 
 def _given_timeouts(options: argparse.Namespace) -> Any:
-    """Return the time limits that were given; roslaunch has defaults of its own for the others."""
+    """Return the given time limits; roslaunch has defaults for the missing ones."""
     limits = {"sigint_timeout": options.sigint_timeout, "sigterm_timeout": options.sigterm_timeout}
     return {name: value for name, value in limits.items() if value is not None}

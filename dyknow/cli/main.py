@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
 
 
-#: Arguments that roslaunch gives every node; a command ignores them.
+#: Arguments that roslaunch adds for every node; a command ignores them.
 _FROM_ROSLAUNCH = ("__name", "__log")
 _ENVIRONMENT = {
     "__ns": "ROS_NAMESPACE",
@@ -76,7 +76,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     """Parse the words of a command line.
 
     Raises:
-        SystemExit: help was asked for (0), or the usage is wrong (2).
+        SystemExit: help was printed (0), or the usage is wrong (2).
     """
     parser, parsers = build_parser()
     completion.autocomplete(parser)
@@ -98,7 +98,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
-    """Drop the arguments that roslaunch adds; refuse others that would have no effect.
+    """Drop the arguments that roslaunch adds; refuse those that would have no effect.
 
     Private parameters, `_x:=y`, become those of a spawn.
     """

@@ -162,7 +162,7 @@ def manager_main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
-    # Each command imports what it needs: --help and a wrong usage do not wait for rospy.
+    # Each command has its own imports: --help and a wrong usage do not wait for rospy.
     if command.action == "help":
         print(USAGE, end="")
         return DONE

@@ -140,7 +140,7 @@ def state_of(nodelet: NodeletStatus) -> str:
 
 
 def unknown_nodelet(name: str, model: Model) -> str:
-    """Write that there is no such nodelet, with similar names."""
+    """Write that no nodelet has this name, with similar names."""
     known = [nodelet.name for nodelet in model.nodelets]
     hint = did_you_mean(name, known) or "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"

@@ -80,7 +80,7 @@ def become(command: Sequence[str]) -> NoReturn:
         command: the program and its arguments.
 
     Raises:
-        CannotRun: there is no such program.
+        CannotRun: the program does not exist.
     """
     program = shutil.which(command[0])
     if program is None:
@@ -135,7 +135,7 @@ def become_script(command: Sequence[str]) -> NoReturn:
 def obstacle(program: str) -> str:
     """Say why a program cannot be made re-wirable by the library; empty if it may be.
 
-    Of a shell script it is not known what it runs.
+    The programs that a shell script starts are unknown.
     """
     first = first_line(program)
     if first.startswith("#!") and "python" in first:

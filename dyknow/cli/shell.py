@@ -79,8 +79,8 @@ class Shell:
         """Act on every subject, also after one was refused, and show the outcome.
 
         Args:
-            kind: what a subject is: its key in the JSON of a failure.
-            done: what became of it, in words and as key.
+            kind: the kind of the subjects, which is the key in the JSON of a failure.
+            done: the outcome, in words and as key.
             subjects: names, labels or ids.
             act: acts on one; raises DyKnowError.
 
@@ -117,13 +117,13 @@ class Command:
     """One command.
 
     Attributes:
-        name: what the user types.
+        name: its word on the command line.
         summary: half a line for the list of commands.
         description: a paragraph for its own help.
         examples: command lines, one a line.
         add_arguments: declares its arguments, besides those that all commands have.
         run: runs the command; returns the exit code, None for success. Raises DyKnowError.
-        problem: returns what is wrong with a combination of arguments, or an empty text.
+        problem: explains why arguments do not go together; empty if they do.
     """
 
     name: str

@@ -52,7 +52,7 @@ def carry_out(
 
     Args:
         steps: what to do.
-        keep_going: go on after a step that failed, and leave what was done.
+        keep_going: go on after a step that failed, and undo nothing.
         may_be_done: whether a step that failed so may have been done, since no answer came.
 
     Returns:

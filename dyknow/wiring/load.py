@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The steps that carry out the plan of a load, each with what takes it back."""
+"""The steps that carry out the plan of a load, each with its reversal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dyknow.wiring.plan import Kept, LoadPlan
 
 
 def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:
-    """List the steps: what makes way, transformations, new nodelets, changes of those that run."""
+    """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
     steps = [_end(each, plan, client) for each in plan.remade]
     steps.extend(_add(each, client) for each in plan.added)
     steps.extend(_replace(old, new, client) for old, new in zip(plan.replaced, plan.replacing))
@@ -50,7 +50,7 @@ def _replace(
 
 
 def _end(kept: Kept, plan: LoadPlan, client: BaseManagerClient) -> ReversibleStep:
-    """End a nodelet that is to be made anew."""
+    """End a nodelet that is to be made again."""
     former = kept.present.request
 
     def bring_back() -> None:
@@ -119,7 +119,7 @@ def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManage
 def _by_declaration(
     nodelet: SpawnRequest, blueprint: Transformation
 ) -> Tuple[Dict[str, str], Dict[str, str]]:
-    """Split the connections into those of declared ports and the others."""
+    """Split the connections into those of declared and of undeclared ports."""
     declared = {port.name for port in blueprint.ports}
     connections = nodelet.config.items()
     return (

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What loading a wiring would change, found out before anything is changed."""
+"""The changes that loading a wiring would make, found before anything is changed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.wiring.wiring import Wiring
 
-#: Tells which values the parameter server has for parameters of a nodelet, by their names.
+#: Returns the values that the parameter server has for parameters of a nodelet, by name.
 Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
 
 
@@ -37,8 +37,8 @@ class Kept:
     """A nodelet that runs already, as it is wanted and as it is.
 
     Attributes:
-        wanted: what the file says.
-        present: what runs.
+        wanted: the request in the file.
+        present: the running nodelet.
         differences: how it was made otherwise than the library says now, in words: from an
             earlier transformation, so that it cannot be made again as it was.
         declared: ports of its transformation. Others of a C++ nodelet stay where they are, unless
@@ -73,7 +73,7 @@ class Kept:
 
 @dataclass
 class LoadPlan:
-    """The steps of a load, and what stands against it.
+    """The changes that a load would make, and the problems that forbid it.
 
     Attributes:
         added: transformations that the library does not have.
@@ -81,7 +81,7 @@ class LoadPlan:
         replacing: what these are replaced with.
         same: labels of those that it has just so.
         spawned: nodelets to make that are not there, readers before writers.
-        remade: nodelets that run and are to be made anew, since they were made otherwise.
+        remade: running nodelets that are to be made again, since they were made otherwise.
         kept: nodelets that run already, and go on.
         any_manager: names of nodelets whose nodelet manager is not there: the manager chooses.
         problems: why the load is refused; empty if it is not.
@@ -103,7 +103,7 @@ class LoadPlan:
 
     @property
     def made(self) -> List[SpawnRequest]:
-        """All nodelets to make, new and anew, readers before writers."""
+        """All nodelets to make, for the first time or again, readers before writers."""
         wanted = [*self.spawned, *(each.wanted for each in self.remade)]
         return readers_first(wanted, self.blueprints)
 
@@ -117,17 +117,17 @@ def plan_load(
     any_manager: bool = False,
     stored: Optional[Stored] = None,
 ) -> LoadPlan:
-    """Compare a wiring with what runs.
+    """Compare a wiring with the running system.
 
     Args:
-        wiring: What is wanted.
-        snapshot: What is there, with its transformations.
+        wiring: the wanted state.
+        snapshot: the present state, with its transformations.
         managers: Nodelet managers that are up.
         is_own_manager: Tells a nodelet manager that the DyKnow manager starts when it is needed.
-        replace: Replace transformations that the library has otherwise, and make nodelets anew
-            that were made otherwise.
+        replace: replace transformations that differ in the library, and make nodelets again that
+            were made otherwise.
         any_manager: Let the manager choose where the wanted nodelet manager is not up.
-        stored: Tells the parameters of nodelets; None if nobody can tell.
+        stored: returns the parameters of nodelets; None if they are unknown.
     """
     plan = LoadPlan()
     plan.former = {each.label: each for each in snapshot.transformations}
@@ -232,7 +232,7 @@ def _plan_present(
     replace: bool,
     stored: Optional[Stored],
 ) -> bool:
-    """Keep a nodelet that runs, or make it anew; returns whether it is to be made anew."""
+    """Keep a running nodelet, or make it again; returns whether it is to be made again."""
     if present.transformation != nodelet.label:
         made_from = (
             f"made from '{present.transformation}'"
@@ -278,7 +278,7 @@ def _otherwise_made(
     present: NodeletStatus,
     stored: Optional[Stored],
 ) -> Tuple[str, ...]:
-    """Compare what can be seen of a nodelet with what it would be made of.
+    """Compare a running nodelet, as far as it is visible, with the file's request for it.
 
     A nodelet keeps the transformation that it was made from when the library gets another, and the
     parameters that were given to it.

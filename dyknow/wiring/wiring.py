@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A whole wiring as a value and as XML: what runs, how it is connected, and what it is made of."""
+"""A whole wiring, as a value and as XML: nodelets, their connections and transformations."""
 
 from __future__ import annotations
 
@@ -54,8 +54,7 @@ def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
     """Take the wiring out of a model.
 
     Returns:
-        The wiring, and the nodelets that it leaves out because others loaded them: nobody knows
-        what they are made from.
+        The wiring, and the nodelets that it leaves out: those without a transformation.
 
     Raises:
         CannotSave: a transformation is gone that a nodelet was made from.

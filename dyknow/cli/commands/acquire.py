@@ -108,7 +108,7 @@ def request_of(
 #: Seconds that a claim outlives a command that was killed.
 _LEASE = 10.0
 _RENEWAL = 3.0
-#: Seconds before a manager that did not answer is asked again.
+#: Seconds before the next question to a manager that did not answer.
 _RETRY = 1.0
 
 
@@ -249,7 +249,7 @@ class _Holding:
 
 
 def _acquired_json(claim: StreamStatus, answer: Optional[Acquisition]) -> Dict[str, Any]:
-    """Write the claim, and what its plan costs; null if it waits."""
+    """Write the claim and the cost of its plan, which is null while the claim waits."""
     cost = answer.cost if answer is not None else None
     least_cost = answer.least_cost if answer is not None else None
     return {**stream_json(claim), "cost": cost, "least_cost": least_cost}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`list`, `info`, `stats` and `doctor`: what runs, how much goes through it, and its defects."""
+"""`list`, `info`, `stats` and `doctor`: nodelets, their traffic, and the system's defects."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ def _present(shell: Shell, names: Sequence[str]) -> List[str]:
 
 
 def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
-    """Ask all nodelets at the same time: one that hangs does not delay the others."""
+    """Ask all nodelets at the same time, so that none waits for one that hangs."""
 
     def ask(name: str) -> Tuple[str, Answer]:
         try:

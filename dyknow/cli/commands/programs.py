@@ -56,7 +56,7 @@ _ANSWER = 2.0
 _PATIENCE = 3.0
 #: Lines of its output that are shown when it fails.
 _LINES = 5
-#: Topics that a node shares with all others. It stays on them, since they are not declared.
+#: Topics that all nodes share. The node stays on them, since they are not declared.
 _SHARED = re.compile(
     r"/(tf|tf_static|clock|rosout|rosout_agg|diagnostics|diagnostics_agg|statistics)"
     r"|.*/(parameter_updates|parameter_descriptions|bond)"
@@ -212,7 +212,7 @@ def _remark(shared: Sequence[PortState]) -> Iterator[str]:
 
 
 def _clean_up(master: Master, name: str) -> None:
-    """Remove what the node left at the master."""
+    """Remove the node's registrations and parameters from the master."""
     try:
         uri = master.node(name)
         if uri:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dyknow.model.streams import StreamStatus
 
 
-#: Tags for which it is asked what their variables can stand for, and bindings shown of each.
+#: The most tags whose bindings are looked up, and the most bindings shown of each.
 _MOST_ASKED = 100
 _MOST_SHOWN = 8
 
@@ -33,7 +33,7 @@ _MOST_SHOWN = 8
 class _Supply:
     """The suppliers of a tag: labels of transformations, running nodelets, and ROS types.
 
-    ``bindings`` is what the variables of the tag can stand for now; None if it was not asked for.
+    ``bindings`` lists the present bindings of the tag's variables; None if they are unknown.
     """
 
     transformations: Set[str] = field(default_factory=set)
@@ -85,7 +85,7 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
 def _bindings(shell: Shell, tag: str) -> Optional[List[Dict[str, str]]]:
     try:
         found = shell.client.find_bindings(tag)
-    except Refused:  # the tag is no term, so nobody can ask for it
+    except Refused:  # the tag is not a term, so it cannot be requested
         return None
     pairs = [[each.partition("=")[::2] for each in way.split(", ")] for way in found]
     return [dict(each) for each in pairs]

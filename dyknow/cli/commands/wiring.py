@@ -169,7 +169,7 @@ def _ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
     """Ask a nodelet for its ports.
 
     Raises:
-        CannotConnect: there is no such nodelet, or its topics are fixed.
+        CannotConnect: the nodelet does not exist, or its topics are fixed.
         NodeletUnreachable: it does not answer.
     """
     try:
