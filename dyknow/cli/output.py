@@ -11,11 +11,11 @@ import os
 import shutil
 import tempfile
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Dict, List, Sequence
 
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError
-from dyknow.model.graph import PortState
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name
@@ -27,17 +27,10 @@ if TYPE_CHECKING:
 
 
 Json = Dict[str, Any]
-
-
-def port_json(port: PortState) -> Json:
-    """A port of a running nodelet."""
-    return {
-        "name": port.name,
-        "direction": port.direction,
-        "datatype": port.datatype,
-        "topic": port.topic,
-        "tags": list(port.tags),
-    }
+_COUNTED = (
+    *("direction", "topic", "messages", "dropped"),
+    *("rate", "mean_callback", "max_callback"),
+)
 
 
 def nodelet_json(nodelet: NodeletStatus) -> Json:
@@ -53,7 +46,7 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
         "host": nodelet.host,
         "state": state_of(nodelet),
         "detail": nodelet.detail,
-        "ports": [port_json(port) for port in by_name(nodelet.ports)],
+        "ports": [asdict(port) for port in by_name(nodelet.ports)],
         "parameters": _parameters_json(nodelet.parameters),
     }
 
@@ -73,12 +66,7 @@ def transformation_json(transformation: Transformation) -> Json:
         "cost": transformation.cost,
         "parameters": _parameters_json(transformation.parameters),
         "ports": [
-            {
-                "name": port.name,
-                "direction": port.direction,
-                "datatype": port.datatype,
-                "tags": list(port.tags),
-            }
+            dict(zip(("name", "direction", "datatype", "tags"), port))
             for port in transformation.ports
         ],
         "specification": transformation.to_xml(),
@@ -93,16 +81,7 @@ def statistics_json(name: str, statistics: NodeletStatistics) -> Json:
         "reconfigurations": statistics.reconfigurations,
         "callback_errors": statistics.callback_errors,
         "ports": [
-            {
-                "name": port.port,
-                "direction": port.direction,
-                "topic": port.topic,
-                "messages": port.messages,
-                "dropped": port.dropped,
-                "rate": port.rate,
-                "mean_callback": port.mean_callback,
-                "max_callback": port.max_callback,
-            }
+            {"name": port.port, **{key: getattr(port, key) for key in _COUNTED}}
             for port in sorted(statistics.ports, key=lambda port: port.port)
         ],
     }

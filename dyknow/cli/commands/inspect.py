@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from typing import (
     TYPE_CHECKING,
     Collection,
@@ -334,13 +335,7 @@ def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         {
             "checks": list(found),
             "findings": [
-                {
-                    "check": name,
-                    "subject": each.subject,
-                    "problem": each.problem,
-                    "cure": each.cure,
-                    "is_error": each.is_error,
-                }
+                {"check": name, **asdict(each)}
                 for name, several in found.items()
                 for each in several
             ],

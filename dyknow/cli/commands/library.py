@@ -210,12 +210,12 @@ def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
                 {
                     "file": file,
                     "labels": list(labels),
-                    "problems": [_problem_json(problem) for problem in problems],
-                    "warnings": [_problem_json(problem) for problem in warnings],
+                    "problems": [problem._asdict() for problem in problems],
+                    "warnings": [problem._asdict() for problem in warnings],
                 }
                 for file, (labels, problems, warnings) in reports
             ],
-            "ontology_warnings": [_problem_json(problem) for problem in unread],
+            "ontology_warnings": [problem._asdict() for problem in unread],
         },
         lines,
     )
@@ -252,10 +252,6 @@ def _report(
 
 def _with_warning(problem: Problem) -> str:
     return str(problem._replace(message=f"warning: {problem.message}"))
-
-
-def _problem_json(problem: Problem) -> Dict[str, Any]:
-    return {"file": problem.file, "line": problem.line, "message": problem.message}
 
 
 COMMANDS = (

@@ -256,16 +256,30 @@ def test_what_cannot_be_undone_is_told(client: FakeClient, file: Path) -> None:
     assert "spawning '/cam': no; spawning '/robot/relay' could not be taken back: no" in error
 
 
-def test_a_step_without_an_answer_is_undone_too(client: FakeClient, file: Path) -> None:
+@pytest.mark.parametrize("was_done", [True, False])
+def test_a_step_without_an_answer_is_undone_too(
+    client: FakeClient, file: Path, was_done: bool
+) -> None:
     def fail(call: str, subject: str) -> None:
         if (call, subject) == ("spawn", "/cam"):
             client.fail = lambda call, subject: None
-            client.spawn("camera", "/cam")
+            if was_done:
+                client.spawn("camera", "/cam")
             raise ManagerUnreachable("did not answer within 30 s")
 
     client.fail = fail
-    assert run(client, f"load {file}").code == 1
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 1
+    assert outcome.err.endswith("did not answer within 30 s; everything is as it was\n")
     assert graph(client) == []
+
+
+def test_fixed_topics_are_found_before_anything_is_changed(client: FakeClient, file: Path) -> None:
+    client.world.spawn("native", "n", config={"image": "/other"}, isolated=True)
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 1
+    assert f"dyknow: {file}: the topics of '/n' are fixed" in outcome.err
+    assert client.calls == []
 
 
 def test_ctrl_c_undoes(client: FakeClient, file: Path) -> None:
