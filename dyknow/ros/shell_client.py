@@ -36,7 +36,6 @@ _UNSET = object()
 
 #: Seconds within which the manager's model follows a change that was made on a proxy.
 FOLLOW_TIMEOUT = 2.0
-_FOLLOW_PERIOD = 0.02
 _OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
 
 
@@ -88,32 +87,19 @@ class ShellClient(ManagerClient):
 
     def get_graph(self) -> Model:
         """Return the model without its transformations, which may be many."""
-        with self._topic("model", msg.Model) as reader:
-            seconds = self._timeout or client.ASK_TIMEOUT
-            try:
-                message = reader.read(seconds)
-            except OSError as error:
-                raise self._no_manager(error, seconds) from error
-        if message is None:
+        seconds = self._timeout or client.ASK_TIMEOUT
+        found = self._next_model(seconds, lambda model: True)
+        if found is None:
             raise self._no_manager(PeerTimeout(self.manager, seconds), seconds)
-        return model_from(message)
+        return found
+
+    def wait_for_model(self, condition: Callable[[Model], bool]) -> Optional[Model]:
+        """Return the first model that meets a condition; None if there is none within 2 s."""
+        return self._next_model(FOLLOW_TIMEOUT, condition)
 
     def stream_events(self) -> EventReader:
         """Listen to the events of all streams."""
         return EventReader(self._topic("stream_events", msg.StreamEvent))
-
-    def wait_for_model(self, condition: Callable[[Model], bool]) -> bool:
-        """Wait until the manager's model shows a change, so that the next command sees it.
-
-        Returns:
-            Whether it does within the time that the model needs at most.
-        """
-        deadline = time.monotonic() + FOLLOW_TIMEOUT
-        while not condition(self.get_graph()):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(_FOLLOW_PERIOD)
-        return True
 
     def managers(self) -> List[str]:
         """Names of all DyKnow managers of the ROS graph that are registered now."""
@@ -164,6 +150,19 @@ class ShellClient(ManagerClient):
         return names.parent(name) == self.namespace and bool(_OWN_MANAGER.match(name))
 
     # Inside
+
+    def _next_model(self, seconds: float, condition: Callable[[Model], bool]) -> Optional[Model]:
+        """Read the topic of the model, which is latched, until a message meets a condition."""
+        deadline = time.monotonic() + seconds
+        with self._topic("model", msg.Model) as reader:
+            while True:
+                try:
+                    message = reader.read(max(0.0, deadline - time.monotonic()))
+                except OSError as error:
+                    raise self._no_manager(error, seconds) from error
+                model = None if message is None else model_from(message)
+                if model is None or condition(model):
+                    return model
 
     def _call(
         self,

@@ -73,8 +73,8 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.resolve(arguments.manager) if arguments.manager else "",
         arguments.param,
     )
-    shell.client.wait_for_model(lambda model: _runs(model, name))
-    nodelet = shell.client.get_graph().nodelet(name)
+    model = shell.client.wait_for_model(lambda model: _runs(model, name))
+    nodelet = (model or shell.client.get_graph()).nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return

@@ -77,8 +77,9 @@ class FakeClient(SimulatedManagerClient):
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)
 
-    def wait_for_model(self, condition: Callable[[Model], bool]) -> bool:
-        return condition(self.get_graph())
+    def wait_for_model(self, condition: Callable[[Model], bool]) -> Model | None:
+        model = self.get_graph()
+        return model if condition(model) else None
 
     def managers(self) -> list[str]:
         return ["/dyknow_manager"]
