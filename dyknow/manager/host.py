@@ -28,7 +28,7 @@ from dyknow.model.transformation import Parameter, Transformation
 
 
 @dataclass(frozen=True)
-class ManagerState:
+class ProcessState:
     """A nodelet manager, or a re-wirable node in a process of its own, which hosts itself alone.
 
     Attributes:
@@ -90,14 +90,14 @@ class HostReport:
     """The outcome of polling a host.
 
     Attributes:
-        managers: nodelet managers and re-wirable nodes by name, dead ones included.
+        processes: nodelet managers and re-wirable nodes by name, dead ones included.
         nodelets: names of the nodelets of each; without processes that did not answer, or were
             restarted meanwhile.
-        crashes: recent ones by incarnation, complete for processes that ``managers`` shows as dead
-            or restarted.
+        crashes: recent ones by incarnation, complete for processes that ``processes`` shows as
+            dead or restarted.
     """
 
-    managers: Mapping[str, ManagerState]
+    processes: Mapping[str, ProcessState]
     nodelets: Mapping[str, FrozenSet[str]]
     crashes: Mapping[str, Crash]
 
@@ -165,8 +165,8 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def managers(self) -> List[ManagerState]:
-        """List the nodelet managers that nodelets can be given to, dead ones included."""
+    def states(self) -> Mapping[str, ProcessState]:
+        """Return the processes by name, sorted, dead ones included; none of them is queried."""
 
     @abstractmethod
     def poll(self) -> HostReport:
@@ -209,7 +209,7 @@ class Host(ABC):
     def unload(self, manager: str, name: str) -> None:
         """Unload a nodelet, even while it is being loaded, or end a node.
 
-        If its process dies of that, ``managers`` shows it by the time that this raises.
+        If its process dies of that, ``states`` shows it by the time that this raises.
         """
 
     @abstractmethod

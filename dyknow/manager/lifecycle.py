@@ -256,7 +256,7 @@ class Lifecycle:
         """Return the nodelet manager of a nodelet that died, started again if it is ours."""
         if record.isolated:
             return self._host.ensure(record.kind.host, record.name)
-        state = self._loading.state(record.manager)
+        state = self._host.states().get(record.manager)
         if state is None:  # it died while there was no manager, and has no successor
             return self._loading.place(record.kind, record.topics.values())
         if state.own and not state.alive:
@@ -272,7 +272,7 @@ class Lifecycle:
 
     def _is_gone(self, record: Record) -> bool:
         """Whether a nodelet that could not be unloaded is certainly gone."""
-        state = self._loading.state(record.manager)
+        state = self._host.states().get(record.manager)
         if record.isolated or state is None:
             return True
         if state.away or not state.alive:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import collections
 from dataclasses import replace
-from typing import Counter, Dict, Iterable, Optional, Set, Tuple
+from typing import Counter, Dict, Iterable, Set, Tuple
 
 from dyknow import names
 from dyknow.datatypes import types_fit
 from dyknow.errors import FixedTopics, HostError
 from dyknow.locks import state_condition
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, LoadRequest, ManagerState
+from dyknow.manager.host import Host, LoadRequest
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
@@ -72,7 +72,7 @@ class Loading:
             return self._host.ensure(kind.host, isolated_for)
         shared = [
             state.name
-            for state in self._host.managers()
+            for state in self._host.states().values()
             if state.alive
             and state.responsive
             and state.rewirable
@@ -103,9 +103,9 @@ class Loading:
                 "expected a process of its own or a named one, not both"
             )
         self._host.look_for(asked)
-        state = self.state(asked)
+        state = self._host.states().get(asked)
         if state is None:
-            known = ", ".join(sorted(each.name for each in self._host.managers())) or "none"
+            known = ", ".join(self._host.states()) or "none"
             raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
         if state.isolated_for:
             raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
@@ -116,10 +116,6 @@ class Loading:
             raise HostError(
                 f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
             )
-
-    def state(self, manager: str) -> Optional[ManagerState]:
-        """Return a nodelet manager; None if there is none of that name."""
-        return next((each for each in self._host.managers() if each.name == manager), None)
 
     def bring_up(self, record: Record) -> Record:
         """Load a nodelet, or start a node; check and connect its ports; returns its new record.
@@ -137,12 +133,12 @@ class Loading:
             record.kind,
         )
         if record.claimed and record.kind is NodeletKind.CPP:
-            state = self.state(record.manager)
+            state = self._host.states().get(record.manager)
             if state is not None and not state.rewirable:
                 raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
         deadline = self._clock.now() + self._timeout
         self._host.load(record.manager, request, self._timeout)
-        state = self.state(record.manager)
+        state = self._host.states().get(record.manager)
         record = replace(
             record,
             state=State.RUNNING,

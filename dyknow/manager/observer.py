@@ -21,7 +21,7 @@ from dyknow.backoff import Backoff
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Crash, Host, HostReport, ManagerState
+from dyknow.manager.host import Crash, Host, HostReport, ProcessState
 from dyknow.manager.lifecycle import NO_STREAMS, Lifecycle, StreamKeeper
 from dyknow.manager.record import (
     NOTHING_HEARD,
@@ -101,7 +101,7 @@ class Observer:
                 self._lifecycle.clear(record)
             else:
                 self._graph.put(record)
-        for state in self._host.managers():  # the spawn that it was started for never returned
+        for state in self._host.states().values():  # whose spawn never returned
             if state.own and state.isolated_for and not self._graph.find(state.isolated_for):
                 self._host.retire(state.name)
         self.look({record.name for record in self._graph.all()})
@@ -135,7 +135,7 @@ class Observer:
             for manager in sorted(report.nodelets):
                 for name in sorted(report.nodelets[manager] - known):
                     if not self._graph.is_busy(name):
-                        self._adopt_unknown(name, report.managers[manager])
+                        self._adopt_unknown(name, report.processes[manager])
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
             self._bring_back_soon(name)
@@ -181,7 +181,7 @@ class Observer:
 
     def _trouble(self, record: Record, report: HostReport) -> str:
         """Say why a nodelet is lost with its nodelet manager; empty if it is not."""
-        state = report.managers.get(record.manager)
+        state = report.processes.get(record.manager)
         if record.transformation is None or record.unwanted or (state and state.unseen):
             return ""  # until its host was looked for, it is as it was
         if _has_died(record, report):
@@ -208,7 +208,7 @@ class Observer:
             return  # another operation works on it; the next look sees the outcome
 
     def _compare(self, record: Record, report: HostReport, changed: Set[str]) -> None:
-        state = report.managers.get(record.manager)
+        state = report.processes.get(record.manager)
         listed = report.nodelets.get(record.manager)
         alive = state is not None and listed is not None
         if alive and listed and record.name in listed and not record.unwanted:
@@ -237,7 +237,7 @@ class Observer:
             elif record.state is not State.RUNNING:  # else another operation has just worked on it
                 self._dead.add(record.name)
 
-    def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
+    def _follow(self, record: Record, state: ProcessState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         description = self._description(record)
         is_new = description != record.transformation
@@ -343,7 +343,7 @@ class Observer:
         else:
             _log.warning("%s is not back: %s", record.name, restored.detail)
 
-    def _adopt_unknown(self, name: str, state: ManagerState) -> None:
+    def _adopt_unknown(self, name: str, state: ProcessState) -> None:
         try:
             with self._graph.changing(name, new=True):
                 if name in self._host.list(state.name):  # and not gone since the look began
@@ -351,7 +351,7 @@ class Observer:
         except (Busy, NameTaken, HostError):
             return
 
-    def _foreign(self, name: str, state: ManagerState) -> Record:
+    def _foreign(self, name: str, state: ProcessState) -> Record:
         ports: Tuple[PortState, ...] = ()
         if state.rewirable:
             with contextlib.suppress(HostError):
@@ -386,10 +386,8 @@ class Observer:
                 return False
         except HostError:
             return False
-        return any(
-            state.name == record.manager and state.incarnation == record.incarnation
-            for state in self._host.managers()
-        )
+        state = self._host.states().get(record.manager)
+        return state is not None and state.incarnation == record.incarnation
 
 
 def _is_same_life(current: Record, record: Record) -> bool:
@@ -399,7 +397,7 @@ def _is_same_life(current: Record, record: Record) -> bool:
 
 def _has_died(record: Record, report: HostReport) -> bool:
     """Whether the process that ran a nodelet has ended, as far as is known."""
-    state = report.managers.get(record.manager)
+    state = report.processes.get(record.manager)
     if state is None or (state.own and not state.alive):
         return True
     return (
@@ -417,7 +415,7 @@ def _was_being_unloaded(record: Record, report: HostReport) -> bool:
 
 def _as_it_was(record: Record, report: HostReport) -> bool:
     """Whether a nodelet runs on in the process that was seen last: nothing is to be done."""
-    state = report.managers.get(record.manager)
+    state = report.processes.get(record.manager)
     return (
         state is not None
         and record.state is State.RUNNING

@@ -33,7 +33,7 @@ from dyknow.manager.host import (
     HostReport,
     Listening,
     LoadRequest,
-    ManagerState,
+    ProcessState,
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
@@ -67,10 +67,10 @@ class FakeNodelet:
 
 
 @dataclass
-class FakeManager:
+class FakeProcess:
     """A nodelet manager in memory, and its nodelets by name."""
 
-    state: ManagerState
+    state: ProcessState
     nodelets: Dict[str, FakeNodelet] = field(default_factory=dict)
 
 
@@ -149,7 +149,7 @@ class FakeHost(Host):
         self.fail: Callable[[str, str], object] = lambda operation, argument: None
         self.on_change: Callable[[], None] = lambda: None
         self.calls: List[Tuple[str, str]] = []
-        self.processes: Dict[str, FakeManager] = {}
+        self.processes: Dict[str, FakeProcess] = {}
         self.parameters: Dict[str, object] = {}
         self.details: Dict[str, str] = {}
         self._incarnations = itertools.count(1)
@@ -157,7 +157,7 @@ class FakeHost(Host):
         self.leased: set[str] = set()
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
-        self._cut: Dict[str, ManagerState] = {}
+        self._cut: Dict[str, ProcessState] = {}
         self._passed: Dict[str, int] = {}
         self._ages: Dict[str, Optional[float]] = {}
         self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
@@ -253,7 +253,7 @@ class FakeHost(Host):
     def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
         """Start, or restart, an external nodelet manager."""
         state = self._state(manager, kind, own=False)
-        self.processes[manager] = FakeManager(state)
+        self.processes[manager] = FakeProcess(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
         """Cut the network to the host of an external nodelet manager.
@@ -370,21 +370,22 @@ class FakeHost(Host):
             raise HostError(f"no package declares a nodelet type '{source}'")
         return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
 
-    def managers(self) -> List[ManagerState]:
+    def states(self) -> Dict[str, ProcessState]:
         hung = self._hung - self.unnoticed
-        return [
-            self._cut.get(name) or replace(self.processes[name].state, responsive=name not in hung)
+        return {
+            name: self._cut.get(name)
+            or replace(self.processes[name].state, responsive=name not in hung)
             for name in sorted(self.processes)
-        ]
+        }
 
     def poll(self) -> HostReport:
-        managers = {state.name: state for state in self.managers()}
+        states = self.states()
         nodelets = {}
-        for name in managers:
+        for name in states:
             with contextlib.suppress(HostError):
                 nodelets[name] = frozenset(self.list(name))
         crashes = {each.incarnation: each for each in self._crashes}
-        return HostReport(managers, nodelets, crashes)
+        return HostReport(states, nodelets, crashes)
 
     def look_for(self, manager: str) -> None:
         """Do nothing: nodelet managers are known as soon as they are there."""
@@ -395,7 +396,7 @@ class FakeHost(Host):
         self._step("ensure", isolated_for or kind.value)
         fitting = [
             state
-            for state in self.managers()
+            for state in self.states().values()
             if state.own
             and state.kind is kind
             and state.isolated_for == isolated_for
@@ -537,24 +538,24 @@ class FakeHost(Host):
         return next(name for name in candidates if name not in self.processes)
 
     def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
-        self.processes[name] = FakeManager(self._state(name, kind, isolated_for))
+        self.processes[name] = FakeProcess(self._state(name, kind, isolated_for))
         return name
 
     def _state(
         self, name: str, kind: NodeletKind, isolated_for: str = "", own: bool = True
-    ) -> ManagerState:
+    ) -> ProcessState:
         rewirable = kind is not NodeletKind.CPP or not self.stock
         incarnation = str(next(self._incarnations))
-        return ManagerState(name, kind, incarnation, isolated_for, own, rewirable=rewirable)
+        return ProcessState(name, kind, incarnation, isolated_for, own, rewirable=rewirable)
 
     def _step(self, operation: str, argument: str) -> None:
         assert_no_state_lock(f"asking the host: {operation} {argument}")
         self.calls.append((operation, argument))
         self.fail(operation, argument)
 
-    def _alive(self, manager: str) -> FakeManager:
+    def _alive(self, manager: str) -> FakeProcess:
         assert_no_state_lock(f"asking nodelet manager {manager}")
-        process: Optional[FakeManager] = self.processes.get(manager)
+        process: Optional[FakeProcess] = self.processes.get(manager)
         if manager in self._hung or manager in self._cut:
             self.unnoticed.discard(manager)
             raise HostTimeout(f"nodelet manager '{manager}' does not answer")
@@ -576,12 +577,12 @@ class FakeHost(Host):
                     return port.datatype
         return ""
 
-    def _process_of(self, name: str) -> FakeManager:
+    def _process_of(self, name: str) -> FakeProcess:
         process = self._place_of(name)
         if process is None:
             raise HostError(f"nodelet '{name}' does not answer")
         return self._alive(process.state.name)
 
-    def _place_of(self, name: str) -> Optional[FakeManager]:
+    def _place_of(self, name: str) -> Optional[FakeProcess]:
         hosting = (each for each in self.processes.values() if name in each.nodelets)
         return next(hosting, None)

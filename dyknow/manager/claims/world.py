@@ -339,7 +339,8 @@ class WorldReader:
         records = [each for each in records if each.state is not State.FAILED]
         if not any(record.state is State.LOST for record in records):
             return records, True
-        incarnations = {each.name: each.incarnation for each in self._host.managers()}
+        states = self._host.states()
+        incarnations = {name: state.incarnation for name, state in states.items()}
         acting = [
             record
             for record in records

@@ -17,7 +17,7 @@ import rosgraph.network
 
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Crash, ManagerState
+from dyknow.manager.host import Crash, ProcessState
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
@@ -95,9 +95,9 @@ class Child(NodeletPeer):
         return client is None or of != self.incarnation or client.answers
 
     @property
-    def state(self) -> ManagerState:
+    def state(self) -> ProcessState:
         """Its present state, without a request."""
-        return ManagerState(
+        return ProcessState(
             self.name,
             self.record.kind,
             self.incarnation,

@@ -31,7 +31,7 @@ from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.locks import state_lock
-from dyknow.manager.host import ManagerState
+from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.addresses import host_of
@@ -141,11 +141,11 @@ class External(NodeletPeer):
         return self._presence
 
     @property
-    def state(self) -> ManagerState:
+    def state(self) -> ProcessState:
         """The same as the manager sees it."""
         known = self._presence
         kind = known.process.kind if known.process is not None else NodeletKind.PYTHON
-        return ManagerState(
+        return ProcessState(
             self.name,
             kind or NodeletKind.CPP,
             known.process.incarnation if known.process is not None else "",
@@ -374,7 +374,7 @@ class Externals:
 
     def look_for(self, nodes: Iterable[str]) -> None:
         """Find nodes that may run, before they announce their names; waits for the outcome."""
-        for each in [self._expect(name) for name in nodes]:
+        for each in [self._expect(name) for name in nodes if not self._is_child(name)]:
             each.look_now()
 
     def all(self) -> List[External]:

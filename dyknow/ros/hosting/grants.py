@@ -21,7 +21,7 @@ from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
-from dyknow.manager.host import ManagerState
+from dyknow.manager.host import ProcessState
 from dyknow.periodic import STEADY, Clock, PeriodicWorker
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
@@ -198,7 +198,7 @@ class Guarding:
     def _key(self) -> str:
         return names.join(self._name, guards_key(self._context.master.caller))
 
-    def hand_over(self, state: ManagerState) -> None:
+    def hand_over(self, state: ProcessState) -> None:
         """Hand them over, unless the process has them; a failure is logged."""
         if not state.alive or not state.rewirable:
             return

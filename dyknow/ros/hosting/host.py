@@ -30,7 +30,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken, PeerTimeout, Refused
-from dyknow.manager.host import Count, Host, HostReport, Listening, LoadRequest, ManagerState
+from dyknow.manager.host import Count, Host, HostReport, Listening, LoadRequest, ProcessState
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
@@ -114,18 +114,18 @@ class RosHost(Host):
             return programs.kind_of(Program.of(transformation.source))
         return self._types.kind_of(transformation.source)
 
-    def managers(self) -> List[ManagerState]:
-        """List our children, the external nodelet managers and nodes."""
-        return [peer.state for peer in self._peers()]
+    def states(self) -> Dict[str, ProcessState]:
+        """Return our children, the external nodelet managers and nodes."""
+        return {peer.name: peer.state for peer in self._peers()}
 
     def poll(self) -> HostReport:
         """Ask each process for its nodelets; how external ones end is not seen."""
-        states = self.managers()
+        states = self.states()
         crashes = {crash.incarnation: crash for crash in self._children.crashes()}
-        alive = [state for state in states if state.alive]
+        alive = [state for state in states.values() if state.alive]
         answers = zip(alive, self._askers.map(self._nodelets_of, alive))
         nodelets = {state.name: frozenset(each) for state, each in answers if each is not None}
-        return HostReport({state.name: state for state in states}, nodelets, crashes)
+        return HostReport(states, nodelets, crashes)
 
     def look_for(self, manager: str) -> None:
         """Wait for one fresh probe of an external one."""
@@ -333,7 +333,7 @@ class RosHost(Host):
             raise HostError(f"nodelet manager '{name}' is not running")
         return found
 
-    def _nodelets_of(self, state: ManagerState) -> Optional[List[str]]:
+    def _nodelets_of(self, state: ProcessState) -> Optional[List[str]]:
         try:
             return self._list(self._known(state.name), state.incarnation)
         except HostError as error:

@@ -19,7 +19,7 @@ from nodelet.srv import NodeletList
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
-from dyknow.manager.host import ManagerState
+from dyknow.manager.host import ProcessState
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.counts import CountClient
 from dyknow.ros.hosting.grants import Guarding, Lease, PeerContext
@@ -60,7 +60,7 @@ class NodeletPeer(ABC):
 
     @property
     @abstractmethod
-    def state(self) -> ManagerState:
+    def state(self) -> ProcessState:
         """Its last known state, without a request."""
 
     @abstractmethod

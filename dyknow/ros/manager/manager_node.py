@@ -234,7 +234,7 @@ class ManagerNode(Closable):
     def _announcers(self) -> Sequence[str]:
         return [
             state.name
-            for state in self._host.managers()
+            for state in self._host.states().values()
             if state.rewirable and (state.own or state.alive)
         ]
 

@@ -50,7 +50,7 @@ def test_a_manager_goes_on_while_its_disk_is_full(disk: Path) -> None:
         world.manager.destroy("b")
         assert world.host.running == ["/a"]
         assert world.states() == {"/a": "RUNNING"}
-        assert not [each for each in world.host.managers() if each.isolated_for]
+        assert not [each for each in world.host.states().values() if each.isolated_for]
 
         world.spawn("relay", "d", isolated=True)
         world.host.kill("/fake_0")
@@ -76,7 +76,7 @@ def test_an_isolated_spawn_that_fails_leaves_no_process(disk: Path, error: Excep
     world.host.fail = fail
     with full(disk), pytest.raises((SpawnFailed, NameTaken)):
         world.spawn("camera", "x", isolated=True)
-    assert world.host.managers() == []
+    assert world.host.states() == {}
     assert world.states() == {}
     assert written(world) == {}
 

@@ -213,6 +213,23 @@ def test_an_isolated_nodelet_that_crashes_comes_back_alone(world: World) -> None
     assert ("load", "/shared") not in world.host.calls[len(before) :]
 
 
+def test_polling_has_no_effect(world: World) -> None:
+    record = world.spawn("camera", "a")
+    world.host.crash("/fake_0", running=["/a"])
+    report = world.host.poll()
+    assert report.crashes[record.incarnation].manager == "/fake_0"
+    assert world.host.poll() == report
+
+
+def test_a_crash_is_remembered_while_its_nodelet_is_busy(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.crash("/fake_0", unloading=["/a"])  # which a third party had requested
+    with world.manager.graph.changing("/a"):
+        world.manager.look()
+    world.manager.look()
+    assert world.states() == {}
+
+
 def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> None:
     world.spawn("camera", "a")
 

@@ -43,7 +43,7 @@ def host() -> Iterator[RosHost]:
 
 def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
     report = host.poll()
-    assert report.managers["/n"].kind is NodeletKind.NODE
+    assert report.processes["/n"].kind is NodeletKind.NODE
     assert report.nodelets == {"/n": frozenset(["/n"])}
     host.grant({"/topic": "/n"}, ["/n"])
     host.note_detail("/n", "/n", "a callback has been running for 12 s")

@@ -15,7 +15,7 @@ from clocks import HandClock
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
-from dyknow.manager.host import ManagerState
+from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting import grants
@@ -146,7 +146,7 @@ class Parameters(Master):
 
 
 KEY = "/far/guards/manager"
-STATE = ManagerState("/far", NodeletKind.PYTHON, "1")
+STATE = ProcessState("/far", NodeletKind.PYTHON, "1")
 
 
 @pytest.fixture
