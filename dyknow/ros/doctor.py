@@ -14,7 +14,7 @@ import shutil
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
@@ -100,11 +100,6 @@ class Doctor:
     client: ShellClient
     code: Path = Path(dyknow.__file__).resolve().parent
     disk_usage: Callable[[str], Tuple[int, int, int]] = shutil.disk_usage
-    _master: Master = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Use the master that the environment names."""
-        self._master = Master(f"/dyknow_{os.getpid()}", timeout=PATIENCE)
 
     def checks(self) -> List[Tuple[str, Callable[[], Iterator[Finding]]]]:
         """List the checks, each with the name of its subject."""
@@ -125,6 +120,10 @@ class Doctor:
         ]
 
     # The graph
+
+    @cached_property
+    def _master(self) -> Master:
+        return Master(f"/dyknow_{os.getpid()}", timeout=PATIENCE)
 
     @cached_property
     def nodes(self) -> Dict[str, NodeFacts]:

@@ -56,12 +56,7 @@ class _Server:
         self._idle: List[_Transport] = []
 
     def ask(self, question: str, *args: Any) -> Any:
-        """Call a function and return its value.
-
-        Raises:
-            PeerTimeout: no answer in time, or no process there.
-            LookupError: the answer is an error.
-        """
+        """Call a function and return its value."""
         assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
             transport = self._idle.pop()
@@ -88,7 +83,11 @@ class _Server:
 
 
 class Master:
-    """The master that ROS_MASTER_URI names, queried in the name of one node."""
+    """The master that ROS_MASTER_URI names, queried in the name of one node.
+
+    Every method raises `PeerTimeout` when the master, or a queried node, does not answer in time,
+    and `LookupError` when it answers with an error, for instance to an unknown name.
+    """
 
     def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
         """Prepare questions to the master.
@@ -104,12 +103,7 @@ class Master:
         self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout)
 
     def ask(self, question: str, *args: Any) -> Any:
-        """Call a function of the master's API and return its value.
-
-        Raises:
-            PeerTimeout: no answer in time, or no master.
-            LookupError: the master answers with an error: it has no such name.
-        """
+        """Call a function of the master's API and return its value."""
         return self._server.ask(question, self.caller, *args)
 
     def publishers(self, topic: str) -> Set[str]:
@@ -141,36 +135,17 @@ class Master:
             return ""
 
     def pid(self, name: str, uri: str, timeout: float) -> int:
-        """Ask a node for its process id.
-
-        Raises:
-            PeerTimeout: it does not answer in time.
-        """
+        """Query the process id of a node."""
         return int(self._ask_node(name, uri, timeout, "getPid"))
 
     def connections(self, uri: str, topic: str, timeout: float) -> Set[int]:
-        """Ask a node to which ports its connections on a topic send.
-
-        Args:
-            uri: the node's address.
-            topic: global name of a topic that it publishes.
-            timeout: seconds for its answer.
-
-        Raises:
-            PeerTimeout: it does not answer in time.
-            LookupError: it refuses.
-        """
+        """Query the ports to which a node at ``uri`` sends a topic that it publishes."""
         infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
         return {int(port.group(1)) for port in ports if port}
 
     def shut_down(self, name: str, uri: str, reason: str, timeout: float) -> None:
-        """Tell a node to end, as the master does when another one takes its name.
-
-        Raises:
-            PeerTimeout: it does not answer in time.
-            LookupError: it refuses.
-        """
+        """Shut a node down, as the master does when another one takes its name."""
         self._ask_node(name, uri, timeout, "shutdown", reason)
 
     def purge(self, node: str, uri: str) -> None:

@@ -9,6 +9,7 @@ when it is not a child of this one; how it ended is known of children only.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import select
@@ -53,20 +54,11 @@ class ProcessId:
     def signal(self, number: int) -> None:
         """Send a signal, unless it has ended."""
         if self.alive:
-            try:
+            with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
-            except ProcessLookupError:
-                return
 
     def wait(self, timeout: Optional[float] = None) -> bool:
-        """Wait for its end.
-
-        Args:
-            timeout: seconds; None waits as long as it takes.
-
-        Returns:
-            Whether it has ended.
-        """
+        """Wait for its end, at most ``timeout`` seconds; return whether it has ended."""
         ended = self._await_end(timeout)
         _reap(self.pid)
         return ended
