@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What clients receive besides messages: answers, refusals, and news of cheaper plans."""
+"""Answers to clients, refusals, and reports of cheaper plans."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _similar_tags(manager: Manager, answer: NoPlan) -> str:
 
 
 def _as_asked(supplied: Term, asked: Term) -> Term:
-    """Put what was asked for in the places of the variables of a supplied tag."""
+    """Put the arguments of a request in the places of the variables of a supplied tag."""
     if supplied.is_ground or len(supplied.args) != len(asked.args):
         return supplied
     pairs = zip(supplied.args, asked.args)
@@ -91,11 +91,11 @@ def _as_asked(supplied: Term, asked: Term) -> Term:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What is known of cheaper ways to a claim's stream.
+    """The cheaper plans that were found for a claim's stream.
 
     Attributes:
         nodelets: of the stream as it is.
-        offers: what was on offer when it was compared last.
+        offers: the offers at the last comparison.
         way: the cheaper way, in words; empty if there is none.
         since: when that was found first.
         reported: ways that the client was informed of.
@@ -109,7 +109,7 @@ class _Comparison:
 
 
 class CheaperPlans:
-    """Compares what streams cost with what they would cost today."""
+    """Compares the costs of streams with those of plans of today."""
 
     def __init__(
         self, table: ClaimTable, planner: ClaimPlanner, clock: Callable[[], float]
@@ -133,7 +133,7 @@ class CheaperPlans:
     def report(self) -> None:
         """Report a cheaper plan of a claim once, when it has been on offer for some time.
 
-        In each call one claim is compared anew, if anything new is on offer.
+        In each call one claim is compared again, if there is a new offer.
         """
         offers, now = self._planner.inputs.offers(), self._clock()
         claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]

@@ -5,7 +5,7 @@
 
 Topics get the names of the out-ports that publish on them (``/NODELET/port``), except for the
 goal, which publishes where the client listens. A healthy nodelet of the claim is connected
-elsewhere instead of being made again. What replaces a part has to deliver first: a replacement
+elsewhere instead of being made again. A replacement has to deliver first: a replacement
 publishes on a topic of its own until it has sent its first message, then it takes over.
 """
 
@@ -47,7 +47,7 @@ from dyknow.model.transformation import IN, OUT, Parameter, Transformation
 
 #: Names that are tried for one transformation.
 _MOST_NAMES = 10_000
-#: What is asked for besides, or instead of, a ROS type, for error messages.
+#: The demand for a header, beside or instead of a ROS type, for error messages.
 STAMPED = "a type that begins with a header (for max_age)"
 
 #: Seconds between two looks for the first message of a replacement.
@@ -56,19 +56,19 @@ _STEP = 0.02
 
 @dataclass(frozen=True)
 class AssemblyRequest:
-    """What has to be made, and around what.
+    """A plan that has to be carried out, and its surroundings.
 
     Attributes:
-        plan: how.
-        tag: what was asked for, for error messages.
+        plan: the plan.
+        tag: tag of the request, for error messages.
         topic: where the client listens; empty for wherever the stream is.
-        datatype: ROS type that was asked for; empty for any.
+        datatype: ROS type of the request; empty for any.
         own: nodelets that are used for steps of the plan.
         movable: names of all healthy nodelets that can be connected elsewhere for the claim.
         unhealthy: nodelets that are not to be relied on.
         unresponsive: nodelets that do not answer.
         claim_id: whose stream it is.
-        ordinary: topics on which ordinary nodes publish what the library describes.
+        ordinary: topics that the library describes and ordinary nodes publish.
         is_stamped: whether its messages have to begin with a header.
     """
 
@@ -97,9 +97,9 @@ class AssemblyResult:
         sources: topics of ordinary nodes.
         spawned: names of new nodelets.
         reused: names of nodelets that existed before.
-        remarks: what did not go as it should, in words.
+        remarks: deviations from the plan, in words.
         detail: what there is to say about the stream as it is now.
-        bindings: what the variables of the request stand for.
+        bindings: names that the variables of the request stand for.
     """
 
     topic: str = ""
@@ -272,7 +272,7 @@ class Handover:
         self._clock = clock
         self._sleep = sleep
         self._deadline: Optional[float] = None
-        #: What did not go as it should, in words.
+        #: Deviations from the plan, in words.
         self.remarks: List[str] = []
 
     def wait(self, record: Record, port: str) -> None:
@@ -294,7 +294,7 @@ class Handover:
     ) -> Callable[[], Optional[Count]]:
         """Return a function that counts the messages of an out-port.
 
-        A C++ nodelet may be lazy, and send only to whoever listens.
+        A C++ nodelet may be lazy, and send only to subscribers.
         """
         if not record.kind.is_written_for_dyknow:
             listening = self._host.listen(record.topics.get(port, ""))
@@ -333,10 +333,10 @@ class Assembly:
         self.failed_label = ""
 
     def carry_out(self) -> AssemblyResult:
-        """Make what the plan says; whatever this raises, what was made is undone.
+        """Carry the plan out; an exception undoes every change.
 
         Raises:
-            StreamTypeMismatch: what was made carries another type than is needed.
+            StreamTypeMismatch: a new nodelet has a port of another type than is needed.
             DyKnowError: a step failed.
         """
         try:
@@ -405,7 +405,7 @@ class Assembly:
         result.topic, result.datatype = place or present, datatype or wanted
         name, port = self._plan.name_of(goal), goal.port
         if not place and present in self._plan.taken_topics() and datatype not in ANY:
-            # The clients there want something else, and what they receive may change.
+            # The clients there want something else, and their stream may change.
             name, port = self._relay(goal, present), "out"
             result.topic = self._world().get(name).topics[port]
         elif present != result.topic:
@@ -424,7 +424,7 @@ class Assembly:
         Returns:
             Name of the relay.
         """
-        # What is true of all that is sent there.
+        # The tags that hold for all messages there.
         tags = self._world().topology.common_tags(present, self._plan.tags_of(goal))
         datatype = self._plan.type_of(goal)
         made = relay(present, datatype, tuple(map(str, tags)))
@@ -435,9 +435,9 @@ class Assembly:
         return name
 
     def _separate(self, goal: Source, publisher: str, topic: str) -> None:
-        """Disconnect what is replaced before the goal comes, if that is of another individual.
+        """Disconnect the replaced publisher before the goal comes, if it is of another individual.
 
-        Else it goes afterwards, so that there is no gap.
+        Else it goes afterwards, so that no gap comes about.
         """
         tags, producers = set(self._plan.tags_of(goal)), self._world().topology.producers(topic)
         if any(set(each.tags) != tags for each in producers):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Plans for claims, from what exists at the moment.
+"""Plans for claims, from the world of the moment.
 
 Claims whose clients listen on the same topic are planned together, since one publisher has to
 satisfy them all.
@@ -61,15 +61,15 @@ class Situation(NamedTuple):
     """All that a plan follows from, as it was at one moment.
 
     Attributes:
-        demand: what is demanded of the stream.
+        demand: the demand on the stream.
         topic: where the clients listen; empty for wherever the stream is.
-        streams: what can be relied on.
+        streams: those that can be relied on.
         usable: those of the streams that steps may receive.
         own: nodelets that can be connected elsewhere.
         exclude: labels that must have no part in it.
         paused: labels of which nothing is to be made since they failed lately.
-        engaged: labels of nodes of others that can only be used as they are connected.
-        wishes: what the client would rather have.
+        engaged: labels of external nodes that can only be used as they are connected.
+        wishes: preferences of the client.
         upstream: labels upstream of each nodelet of the streams, where there are wishes.
         budget: seconds that the improvement of the plan may take.
         known: transformations by label.
@@ -89,7 +89,7 @@ class Situation(NamedTuple):
     known: Mapping[str, Transformation]
 
     def tags(self, live: Live) -> Optional[FrozenSet[Term]]:
-        """Return what a stream supplies; None if it is not there."""
+        """Return the tags of a stream; None if it is not there."""
         found = [tags for each, tags in self.streams if each[:4] == live[:4]]
         return frozenset(found[0]) if found else None
 
@@ -102,7 +102,7 @@ class Proposal(NamedTuple):
 
 
 class ClaimPlanner:
-    """Plans with what exists; used under the lock of the claims."""
+    """Plans in the present world; used under the lock of the claims."""
 
     def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
         self._manager = context.manager
@@ -113,7 +113,7 @@ class ClaimPlanner:
         self._ontology = ontology
         self._planner = KeptPlanner(ontology)
         self._known: Mapping[str, Transformation] = {}
-        #: What exists.
+        #: Transformations, streams and nodelets that exist.
         self.inputs = PlanInputs(context, ontology)
         self._failures = context.failures
 
@@ -140,7 +140,7 @@ class ClaimPlanner:
         return assigned(plan, own, self._ontology)
 
     def price(self, claim: Claim) -> int:
-        """Return what would be saved if a claim's stream did not exist."""
+        """Return the cost that would be saved without a claim's stream."""
         own = self._saved(claim, self.own(claim))
         saved = sum(self._known[label].cost for label in own.values())
         if wishes_of(claim) == NO_WISHES:
@@ -173,7 +173,7 @@ class ClaimPlanner:
 
         Args:
             claim: whose stream it is.
-            lenient: use transformations that failed lately too, if there is no other way.
+            lenient: use transformations that failed lately too, if nothing else will do.
             avoid: labels that turned out to be of no use.
             without: nodelets that must have no part in it.
         """
@@ -186,7 +186,7 @@ class ClaimPlanner:
         avoid: FrozenSet[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
     ) -> Proposal:
-        """Plan a claim's stream as ``plan`` does; returns what it was planned from, too."""
+        """Plan a claim's stream as ``plan`` does; returns the situation, too."""
         situation = self.situation(claim, avoid, without)
         answer = self._solved(situation, situation.paused)
         if isinstance(answer, NoPlan) and lenient and situation.paused:
@@ -207,7 +207,7 @@ class ClaimPlanner:
         return self._situation(self._table.together(claim), claim.topic, avoid, without)
 
     def still_fits(self, claim: Claim, proposal: Proposal) -> bool:
-        """Whether all that a plan uses is still there, and is what it was."""
+        """Whether every part that a plan uses is still there, unchanged."""
         before, now = proposal.situation, self.situation(claim)
         if isinstance(proposal.answer, NoPlan):
             return before == now
@@ -259,7 +259,7 @@ class ClaimPlanner:
             )
 
     def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
-        """Find what the variables of a demand can stand for now, and whether that is all."""
+        """Find the names that a demand's variables can stand for, and whether these are all."""
         self._update()
         streams = self.inputs.without_relays(self.inputs.streams(NO_LABELS))
         with self._planning(self._known) as (planner, _):
@@ -287,12 +287,12 @@ class ClaimPlanner:
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
     def _is_unstamped(self, claim: Claim, plan: Plan) -> bool:
-        """Whether a claim needs stamped messages, and a plan is known to make others."""
+        """Whether a claim needs stamped messages, and a plan is known to make unstamped ones."""
         known = self._goal_type(plan) if claim.request.max_age else ""
         return known not in ANY and self._manager.host.is_stamped(known) is False
 
     def _goal_type(self, plan: Plan) -> str:
-        """ROS type of what a plan makes; empty while it is not known."""
+        """ROS type of a plan's stream; empty while it is not known."""
         goal = plan.goal
         if isinstance(goal, Live):
             return goal.datatype
@@ -362,7 +362,7 @@ class ClaimPlanner:
             yield planner, is_aside
 
     def _solved(self, situation: Situation, paused: FrozenSet[str]) -> Answer:
-        """Plan; in a round no longer than is usual, whatever clients allow."""
+        """Plan; in a round within the default budget, even if clients allow more."""
         present = self._present(situation)
         if present is not None:
             return present
@@ -389,7 +389,7 @@ class ClaimPlanner:
                 free = {label: free[label] for label in free.keys() - divided}
 
     def _divided(self, plan: Plan, situation: Situation) -> FrozenSet[str]:
-        """Labels of nodes of others that a plan needs more than once: no further one is made."""
+        """Labels of external nodes that a plan needs more than once: no further one is made."""
         used = self.assigned(plan, situation.own)
         steps = [step for step in plan.steps if instance_of(step) not in used]
         return frozenset(
@@ -411,7 +411,7 @@ class ClaimPlanner:
         return None
 
     def _update(self) -> None:
-        """Read what plans may have steps of."""
+        """Read the transformations that plans may have steps of."""
         self._known = self.inputs.transformations()
 
 
@@ -424,7 +424,7 @@ def _cost(step: PlanStep, known: Mapping[str, Transformation]) -> int:
 class KeptPlanner:
     """A planner that follows the library; used under the lock of the claims.
 
-    What it returns is used by any thread: each plan is made with the library as it was then.
+    Its planners may be used by any thread: each plan is made with the library of its time.
     """
 
     def __init__(self, ontology: Subsumption) -> None:

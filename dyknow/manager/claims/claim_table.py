@@ -3,7 +3,7 @@
 
 """The claims: written to disk first, then shown.
 
-A claim that has ended stays ended, whatever a repair that was still at work writes afterwards, and
+A claim that has ended stays ended, even if a repair that was still at work writes afterwards, and
 a lease that was renewed meanwhile stays renewed. Events come in the order of the changes.
 """
 

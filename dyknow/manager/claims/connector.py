@@ -3,7 +3,7 @@
 
 """Connects ports, one nodelet at a time or several changes as one.
 
-A connection that was not answered in time may be made later. Its nodelet is asked until it
+A connection that was not answered in time may be made later. Its nodelet is polled until it
 answers, and for a while after that its ports count on the topics that they were sent to.
 """
 
@@ -38,7 +38,7 @@ from dyknow.model.transformation import Transformation
 _PATIENCE = 1.0
 #: Seconds for which a connection that was not answered may still be made.
 _LATE = 30.0
-#: Seconds until a nodelet that did not answer is asked again.
+#: Seconds until a nodelet that did not answer is polled again.
 _PAUSE = 1.0
 
 _log = logging.getLogger("rosout.dyknow")
@@ -62,7 +62,7 @@ class Connector:
         return self._worlds.now()
 
     def remember(self) -> None:
-        """Note what nodelets with variables receive now."""
+        """Store the bindings of nodelets with variables."""
         world = self.world()
         for name, heard in world.topology.dependent.heard().items():
             known = world.records.get(name)
@@ -127,7 +127,7 @@ class Connector:
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
-                    continue  # it is asked again
+                    continue  # it is polled again
                 else:
                     self._note_answer(name)
 
@@ -191,7 +191,7 @@ class Transaction:
     def make_way_for(
         self, transformation: Transformation, request: SpawnRequest
     ) -> Dict[str, Mapping[str, str]]:
-        """Disconnect what is in the way of a nodelet before it is made.
+        """Disconnect the consumers that would mismatch a nodelet before it is made.
 
         Returns:
             What ``connect_again`` needs to know.
@@ -233,7 +233,7 @@ class Transaction:
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports of a nodelet that are not connected so already.
 
-        Consumers that would receive what they do not demand are disconnected first.
+        Consumers whose demand would not be met are disconnected first.
 
         Raises:
             DyKnowError: the nodelet refused, or did not answer.
@@ -246,12 +246,12 @@ class Transaction:
         connect = partial(self._connector.connect, name, config)
         undo = partial(self._reconnect, name, before)
         step = ReversibleStep(f"connecting '{name}'", name, connect, undo)
-        self._done.append(step)  # what was not answered may have been done, too
+        self._done.append(step)  # without an answer it may have been done, too
         step.do()
         self.connect_again(cut)
 
     def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
-        """Disconnect ports of a nodelet and connect them again: it forgets what it received.
+        """Disconnect ports of a nodelet and connect them again: it forgets earlier messages.
 
         They stay disconnected if they do not fit together by then.
 
@@ -272,7 +272,7 @@ class Transaction:
             _log.warning("undoing a plan: %s", trouble)
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> Dict[str, Mapping[str, str]]:
-        """Disconnect what is in the way of a connection.
+        """Disconnect the consumers that would mismatch a connection.
 
         Returns:
             By nodelet the ports that were disconnected, with the topics that they had.
@@ -309,7 +309,7 @@ class Transaction:
     def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
         """After a change connect those that people connected, and that fit together again, as one.
 
-        What claims need is connected by their repair, with all that changes there.
+        Nodelets of claims are connected by their repair, with all that changes there.
         """
         for name, ports in cut.items():
             record = self._manager.graph.find(name)
@@ -324,6 +324,6 @@ class Transaction:
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)
         if record is None or not self._connector.is_known(name):
-            return  # it is asked how it is connected, and connected as it should be then
+            return  # it is polled, and connected as it should be then
         fits = self._connector.world().fitting(replace(record, topics=before))
         self._connector.connect(name, fits)

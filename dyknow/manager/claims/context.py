@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the parts of the reconciler share, and the lock under which they change claims."""
+"""The context of the parts of the reconciler, and the lock under which they change claims."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ClaimLock:
     Requests of clients come one at a time; in between, the reconciler makes its rounds. A request
     that waits for a plan, or for a nodelet to come up, lets rounds pass meanwhile: streams that
     break are repaired although another one takes long to be made. A round lets no request pass,
-    which could make a second time what the round is about to make.
+    which could make a second stream of those that the round is about to make.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class ClaimLock:
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """Read what plans are made from; what is computed in a pause holds up no other work."""
+        """Read the world for a plan; a computation in a pause holds up no other work."""
         with self._work:
             self._may_pause = True
             try:
@@ -94,7 +94,7 @@ class ClaimLock:
 
 @dataclass(frozen=True)
 class ClaimContext:
-    """What the parts of the reconciler share.
+    """The context that the parts of the reconciler share.
 
     Attributes:
         manager: knows, makes and destroys nodelets.

@@ -6,9 +6,9 @@
 A relay brings a stream to where a client listens. It is made where the stream itself has to stay
 on its topic: an ordinary node publishes it, or other clients listen there.
 
-Variables are bound by what a nodelet was given at its spawn, and by the streams at its in-ports. A
-stream with several tags may bind a variable in several ways, and all of them are true of what the
-nodelet sends. In-ports that contradict each other leave no way.
+Variables are bound by the parameters of a nodelet's spawn, and by the streams at its in-ports. A
+stream with several tags may bind a variable in several ways, and all of them hold for the messages
+of the nodelet. In-ports that contradict each other leave no way.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dyknow.manager.specifications.tags import NO_BINDINGS, Subsumption, Term, r
 from dyknow.model.graph import NodeletStatus
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
-#: What a relay costs, as transformations do that say nothing else.
+#: The cost of a relay: the default cost of transformations.
 RELAY_COST = 1
 #: Labels of relays begin with this.
 _PREFIX = "relay of "
@@ -33,7 +33,7 @@ _MOST_WAYS = 64
 
 
 def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
-    """Describe a relay for a topic: it supplies what the topic does.
+    """Describe a relay for a topic: it supplies the same tags.
 
     Raises:
         SpawnFailed: the type of the topic is not known.
@@ -78,8 +78,8 @@ class Inlet(NamedTuple):
     """An in-port that receives something.
 
     Attributes:
-        demand: what it has to receive.
-        sources: what is sent there; all of it binds the same names.
+        demand: its demand.
+        sources: the streams there; all of them bind the same names.
     """
 
     demand: Demand
@@ -89,12 +89,12 @@ class Inlet(NamedTuple):
 def ways_to_bind(
     known: Iterable[Way], inlets: Iterable[Inlet], ontology: Subsumption
 ) -> List[Way]:
-    """List the ways in which every in-port receives what it demands.
+    """List the ways in which the demand of every in-port is met.
 
     Args:
-        known: what variables stand for in any case, in each way.
+        known: names that variables stand for in any case, in each way.
         inlets: in-ports of one nodelet.
-        ontology: what is a kind of what.
+        ontology: hierarchy of names.
 
     Returns:
         All ways, each once, in a deterministic order; none if the in-ports contradict each other.
@@ -131,7 +131,7 @@ class Producer(NamedTuple):
     Attributes:
         nodelet: its name; empty for ordinary nodes.
         port: its out-port; empty for ordinary nodes.
-        tags: what its messages are about.
+        tags: the tags of its messages.
         datatype: ROS type of its messages.
         is_unbound: whether it sends nothing, since a variable of its tags is bound to nothing.
     """
@@ -149,7 +149,7 @@ class Consumer(NamedTuple):
     Attributes:
         nodelet: its name; empty for a client.
         port: its in-port, or the id of the claim.
-        demand: what it has to receive, and nothing else.
+        demand: the only messages that it may receive.
         ends: number of its nodelet among those whose in-ports depend on each other; else -1.
     """
 
@@ -165,20 +165,20 @@ class Consumer(NamedTuple):
 
 
 class NodeletEnds(NamedTuple):
-    """What a nodelet contributes to a topology, each end with the topics on which it is.
+    """The ends of streams at a nodelet, each with the topics on which it is.
 
-    The tags are those that the nodelet was made with, whatever the library says now.
+    The tags are those that the nodelet was made with, even if the library has changed.
 
     Attributes:
         name: of the nodelet.
-        is_relay: whether it sends what it receives.
+        is_relay: whether it forwards messages.
         producers: its out-ports.
         consumers: its tagged in-ports.
-        given: what its variables stand for in any case.
+        given: names that its variables stand for in any case.
         listening: its in-ports with variables, and their topics.
-        heard: what its variables stood for in what it received there, in each way.
-        has_variables: whether what it receives says what else it may receive, or what it sends.
-        is_by_hand: whether it was not made for claims: anybody may have connected it to anything.
+        heard: names that its variables stood for in the messages received there, in each way.
+        has_variables: whether its tags have variables, which its in-ports bind.
+        is_by_hand: whether it was not made for claims: people may have connected it to anything.
     """
 
     name: str
@@ -193,7 +193,7 @@ class NodeletEnds(NamedTuple):
 
     @property
     def known(self) -> Tuple[Way, ...]:
-        """What its variables stand for before it receives anything more, in each way."""
+        """Names that its variables stand for before it receives anything more, in each way."""
         return self.heard or (self.given,)
 
 

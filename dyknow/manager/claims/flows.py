@@ -3,10 +3,10 @@
 
 """How many messages the parts of streams have sent, and in which spans of time they sent none.
 
-Nodelets are asked for the counts of their out-ports. Topics of ordinary nodes, and of nodelets in
-stock C++ managers, whose publishers cannot be asked, are listened to. So are those of other C++
-nodelets that must not be silent and that no nodelet listens to: a lazy one sends only to whoever
-listens. A count holds for one moment between
+Nodelets are polled for the counts of their out-ports. Topics of ordinary nodes, and of nodelets in
+stock C++ managers, whose publishers cannot be polled, are listened to. So are those of other C++
+nodelets that must not be silent and that no nodelet listens to: a lazy one sends only to
+subscribers. A count holds for one moment between
 the question and the answer. Every conclusion drawn here holds for any such moment, so a slow
 network makes conclusions late, but not wrong. A count that could not be read allows none.
 """
@@ -76,7 +76,7 @@ class FlowMeter:
         self._graph = graph
         self._clock = clock
         self._flows: Dict[Place, Flow] = {}
-        #: What the latest reading counted, by place.
+        #: Counts of the latest reading, by place.
         self.counted: Dict[Place, Count] = {}
         self._listening: Dict[str, Listening] = {}
         self._asked: Dict[str, float] = {}
@@ -121,7 +121,7 @@ class FlowMeter:
         self._unresponsive = {
             name: places for name, places in self._unresponsive.items() if name in running
         }
-        # An unresponsive nodelet is asked until it answers, whether a claim needs it or not.
+        # An unresponsive nodelet is polled until it answers, whether a claim needs it or not.
         wanted = {place: _RETRY for places in self._unresponsive.values() for place in places}
         for periods in (expected, *steady):
             for place, period in periods.items():
@@ -254,7 +254,7 @@ class StreamParts:
 
     @property
     def goal(self) -> Place:
-        """What publishes where the client listens."""
+        """The place that publishes on the topic of the client."""
         return goal_of(self.claim)
 
     def suppliers(self, place: Place) -> List[List[Place]]:
@@ -268,7 +268,7 @@ class StreamParts:
 
 
 def goal_of(claim: Claim) -> Place:
-    """Return what publishes where a claim's client listens."""
+    """Return the place that publishes on the topic of a claim's client."""
     return claim.goal if claim.goal[0] else ("", claim.topic)
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Disconnects and destroys what claims leave behind: unneeded nodelets, and second publishers."""
+"""Disconnects and destroys the remains of claims: unneeded nodelets, and second publishers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class GarbageCollector:
         """Begin without garbage.
 
         Args:
-            context: what the parts of the reconciler share.
+            context: shared with the other parts of the reconciler.
             linger: seconds that a nodelet is kept after the last claim needed it.
         """
         self._manager = context.manager

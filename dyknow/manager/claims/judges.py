@@ -5,10 +5,12 @@
 
 A count holds for some moment between its question and its answer, so of two counts only a range of
 rates follows. A rate counts as too low if all of the range is: a slow network discredits no part.
-It has to be too low in the first and the last third of a window as well: a pause is no slowness.
+It has to be too low in the first and the last third of a window as well, so that a pause does not
+count.
 
 Of each place the age of one message is measured for each count. A stream is too old if most of the
-last messages are, and most of the first and of the last third of them: a hiccup is no delay.
+last messages are, and most of the first and of the last third of them, so that a hiccup does not
+count.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ _WINDOW = 4.5
 _MESSAGES = 10
 #: Messages by which two counts may differ by chance.
 _CHANCE = 2
-#: A part that sends more than this part of what it receives from a sender does not wait for it.
+#: A part that sends more than this part of the messages of a sender does not wait for it.
 _ALIKE = 1.25
 #: Messages that are judged together, and seconds that lie between two of them at the least.
 _SAMPLES = 9
@@ -54,10 +56,10 @@ _NEVER = float("-inf")
 
 
 class Judgement(NamedTuple):
-    """What keeps a stream from what is demanded.
+    """The part that keeps a stream from a limit.
 
     Attributes:
-        place: who is to blame.
+        place: the part.
         needed: the limit that it would have to keep itself.
         what: measured and demanded values, in words.
     """
@@ -76,7 +78,7 @@ class Judge(ABC):
 
     @abstractmethod
     def limit(self, claim: Claim) -> float:
-        """What a claim demands; 0 for nothing."""
+        """The limit of a claim; 0 for none."""
 
     @abstractmethod
     def window(self, limit: float) -> float:
@@ -87,8 +89,8 @@ class Judge(ABC):
         """Take counts in.
 
         Args:
-            counted: what was counted just now.
-            windows: seconds over which places are judged; others are forgotten.
+            counted: the latest counts.
+            windows: seconds over which places are judged; the other places are forgotten.
         """
 
     @abstractmethod
@@ -97,10 +99,10 @@ class Judge(ABC):
 
     @abstractmethod
     def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
-        """Find out what keeps a stream from its limit; None if nothing or that is not known."""
+        """Find the part that keeps a stream from its limit; None if there is none or unknown."""
 
     def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
-        """Begin again with a stream that was changed.
+        """Start again with a stream that was changed.
 
         Args:
             claim_id: whose stream it is.
@@ -131,7 +133,7 @@ def kept(by_claim: Mapping[str, _Value], claim_ids: Iterable[str]) -> Dict[str, 
 
 
 class _Cause(NamedTuple):
-    """Whether a sender slows a place down, if that is sure, and its share of what is needed."""
+    """Whether a sender slows a place down, if that is sure, and its share of the needed rate."""
 
     is_slow: bool
     is_sure: bool
@@ -200,7 +202,7 @@ class RateJudge(Judge):
             counts.popleft()
 
     def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
-        """Begin again with nodelets that were connected elsewhere for a claim."""
+        """Start again with nodelets that were connected elsewhere for a claim."""
         super().restart(claim_id, names, now)
         names = set(names)
         if names:
@@ -231,7 +233,7 @@ class RateJudge(Judge):
         )
 
     def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
-        """Find out what slows a stream down; None if it is fast enough or that is not known."""
+        """Find the part that slows a stream down; None if there is none or it is unknown."""
         limit = self.limit(parts.claim)
         window = self.window(limit)
         is_below = self.falls_short(parts.goal, limit)
@@ -265,10 +267,10 @@ class RateJudge(Judge):
         return None
 
     def _bottleneck(self, parts: StreamParts, window: float) -> Optional[Tuple[Place, float]]:
-        """Follow what is too slow to where it begins; None as long as that is not certain.
+        """Follow slow parts upstream to the first one; None as long as that is not certain.
 
         Returns:
-            Who is to blame, and the rate that it would have to have.
+            The first slow part, and the rate that it would need.
         """
         place, needed, seen = parts.goal, parts.claim.request.min_rate, {parts.goal}
         while True:
@@ -319,7 +321,7 @@ class RateJudge(Judge):
 
 
 class _Sample(NamedTuple):
-    """The age of a message in seconds, None if not known, and when it was asked for."""
+    """The age of a message in seconds, None if not known, and the time of its query."""
 
     age: Optional[float]
     asked: float
@@ -359,7 +361,7 @@ class AgeJudge(Judge):
                 self._samples[place].append(_Sample(count.age, last.answered))
 
     def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
-        """Judge a claim's stream only by what was sent after now."""
+        """Judge a claim's stream only by messages that are sent after now."""
         super().restart(claim_id, names, now)
         if names:
             self._changed[claim_id] = now
@@ -370,16 +372,16 @@ class AgeJudge(Judge):
         self._changed = kept(self._changed, claim_ids)
 
     def is_unknown(self, place: Place) -> bool:
-        """Whether a place has sent messages, and nobody can tell how old they are."""
+        """Whether a place has sent messages whose age is unknown."""
         samples = self._samples.get(place, ())
         return len(samples) == _SAMPLES and not self._ages(place)
 
     def falls_short(self, place: Place, limit: float) -> Optional[bool]:
-        """Whether what a place sends is too old; None as long as that is not known."""
+        """Whether the messages of a place are too old; None as long as that is not known."""
         return _are_above(self._ages(place), limit)
 
     def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
-        """Find out what delays a stream; None if nothing does or that is not known."""
+        """Find the part that delays a stream; None if there is none or it is unknown."""
         claim_id, limit = parts.claim.claim_id, self.limit(parts.claim)
         since = self._changed.get(claim_id, _NEVER)
         ages = self._ages(parts.goal, since)
@@ -407,10 +409,10 @@ class AgeJudge(Judge):
         ]
 
     def _bottleneck(self, parts: StreamParts, since: float) -> Tuple[Place, float]:
-        """Follow the oldest messages to their source; find what adds most beyond what it states.
+        """Follow the oldest messages upstream; find the part that adds most to its stated latency.
 
         Returns:
-            Who that is, and the seconds that it adds.
+            That part, and the seconds that it adds.
         """
         place, seen = parts.goal, {parts.goal}
         found: List[Tuple[float, int, Place, float]] = []
@@ -433,7 +435,7 @@ class AgeJudge(Judge):
     def _stamped_senders(
         self, place: Place, parts: StreamParts, since: float, seen: set[Place]
     ) -> Dict[Place, float]:
-        """Typical ages of what feeds a place; of what feeds that, where it has no stamps."""
+        """Typical ages of the suppliers of a place, or of theirs if they have no stamps."""
         found: Dict[Place, float] = {}
         waiting = [place]
         while waiting:

@@ -33,7 +33,7 @@ from dyknow.model.transformation import Transformation
 
 #: Seconds between two counts.
 _PERIOD = 0.5
-#: Windows for which a part has to deliver what is demanded before it is trusted again.
+#: Windows for which a part has to keep its limit before it is trusted again.
 _WINDOWS = 2
 #: Seconds of the first pause of a transformation that failed: longer than a round of the
 #: reconciler, so that another way is tried in between.
@@ -104,17 +104,17 @@ class QualityMonitor:
                     self._add_shortfall(claim, judge, judgement)
 
     def restart(self, claim_id: str, rewired: Iterable[str]) -> None:
-        """Begin again with nodelets that were connected elsewhere for a claim."""
+        """Start again with nodelets that were connected elsewhere for a claim."""
         rewired = set(rewired)
         for judge in self._judges:
             judge.restart(claim_id, rewired, self._clock())
 
     def is_age_unknown(self, claim: Claim) -> bool:
-        """Whether messages of a claim's stream have come, and nobody can tell how old they are."""
+        """Whether messages of a claim's stream have come whose age is unknown."""
         return self._ages.is_unknown(goal_of(claim))
 
     def faults(self, claim: Claim) -> List[str]:
-        """Say which parts of a claim's stream are to blame for what it lacks."""
+        """Say which parts keep a claim's stream from its limits."""
         parts = {*claim.nodelets, *claim.sources}
         return [
             each.judgement.what
@@ -228,7 +228,7 @@ class StreamMonitor:
         self._meter = FlowMeter(host, graph, clock, running)
         self._silence = SilenceMonitor(self._meter, graph)
         self._first_messages = FirstMessageMonitor(table, self._meter, graph, clock)
-        #: Which claims get less than they demand, and what is to blame.
+        #: Which claims get less than they demand, and because of which parts.
         self.quality = QualityMonitor(self._meter, graph, clock, topics)
 
     @property
@@ -243,7 +243,7 @@ class StreamMonitor:
 
     @property
     def unhealthy(self) -> FrozenSet[str]:
-        """What is silent or unresponsive."""
+        """Silent and unresponsive parts."""
         return self.unresponsive | frozenset(self.silent)
 
     def read(self) -> List[str]:
@@ -284,7 +284,7 @@ class StreamMonitor:
         self._first_messages.report()
 
     def report_unknown_ages(self) -> None:
-        """Say in the details of claims where nobody can know how old their messages are."""
+        """Say in the details of claims where the age of their messages is unknown."""
         for claim in self._table.living():
             if claim.request.max_age and claim.state is ClaimState.ACTIVE:
                 is_unknown = self.quality.is_age_unknown(claim)
@@ -322,9 +322,9 @@ class Failures:
 class SilenceMonitor:
     """Finds parts of streams that have fallen silent, where a claim has a ``max_silence``.
 
-    A part is to blame only if what feeds it has sent something since its own last message: of a
-    chain that is silent that is the first part, and it is none as long as a count from further up
-    is due. The same counts lead to the same judgement, whenever it is made.
+    A part counts as silent only if its suppliers have sent something since its own last message:
+    of a silent chain the first part, and none as long as a count from further up is due. The same
+    counts lead to the same judgement at any time.
     """
 
     def __init__(self, meter: FlowMeter, graph: Graph) -> None:
@@ -393,7 +393,7 @@ class FirstMessageMonitor:
 
     A stream can be wired as it should be and yet carry no messages, so each change of a stream
     raises the question again. Counts that nodelets keep anyway answer it. DyKnow does not
-    subscribe to a topic merely to find out: where the publisher cannot be asked, the claim says
+    subscribe to a topic merely to find out: where the publisher cannot be polled, the claim says
     so.
     """
 
@@ -407,7 +407,7 @@ class FirstMessageMonitor:
         self._since: Dict[str, float] = {}
 
     def expect(self, claim: Claim, goal: Place, topic: str) -> str:
-        """Begin to wait, now that a claim's stream was changed; returns the claim's detail."""
+        """Start to wait, now that a claim's stream was changed; returns the claim's detail."""
         self._since[claim.claim_id] = self._clock()
         record = self._graph.find(goal[0])
         can_be_asked = record is not None and not record.is_fixed

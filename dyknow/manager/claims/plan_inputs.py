@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What plans can use now: transformations, streams, and nodelets to connect elsewhere."""
+"""The inputs of plans: transformations, streams, and nodelets to connect elsewhere."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class OwnNodelet(NamedTuple):
     Attributes:
         name: its name.
         label: its transformation.
-        kept: what its variables have to stand for wherever it is connected.
-        present: what they stand for now, as far as that is known.
+        kept: names that its variables have to stand for wherever it is connected.
+        present: names that they stand for now, as far as known.
     """
 
     name: str
@@ -79,7 +79,7 @@ def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> Di
     Those that stay as they are come first, since nothing that they supply changes.
 
     Args:
-        plan: what is to be made.
+        plan: the plan.
         own: nodelets that can be connected elsewhere, the preferred ones first.
         ontology: knows which names mean the same individual.
 
@@ -121,14 +121,14 @@ def live_streams(
 
     A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
     in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
-    These streams bind the nodelet's variables. What a stream states of its latency adds to that of
+    These streams bind the nodelet's variables. The stated latency of a stream adds to that of
     the latest one that feeds its nodelet; one that states no rate is as fast as the slowest one.
 
     Args:
         records: the nodelets of the graph.
         published: transformations of type topic whose topic has a publisher.
         topology: all publishers of each topic: only the tags that hold for all of them count.
-        ontology: what is a kind of what.
+        ontology: hierarchy of names.
         unhealthy: nodelets that are not to be relied on.
     """
     streams: List[TaggedStream] = []
@@ -183,7 +183,7 @@ def live_streams(
 
 
 def _demands(record: Record) -> List[Tuple[str, Demand]]:
-    """List the tagged in-ports of a nodelet, each with what it demands."""
+    """List the tagged in-ports of a nodelet, each with its demand."""
     assert record.transformation is not None
     return [
         (port.name, Demand(frozenset(tags), port.datatype))
@@ -261,7 +261,7 @@ def _publishers(records: Mapping[str, Record], topic: str) -> List[Tuple[str, st
 
 
 class PlanInputs:
-    """What exists; used under the lock of the claims."""
+    """The present world, as plans need it; used under the lock of the claims."""
 
     def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
         self._manager = context.manager
@@ -298,9 +298,9 @@ class PlanInputs:
         return self.published & self._world().described.keys()
 
     def transformations(self) -> Mapping[str, Transformation]:
-        """Return by label what plans may have steps of; another mapping after each change.
+        """Return the transformations for steps of plans by label; another mapping after changes.
 
-        A node of others is among them while it runs.
+        An external node is among them while it runs.
         """
         library, nodes = self._manager.library, self._world().described_nodes
         if self._transformations_at != (library.revision, nodes):
@@ -322,9 +322,9 @@ class PlanInputs:
     def own(self, claim: Claim, transformations: Mapping[str, Transformation]) -> List[OwnNodelet]:
         """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
 
-        These are the claim's own nodelets and those that no claim needs, and nodes of others that
+        These are the claim's own nodelets and those that no claim needs, and external nodes that
         the library describes. Parts that other claims share are among them, unless these claims
-        exclude what this one does not, or have other wishes; they have to go on supplying the
+        exclude other labels than this one, or have other wishes; they have to go on supplying the
         same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
@@ -400,23 +400,23 @@ class PlanInputs:
         return [record.label for record in found if record is not None] + described
 
     def without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
-        """Leave out what relays publish: a plan takes it from where they receive it."""
+        """Leave out the streams of relays: a plan uses the stream that they forward."""
         relays = self._world().relays
         return [each for each in streams if each[0].nodelet not in relays]
 
     def engaged(self, own: Iterable[OwnNodelet]) -> FrozenSet[str]:
-        """Labels of the nodes of others that run, but can be connected as they are alone."""
+        """Labels of the external nodes that run, but can only be used as they are connected."""
         return self._world().described_nodes - {each.label for each in own}
 
 
 def wishes_of(claim: Claim) -> Wishes:
-    """Return what a claim's client would rather have."""
+    """Return the preferences of a claim's client."""
     request = claim.request
     return Wishes(tuple(sorted(set(request.prefer))), tuple(sorted(set(request.avoid))))
 
 
 def is_current(library: Library, record: Record) -> bool:
-    """Whether the library still has what a nodelet was made from, perhaps in a newer version."""
+    """Whether the library still has a nodelet's transformation, perhaps in a newer version."""
     if is_relay(record.transformation):
         return True
     try:

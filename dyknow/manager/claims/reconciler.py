@@ -3,9 +3,9 @@
 
 """Keeps requested streams alive: the reconciler of claims.
 
-The claims are the desired state, the graph is the observed one. Whatever has happened, each round
-asks the same question of each claim: what is wrong with its stream? If anything is, the stream is
-planned and made from what exists now. The client's topic stays.
+The claims are the desired state, the graph is the observed one. Each round asks the same
+question of each claim, after any event: is its stream whole? If not, it is planned and made from
+the present world. The client's topic stays.
 
 One change of claims at a time (``ClaimLock``). Listing, renewing and ending claims waits for none,
 and a plan for a client holds up none.
@@ -47,7 +47,7 @@ from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import STEADY, Clock
 
-#: Times that a request is planned because what its plan uses went meanwhile.
+#: Times that a request is planned because a part of its plan went meanwhile.
 _ATTEMPTS = 3
 
 _log = logging.getLogger("rosout.dyknow")
@@ -73,7 +73,7 @@ DEFAULT_RECONCILER_SETTINGS = ReconcilerSettings()
 
 
 class StreamReconciler:
-    """All claims, and what is done for them; safe from any thread."""
+    """All claims, and their requests and rounds; safe from any thread."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class StreamReconciler:
         """Take over the claims in the table; ``reconcile`` works on them.
 
         Args:
-            context: what its parts share; ``open_reconciler`` makes it.
+            context: shared by its parts; ``open_reconciler`` makes it.
             settings: how to behave.
             sleep: waits that many seconds, while a replacement comes up.
         """
@@ -126,12 +126,12 @@ class StreamReconciler:
         A request that cannot be met now stays pending: ``NoPlanFound`` has the id of its claim.
 
         Args:
-            request: what the client asks for.
+            request: of the client.
             dry_run: only plan.
 
         Raises:
             BadParameter: a value of the request is of no use.
-            InvalidTag: the tag is no term.
+            InvalidTag: the tag is not a term.
             NoPlanFound: nothing supplies it; the missing tags are named.
             StreamTypeMismatch: the stream has another type, or none with a header for ``max_age``.
             Denied: the mode is read-only.
@@ -179,8 +179,8 @@ class StreamReconciler:
             dry_run: only plan.
 
         Raises:
-            UnknownClaim: there is no such claim, or it has ended.
-            NoPlanFound: there is no way at all now.
+            UnknownClaim: the claim is unknown, or has ended.
+            NoPlanFound: nothing supplies it now.
             DyKnowError: it could not be made; the stream is as it was.
         """
         if not dry_run:
@@ -207,18 +207,18 @@ class StreamReconciler:
         raise NoPlanFound(refusal(self.manager, missing, claim.request.exclude), claim_id)
 
     def release(self, claim_id: str) -> None:
-        """End a claim; one that has ended, or is unknown, is no error."""
+        """End a claim; one that has ended, or is unknown, is not an error."""
         self._table.end(claim_id, ClaimState.RELEASED, "released")
 
     def expire(self, claim_id: str, reason: str) -> None:
-        """End a claim whose client is gone; one that has ended is no error."""
+        """End a claim whose client is gone; one that has ended is not an error."""
         self._table.end(claim_id, ClaimState.EXPIRED, reason)
 
     def renew(self, claim_id: str, lease: float) -> Claim:
         """Let a claim live for ``lease`` seconds from now; 0 for until it is released.
 
         Raises:
-            UnknownClaim: there is no such claim, or it has ended.
+            UnknownClaim: the claim is unknown, or has ended.
         """
         return self._table.renew(claim_id, lease)
 
@@ -235,10 +235,11 @@ class StreamReconciler:
         """Find the names for which a stream of a tag is there or can be made.
 
         Returns:
-            What the variables of the tag stand for in each way, sorted, and whether these are all.
+            The names that the tag's variables stand for in each way, sorted, and whether these are
+            all.
 
         Raises:
-            InvalidTag: the tag is no term.
+            InvalidTag: the tag is not a term.
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
         self._planner.inputs.look()
@@ -284,7 +285,7 @@ class StreamReconciler:
             return self._intended(claim, plan)
 
     def _intended(self, claim: Claim, plan: Plan) -> Acquired:
-        """Answer a dry run: labels of what would be made, and names of what would be used."""
+        """Answer a dry run: labels of new nodelets, and names of those that would be used."""
         own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
         new = [step.action.label for step in plan.steps if instance_of(step) not in own]
@@ -294,7 +295,7 @@ class StreamReconciler:
     # Reconciling
 
     def reconcile(self) -> None:
-        """Look at every claim once, and repair what is broken."""
+        """Check every claim once, and repair broken streams."""
         with self._lock.round():
             if self._ended:
                 return
@@ -348,9 +349,9 @@ def open_reconciler(
         host: reaches the nodelet managers.
         store: durable state.
         library: transformations.
-        guards: what is forbidden.
+        guards: limits and denials.
         options: how the manager behaves.
-        run: calls what brings a nodelet back, which may take long.
+        run: calls the work that brings a nodelet back, which may take long.
         clock: steady time.
         settings: how the reconciler behaves.
         sleep: waits that many seconds, while a replacement comes up.

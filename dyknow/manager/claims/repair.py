@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Repairs streams: finds out what is wrong with one, and makes it from what exists now."""
+"""Repairs streams: finds the fault of one, and makes it from the present world."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ class Repair:
         self._failures = Backoff(context.clock, _FIRST_PAUSE)
         #: Transformation of which no nodelet could be made since the present repair began.
         self._failed_label = ""
-        #: Claims without a plan: what existed when they were planned, and what was wrong.
+        #: Claims without a plan: the planner's signature at the time, and the fault.
         self._unplannable: Dict[str, Tuple[Hashable, str]] = {}
 
-    # What is wrong
+    # Faults
 
     def diagnose(self, claim: Claim) -> Optional[Fault]:
-        """Say what is wrong with a claim's stream; None if it is whole."""
+        """Return the fault of a claim's stream; None if it is whole."""
         if not claim.topic:
             return Fault("it has no stream yet")
         if not claim.is_made:
@@ -101,7 +101,7 @@ class Repair:
         return Fault(weaknesses[0], severed=False) if weaknesses else None
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
-        """Whether the library still describes a topic as what the claim needs."""
+        """Whether the library still describes a topic as the claim needs it."""
         topology = self._context.connector.world().topology
         consumers = [
             consumer
@@ -136,11 +136,11 @@ class Repair:
         Args:
             claim: whose stream it is.
             plan: what to try first.
-            lenient: use transformations that failed lately too, if there is no other way.
+            lenient: use transformations that failed lately too, if nothing else will do.
 
         Raises:
             StreamTypeMismatch: every way carries another type than is needed.
-            DyKnowError: a step failed; what was made is undone.
+            DyKnowError: a step failed; every change is undone.
         """
         wrong: Dict[str, StreamTypeMismatch] = {}
         late: FrozenSet[str] = frozenset()
@@ -168,7 +168,7 @@ class Repair:
             plan = answer
 
     def _late_ones(self) -> FrozenSet[str]:
-        """Find out who does not answer; what runs there is lost from now on.
+        """Find the nodelet managers that do not answer; their nodelets are lost from now on.
 
         Returns:
             Nodelets of which it is not known how they are connected.
@@ -216,7 +216,7 @@ class Repair:
         """Repair a claim's stream, if something is wrong with it and there is a way.
 
         Raises:
-            DyKnowError: it cannot be told what is wrong.
+            DyKnowError: the fault cannot be found.
         """
         claim = self._table.find(claim_id)
         if claim is None:
@@ -260,7 +260,7 @@ class Repair:
         self._table.change(claim_id, with_remarks(reason, done), **outcome(done))
 
     def follow_bindings(self) -> None:
-        """Tell what the variables of claims stand for now, if that was changed from elsewhere."""
+        """Report the bindings of claims, if they were changed from elsewhere."""
         claims = [
             each
             for each in self._table.living()
@@ -280,7 +280,7 @@ class Repair:
                     break
 
     def _give_up(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
-        """Say that there is no way now, and whether one is to be expected without a change."""
+        """Report that no plan exists now, and whether one is to be expected without a change."""
         if self._planner.is_waiting(claim):
             if claim.state is ClaimState.FAILED:
                 return  # its detail says why
@@ -330,5 +330,5 @@ def _changed_bindings(bindings: Bindings) -> str:
 
 
 def with_remarks(reason: str, done: AssemblyResult) -> str:
-    """Add to a reason what did not go as it should."""
+    """Add deviations from the plan to a reason."""
     return "; ".join([reason, *done.remarks])

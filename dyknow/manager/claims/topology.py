@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Who may receive what from whom: the producers and consumers of each topic, at one moment.
+"""The producers and consumers of each topic, at one moment.
 
 A port counts on each topic on which it may be: where it was seen last, where it should be, and
 where a connection without an answer may have put it.
 
-What a nodelet with variables sends follows from what it receives. Where that is not certain, each
-possibility counts. What it has received since it was connected as it is binds its variables, even
+The tags that a nodelet with variables sends follow from those that it receives. Where these are
+not certain, each possibility counts. Messages since its last connection bind its variables, even
 if nothing sends there any more. As long as a variable of an out-port is unbound, the nodelet has
 received nothing and sends nothing there. What people connect to a topic of which nothing is known
 may receive anything there.
@@ -51,11 +51,11 @@ from dyknow.manager.record import NOTHING_HEARD, Heard
 from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag, read_tags
 from dyknow.model.transformation import Transformation
 
-#: Possibilities that are told apart; beyond, nothing is known to be supplied.
+#: Possibilities that are distinguished; beyond, no supply is certain.
 _MOST_POSSIBILITIES = 16
-#: What may be anything.
+#: A stream about which nothing is known.
 _UNKNOWN: Tuple[Sent, ...] = (((), ""),)
-#: An in-port that does not receive what it demands.
+#: An in-port whose demand is not met.
 _CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), _UNKNOWN)
 
 _Key = Tuple[int, str]
@@ -63,7 +63,7 @@ _Key = Tuple[int, str]
 
 
 class DependentNodelets:
-    """What nodelets with variables may send; they are numbered as they come."""
+    """The streams of nodelets with variables; these are numbered as they come."""
 
     def __init__(
         self, producers: Callable[[str], Sequence[Producer]], ontology: Subsumption
@@ -120,7 +120,7 @@ class DependentNodelets:
             self._possible[key] = (found[0]._replace(tags=(), is_unbound=False),)
 
     def _bind_one(self, number: int) -> bool:
-        """Bind the variables of one nodelet; whether that changed what it sends."""
+        """Bind the variables of one nodelet; whether that changed its streams."""
         ends = self._nodelets[number]
         possible = [self._ways(number, inlets) for inlets in self._inlets(number)]
         is_changed = False
@@ -136,7 +136,7 @@ class DependentNodelets:
         return ways_to_bind(self._nodelets[number].known, inlets, self._ontology)
 
     def _inlets(self, number: int, but: str = "") -> List[Tuple[Inlet, ...]]:
-        """List what the in-ports of a nodelet, ``but`` one, may receive at the same time."""
+        """List the streams that the in-ports of a nodelet, ``but`` one, may receive together."""
         choices: List[List[Optional[Inlet]]] = []
         for port, (consumer, topics) in self._inputs[number].items():
             if port == but or not consumer.variables:
@@ -156,7 +156,7 @@ class DependentNodelets:
         ]
 
     def _sent(self, topic: str) -> List[Tuple[Sent, ...]]:
-        """List what may be sent on a topic at the same time."""
+        """List the streams that may be on a topic together."""
         by_source: Dict[Tuple[str, str], Dict[Producer, None]] = {}
         for producer in self._producers(topic):
             by_source.setdefault(producer[:2], {})[producer] = None
@@ -176,7 +176,7 @@ class DependentNodelets:
         ]
 
     def supplies(self) -> Dict[Tuple[str, str], FrozenSet[Producer]]:
-        """Return what the out-ports with variables may send, by nodelet and port."""
+        """Return the streams of the out-ports with variables, by nodelet and port."""
         found: Dict[Tuple[str, str], FrozenSet[Producer]] = {}
         for possible in self._possible.values():
             place = possible[0].nodelet, possible[0].port
@@ -184,7 +184,7 @@ class DependentNodelets:
         return found
 
     def ways(self, nodelet: str) -> Optional[List[Way]]:
-        """Return the ways in which a nodelet's variables are bound; None if nobody can tell."""
+        """Return the ways in which a nodelet's variables are bound; None if that is unknown."""
         numbers = [
             number
             for number, inputs in enumerate(self._inputs)
@@ -218,7 +218,7 @@ class DependentNodelets:
         return [each.port for each in inputs if each.variables & variables]
 
     def fits(self, producer: Producer, consumer: Consumer) -> bool:
-        """Whether a producer sends what an in-port demands, beside what its nodelet receives."""
+        """Whether a producer meets an in-port's demand, beside the other inputs of its nodelet."""
         key = consumer.ends, consumer.port
         if key not in self._beside:
             known = list(self._nodelets[consumer.ends].known)
@@ -251,7 +251,7 @@ def demand_of(claims: Iterable[Claim]) -> Demand:
 
 
 def wanted_type(claim: Claim) -> str:
-    """Return the ROS type that a claim's client expects: what it asked for, or received first."""
+    """Return the ROS type that a claim's client expects: of its request, or its first stream."""
     return claim.request.datatype or claim.datatype.replace("*", "")
 
 
@@ -290,7 +290,7 @@ class Topology:
             described: transformations of type topic, by topic.
             claims: those whose clients listen.
             perhaps: further topics on which ports may be, by nodelet and port.
-            ontology: what is a kind of what.
+            ontology: hierarchy of names.
         """
         self._described = described
         self._perhaps = perhaps
@@ -302,7 +302,7 @@ class Topology:
         for claim in self._claims:
             client = Consumer("", claim.claim_id, demand_of([claim]))
             self._consumers.setdefault(claim.topic, []).append(client)
-        #: Nodelets of which what they receive says what they send, or may receive elsewhere.
+        #: Nodelets whose streams depend on their inputs.
         self.dependent = DependentNodelets(self.producers, ontology)
         for ends in self._nodelets:
             self._enter(ends)
@@ -333,9 +333,9 @@ class Topology:
         new: Sequence[NodeletEnds],
         nodelets: Iterable[NodeletEnds] = (),
     ) -> Topology:
-        """Return a topology with other nodelets, which shares with this one what stays.
+        """Return a topology with other nodelets, which shares the rest with this one.
 
-        Where what one nodelet receives says what another one sends, nothing can be shared.
+        Nothing can be shared where the streams of nodelets depend on their inputs.
 
         Args:
             gone: nodelets that it has no longer.
@@ -421,18 +421,18 @@ class Topology:
         return self._consumers.get(topic, [])
 
     def serves(self, producer: Producer, demand: Demand) -> bool:
-        """Whether a producer sends what is demanded, and nothing else."""
+        """Whether a producer meets a demand with all that it sends."""
         return producer.is_unbound or meets(
             producer.tags, producer.datatype, demand, self._ontology
         )
 
     def ways_to_serve(self, producer: Producer, claim: Claim) -> List[Way]:
-        """List what the variables of a claim's tag may stand for in what a producer sends."""
+        """List the names that the variables of a claim may stand for in a producer's stream."""
         demand = demand_of([claim])
         return list(ways_to_meet(producer.tags, producer.datatype, demand, self._ontology))
 
     def fits(self, producer: Producer, consumer: Consumer) -> bool:
-        """Whether a producer sends what a consumer demands, beside what its nodelet receives."""
+        """Whether a producer meets a consumer's demand, beside the other inputs of its nodelet."""
         if consumer.ends < 0 or producer.is_unbound:
             return self.serves(producer, consumer.demand)
         return self.dependent.fits(producer, consumer)

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The world at one moment, and what a connection would change in it.
+"""The world at one moment, and the consequences of a connection.
 
 Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.
 A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
-cannot be asked counts on each topic on which it may be.
+does not answer counts on each topic on which it may be.
 
-A nodelet may remember what it has received. Before it receives the same variable from another
+A nodelet may remember messages. Before it receives the same variable from another
 individual, all its in-ports that share the variable are disconnected, and connected again as one.
 """
 
@@ -46,13 +46,13 @@ Config = Mapping[str, str]
 
 
 class World:
-    """Nodelets, claims, and what the library says of ordinary topics, at one moment.
+    """Nodelets, claims and descriptions of ordinary topics, at one moment.
 
     Attributes:
         records: the nodelets by name, in the order of their names.
         claims: those that have not ended, by id.
         described: transformations of type topic, by global topic.
-        topology: who may receive what from whom.
+        topology: producers and consumers of each topic.
     """
 
     def __init__(
@@ -126,8 +126,8 @@ class World:
         """Return the topology if a nodelet were as its record says.
 
         Args:
-            record: the nodelet; it counts besides what it is.
-            is_replaced: whether it counts instead of what it is.
+            record: the nodelet; it counts besides its present record.
+            is_replaced: whether it counts instead of its present record.
             is_forgetful: whether nodelets count as if they remembered nothing.
         """
         ports = (
@@ -152,7 +152,7 @@ class World:
             [each._replace(heard=()) for each in self._ends.values()],
         )
 
-    # What a connection would change
+    # Consequences of a connection
 
     def fitting(self, record: Record) -> Dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
@@ -170,7 +170,7 @@ class World:
         return topics
 
     def _misleads(self, record: Record) -> bool:
-        """Whether others, of claims, would send what is not demanded because of a nodelet."""
+        """Whether nodelets of claims would send wrong streams because of a nodelet."""
         absent = replace(record, topics={}, ports=())
         before = set(self.with_nodelet(absent, is_replaced=True).mismatches())
         return any(
@@ -183,9 +183,9 @@ class World:
     def in_the_way(
         self, record: Record, config: Config, is_forgetful: bool = False
     ) -> Dict[str, Dict[str, str]]:
-        """List what has to be disconnected before a nodelet's ports may be connected so.
+        """List the ports to disconnect before a nodelet's ports may be connected so.
 
-        Once that is done there may be more: it depends on what is left then.
+        Once that is done there may be more: it depends on the rest.
 
         Args:
             record: the nodelet.
@@ -196,7 +196,7 @@ class World:
             For each nodelet its ports, each with an empty topic.
 
         Raises:
-            WrongStream: it must not be connected so, whatever is disconnected before.
+            WrongStream: it must not be connected so in any case.
         """
         changed = replace(record, topics={**record.topics, **config})
         cut: Dict[str, Dict[str, str]] = {}
@@ -239,7 +239,7 @@ class World:
         return found
 
     def _first(self, changed: Record, is_forgetful: bool) -> List[Tuple[str, Producer, Consumer]]:
-        """Return what ``_changed`` yields, without what the others of it feed; a circle entire."""
+        """Return the first of the ``_changed`` consumers along each stream; all of a circle."""
         found = list(self._changed(changed, is_forgetful))
         fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
         return [each for each in found if each[1].nodelet not in fed] or found
@@ -247,7 +247,7 @@ class World:
     def _changed(
         self, changed: Record, is_forgetful: bool
     ) -> Iterator[Tuple[str, Producer, Consumer]]:
-        """Yield each consumer of what would send something else from now on.
+        """Yield each consumer of a nodelet whose stream would change.
 
         Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
 
@@ -273,7 +273,7 @@ class World:
 
 
 class WorldReader:
-    """Reads the world: what has not changed since the last time is not read again."""
+    """Reads the world: unchanged parts are not read again."""
 
     def __init__(
         self,
@@ -299,7 +299,7 @@ class WorldReader:
 
     def now(self) -> World:
         """Return the world of this moment."""
-        # The revisions come first: what changes meanwhile is read the next time.
+        # The revisions come first: a change meanwhile is read the next time.
         at = (self._library.revision, self._graph.revision, self._table.living())
         known, perhaps = self._world, self._perhaps
         if known is not None and self._world_at == (at, perhaps):
@@ -366,7 +366,7 @@ class WorldReader:
         claims: Iterable[Claim],
         perhaps: Mapping[Tuple[str, str], Tuple[str, ...]],
     ) -> Topology:
-        """Return the topology; the last one, or what stays of it, if it does."""
+        """Return the topology; it shares unchanged parts with the last one."""
         clients = [claim for claim in claims if claim.topic]
         listening = [(each.claim_id, each.topic, each.datatype, each.request) for each in clients]
         basis = (listening, described, perhaps)
