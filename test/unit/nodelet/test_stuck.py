@@ -10,9 +10,19 @@ import threading
 from typing import Iterator, List
 
 import pytest
-from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world, wait_for, wait_until
+from unit.nodelet.fakes import (
+    FakeClock,
+    Message,
+    World,
+    in_thread,
+    join,
+    make_pool_world,
+    wait_for,
+    wait_until,
+)
 
 import dyknow
+from dyknow.errors import UnloadedMeanwhile
 from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
@@ -115,4 +125,23 @@ def test_a_callback_that_outlives_its_nodelet_is_named_until_it_ends(
     assert stuck.detail("/n") == "", "that of its name is another one"
     Hanging.release.set()
     wait_until(lambda: not stuck.remains())
+    loader.close()
+
+
+def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(world: World) -> None:
+    entered, opened = threading.Event(), threading.Event()
+
+    class Slow(Nodelet):
+        def on_init(self):
+            entered.set()
+            wait_for(opened)
+
+    loader = world.loader(slow=Slow)
+    thread = in_thread(lambda: pytest.raises(UnloadedMeanwhile, loader.load, "/slow", "slow"))
+    wait_for(entered)
+    loader.unload("/slow")
+    join(thread)
+    assert list(loader.leftovers.running()) == ["/slow"]
+    opened.set()
+    wait_until(lambda: not loader.leftovers.running())
     loader.close()
