@@ -34,7 +34,6 @@ from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.middleware import Closable
-from dyknow.nodelet.scheduler import Strand
 from dyknow.proxy.port import (
     InPort,
     OutPort,
@@ -158,33 +157,16 @@ class NodeletProxy(Closable):
         return publisher
 
     def subscriber(
-        self,
-        handle: PlainNodeHandle,
-        name: str,
-        datatype: Any,
-        callback: Optional[Callable[..., Any]],
-        callback_args: Any,
-        queue_size: Optional[int],
-        strand: Strand,
-        **options: Any,
+        self, handle: PlainNodeHandle, name: str, datatype: Any, *args: Any, **options: Any
     ) -> PortSubscriber:
-        """Declare an in-port, or share one that is there; ``strand`` runs the callback.
+        """Declare an in-port, or share one that is there; ``args`` are those of ``Subscriber``.
 
         Raises:
             PortConflict: the port exists as an out-port, or with another type.
         """
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
-            subscriber = PortSubscriber(
-                self._context,
-                name,
-                datatype,
-                callback,
-                callback_args,
-                queue_size,
-                strand,
-                **options,
-            )
+            subscriber = PortSubscriber(self._context, name, datatype, *args, **options)
             subscriber.join(port)
             self._place(port, subscriber, subscriber.subscription)
         self.on_change()

@@ -11,11 +11,12 @@ Python.
 from __future__ import annotations
 
 import contextlib
+import inspect
 import os
 import signal
 import sys
 import threading
-from typing import Dict, List, Optional, Sequence, Type
+from typing import Any, Dict, List, Optional, Sequence, Type
 
 import rosgraph.names
 import rospy
@@ -42,6 +43,8 @@ _PATIENCE = 0.5
 _LONGEST_END = 5.0
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Arguments of ``rospy.init_node`` that must not differ between two calls.
+_NOTED = ("name", "argv", "anonymous", "log_level", "disable_rostime", "disable_signals")
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
@@ -94,40 +97,21 @@ class _ScriptProcess:
             _end_by(signal.SIGINT)
         return status
 
-    def _init_node(
-        self,
-        name: str,
-        argv: Optional[Sequence[str]] = None,
-        anonymous: bool = False,
-        log_level: Optional[int] = None,
-        disable_rostime: bool = False,
-        disable_rosout: bool = False,
-        disable_signals: bool = False,
-        xmlrpc_port: int = 0,
-        tcpros_port: int = 0,
-    ) -> None:
+    def _init_node(self, *args: Any, **kwds: Any) -> None:
         """``rospy.init_node``, for the script."""
-        args = (name, argv, anonymous, log_level, disable_rostime, disable_signals)
-        if not self._node_args.note(*args):
+        call = inspect.signature(rospy.init_node).bind(*args, **kwds)
+        call.apply_defaults()
+        options = call.arguments
+        if not self._node_args.note(*(options[name] for name in _NOTED)):
             return
-        if not disable_signals:
+        if not options["disable_signals"]:
             self._listen_for_signals()
-        given = list(self._argv if argv is None else argv)
+        given = list(self._argv if options["argv"] is None else options["argv"])
         mappings = self._sandbox.mappings = rosgraph.names.load_mappings(given)
         renamed = {source: to for source, to in mappings.items() if not source.startswith("__")}
         # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
         kept = [word for word in given if word.partition(":=")[0] not in renamed]
-        rospy.init_node(
-            name,
-            kept,
-            anonymous,
-            log_level,
-            disable_rostime,
-            disable_rosout,
-            True,
-            xmlrpc_port,
-            tcpros_port,
-        )
+        rospy.init_node(**{**options, "argv": kept, "disable_signals": True})
         self._sandbox.name = rospy.get_name()
         rospy.on_shutdown(self._withdraw)
         self._offer(renamed)
