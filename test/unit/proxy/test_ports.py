@@ -147,29 +147,26 @@ class TestDeclaration:
             bench.nh.nonsense  # noqa: B018
 
 
+OUT, IN = "Publisher", "Subscriber"
+
+
 class TestConflicts:
-    def test_of_direction(self, bench):
-        bench.nh.Publisher("x", Message)
-        with pytest.raises(PortConflict) as caught:
-            bench.nh.Subscriber("x", Message, print)
-        assert "'x' exists as out-port of type test/Message" in str(caught.value)
-        assert "in-port of type test/Message" in str(caught.value)
-        bench.nh.Subscriber("y", Message, print)
-        with pytest.raises(PortConflict):
-            bench.nh.Publisher("y", Message)
-
-    def test_of_type(self, bench):
-        bench.nh.Publisher("x", Message)
-        bench.nh.Subscriber("y", Message, print)
-        with pytest.raises(PortConflict):
-            bench.nh.Publisher("x", OtherMessage)
-        with pytest.raises(PortConflict):
-            bench.nh.Subscriber("y", OtherMessage, print)
-
-    def test_of_latch(self, bench):
-        bench.nh.Publisher("x", Message, latch=True)
-        with pytest.raises(PortConflict, match="not latched"):
-            bench.nh.Publisher("x", Message)
+    @pytest.mark.parametrize(
+        ("first", "second", "message"),
+        [
+            ((OUT, Message), (IN, Message), "out-port of type test/Message.*in-port of type"),
+            ((IN, Message), (OUT, Message), "in-port of type test/Message.*out-port of type"),
+            ((OUT, Message), (OUT, OtherMessage), "out-port of type test/OtherMessage"),
+            ((IN, Message), (IN, OtherMessage), "in-port of type test/OtherMessage"),
+            ((OUT, Message, None, False, True), (OUT, Message), "not latched"),
+        ],
+    )
+    def test_of_direction_type_and_latch(self, bench, first, second, message):
+        kind, *args = first
+        getattr(bench.nh, kind)("x", *args)
+        kind, *args = second
+        with pytest.raises(PortConflict, match=f"'x' exists as .*{message}"):
+            getattr(bench.nh, kind)("x", *args)
 
     def test_leave_what_is_there_alone(self, bench):
         publisher = bench.nh.Publisher("x", Message)

@@ -33,16 +33,6 @@ def test_messages_pass(harness):
     harness.wait_until(lambda: [each.frame_id for each in got] == ["0", "1", "2"])
 
 
-def test_parameters_are_set_and_deleted():
-    with RosHarness() as harness:
-        ports = {"in": "/text", "out": "/texts"}
-        harness.load("dyknow/Relay", "/texts", ports, {"~datatype": "std_msgs/String"})
-        got = harness.listen("/texts", String)
-        harness.publish("/text", String("hello"))
-        harness.wait_until(lambda: got == [String("hello")])
-    assert not rospy.has_param("/texts/datatype")
-
-
 def test_ports_are_connected_elsewhere(harness):
     name = harness.load("dyknow/Relay", "/moved", ports=BOTH)
     harness.connect(name, {"in": "/other", "out": ""})
@@ -71,12 +61,17 @@ def test_a_nodelet_that_is_unloaded_is_gone(harness):
         harness.unload(name)
 
 
-def test_nothing_is_left_of_a_harness():
+def test_parameters_are_set_and_nothing_is_left_of_a_harness():
     with RosHarness() as first, RosHarness() as second:
-        first.load("dyknow/Relay", "/one")
+        ports = {"in": "/text", "out": "/texts"}
+        first.load("dyknow/Relay", "/one", ports, {"~datatype": "std_msgs/String"})
+        got = first.listen("/texts", String)
         second.load("dyknow/Relay", "/two")
+        first.publish("/text", String("hello"))
+        first.wait_until(lambda: got == [String("hello")])
         assert {first.manager, second.manager} <= _nodes()
     assert not {"/one", "/two", first.manager, second.manager} & _nodes()
+    assert not rospy.has_param("/one/datatype")
 
 
 def _nodes():
