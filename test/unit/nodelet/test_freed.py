@@ -30,7 +30,7 @@ from dyknow.nodelet.memory import break_cycles
 world = pool_world(3)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def no_collections() -> Iterator[None]:
     gc.collect()
     gc.disable()
