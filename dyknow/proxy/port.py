@@ -32,6 +32,7 @@ class ProxyPort:
         self.name = name
         self.datatype = datatype
         self.topic = topic
+        self.handles: List[Any] = []
         self._traffics: List[Traffic] = []
         self._free: List[Traffic] = []
 
@@ -86,7 +87,6 @@ class OutPort(ProxyPort):
         """Make the port without a handle yet."""
         super().__init__(name, datatype, topic)
         self.publication: Optional[Publication] = None
-        self.handles: List[PortPublisher] = []
         #: Held while handles come and go: a new one must not share a publication that the last
         #: one is about to withdraw.
         self.lock = state_lock("port")
@@ -108,11 +108,6 @@ class InPort(ProxyPort):
     """A port that receives; each handle has its own callbacks and queue."""
 
     direction = IN
-
-    def __init__(self, name: str, datatype: Any, topic: str) -> None:
-        """Make the port without a handle yet."""
-        super().__init__(name, datatype, topic)
-        self.handles: List[PortSubscriber] = []
 
     def endpoints(self) -> Sequence[Endpoint]:
         """One subscription for each handle."""
