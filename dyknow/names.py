@@ -10,8 +10,9 @@ applies them: a name is first made global, then looked up in the remappings.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import re
-from typing import Dict, Sequence
+from typing import Callable, Dict, Sequence
 
 from dyknow.errors import BadRemapping, InvalidName
 
@@ -80,6 +81,21 @@ def disconnected(node: str, port: str) -> str:
     Re-wirable nodes take it for none, and nobody else uses it.
     """
     return join(node, "disconnected/" + port.lstrip("~/"))
+
+
+def topic_after(nodelet: str, port: str) -> str:
+    """Name a topic after a port of a nodelet."""
+    return join(nodelet, port.lstrip("~/"))
+
+
+def free_topic(nodelet: str, port: str, is_taken: Callable[[str], bool]) -> str:
+    """Name a topic after a port of a nodelet, with a number at its end if that name is taken."""
+    after = topic = topic_after(nodelet, port)
+    for number in itertools.count(2):
+        if not is_taken(topic):
+            break
+        topic = f"{after}_{number}"
+    return topic
 
 
 def mark(name: str) -> int:

@@ -52,11 +52,6 @@ def check_ends(source: str, out: PortState, target: str, into: PortState) -> Non
         raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
 
 
-def topic_after(nodelet: str, port: str) -> str:
-    """Name a topic after an out-port."""
-    return names.join(nodelet, port.lstrip("~/"))
-
-
 def choose_topic(
     nodelet: str,
     out: PortState,
@@ -81,11 +76,7 @@ def choose_topic(
         return out.topic
     if into.topic and into.topic not in published:
         return into.topic
-    wish = topic_after(nodelet, out.name)
-    topic, number = wish, 2
-    while topic in published or topic in taken:
-        topic, number = f"{wish}_{number}", number + 1
-    return topic
+    return names.free_topic(nodelet, out.name, lambda topic: topic in published or topic in taken)
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,10 @@ from typing import (
     Tuple,
 )
 
+from dyknow import names
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
-from dyknow.wiring.ports import Topic, topic_after, topics_of
+from dyknow.wiring.ports import Topic, topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
@@ -115,7 +116,7 @@ def taken_topics(
         hosts: nodelet managers; their topics are used by their nodelets.
     """
     wishes = {
-        topic_after(nodelet.name, port.name)
+        names.topic_after(nodelet.name, port.name)
         for nodelet in nodelets
         for port in nodelet.ports
         if port.direction != IN and not port.topic

@@ -9,6 +9,7 @@ import argparse
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
 
+from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
 from dyknow.cli.completion import argument
@@ -18,7 +19,7 @@ from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.similar import did_you_mean
-from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic, topic_after
+from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -112,7 +113,7 @@ def _connect_ports(
 def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortState) -> str:
     published, heard = client.topics_in_use()
     taken: Set[str] = set()
-    if topic_after(nodelet, out.name) in heard | published:  # perhaps by a port
+    if names.topic_after(nodelet, out.name) in heard | published:  # perhaps by a port
         graph = client.get_graph()
         taken = {port.topic for each in graph.nodelets for port in each.ports}
     return choose_topic(nodelet, out, into, published, taken)

@@ -194,12 +194,7 @@ class PlanContext:
             for each in record.ports
             if each.direction == OUT and record.name != name
         }
-        topic = default = default_topic(name, port)
-        number = 1
-        while topic in taken:
-            number += 1
-            topic = f"{default}_{number}"
-        return topic
+        return names.free_topic(name, port, taken.__contains__)
 
     def flows(self, topic: str) -> bool:
         """Whether a healthy nodelet publishes on a topic."""
@@ -233,11 +228,6 @@ class PlanContext:
             has_left_topics = any(topic.startswith(name + "/") for topic in taken)
             if not has_left_topics and not self._manager.graph.is_busy(name):
                 yield name
-
-
-def default_topic(name: str, port: str) -> str:
-    """Name a topic after an out-port."""
-    return names.join(name, port.lstrip("~/"))
 
 
 def _names(label: str) -> Iterator[str]:
@@ -514,7 +504,7 @@ class Assembly:
             and types_fit(types[port], datatype)
         }
         for name in self._plan.free_names(transformation.label):
-            own = {port: default_topic(name, port) for port in outputs}
+            own = {port: names.topic_after(name, port) for port in outputs}
             self._lock.reserve([name])
             try:
                 kind = self._manager.host.kind_of(transformation)
