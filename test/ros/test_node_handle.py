@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import statistics
 import threading
 
 import graph  # first: it makes the test package known
@@ -210,13 +211,14 @@ class TimerTest(HandleTest):
         eventually(lambda: call("/n", "count") >= 20, 5.0, "twenty calls")
         events = call("/n", "events")
         call("/n", "stop")
-        self.assertAlmostEqual((events[19][1] - events[0][1]) / 19, 0.05, delta=0.01)
+        self.assertGreater((events[19][1] - events[0][1]) / 19, 0.04)
         self.assertIsNone(events[0][2])
         for before, (_, _, last, duration) in zip(events, events[1:]):
             self.assertEqual(last, before[1])
             self.assertGreaterEqual(duration, 0.0)
         due = [event[0] for event in events]
-        self.assertAlmostEqual((due[-1] - due[0]) / (len(due) - 1), 0.05, delta=0.01)
+        pauses = [later - earlier for earlier, later in zip(due, due[1:])]
+        self.assertAlmostEqual(statistics.median(pauses), 0.05, delta=0.01)
 
     def test_one_shot(self):
         call("/n", "start_once", 0.02)
@@ -241,7 +243,9 @@ class TimerTest(HandleTest):
 
     def test_rate_and_sleep(self):
         self.manager.load("Features", "/features")
-        self.assertAlmostEqual(call("/features", "rate", 50.0, 10), 0.2, delta=0.05)
+        took = call("/features", "rate", 50.0, 10)
+        self.assertGreater(took, 0.15)
+        self.assertLess(took, 0.2 * BUSY)
         self.assertGreaterEqual(call("/features", "sleep", 0.05), 0.05)
 
 

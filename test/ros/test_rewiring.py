@@ -322,7 +322,8 @@ class InsideTest(RewiringTest):
         call("/talker", "start", 100.0)
         eventually(lambda: port_statistics("/n", "in").messages >= 70, 5.0, "a window full")
         for name, port in (("/talker", "out"), ("/n", "in")):
-            self.assertAlmostEqual(port_statistics(name, port).rate, 100.0, delta=15.0)
+            rate = port_statistics(name, port).rate
+            self.assertTrue(100.0 / BUSY < rate < 115.0, rate)
         sent = call("/talker", "stop")
         eventually(lambda: port_statistics("/n", "in").messages == sent, 2.0, "all are counted")
         self.assertEqual(port_statistics("/talker", "out").messages, sent)
