@@ -81,6 +81,7 @@ class Head:
         latency: microseconds that it states.
     """
 
+    __slots__ = ("action", "atoms", "cost", "datatype", "latency", "rate", "source", "texts")
     cost: int
     source: Source
     action: Operator
@@ -121,17 +122,30 @@ class Operator:
         slow: the same action with inputs of any rate, if its inputs have to be fast.
     """
 
+    __slots__ = (
+        "cost",
+        "has_bindings",
+        "heads",
+        "inputs",
+        "label",
+        "needs",
+        "premises",
+        "shares",
+        "slow",
+        "types",
+        "variables",
+    )
     label: str
     cost: int
     heads: List[Head]
-    premises: Tuple[Premise, ...] = ()
-    inputs: Tuple[Pattern, ...] = ()
-    needs: Tuple[Pattern, ...] = ()
-    variables: Tuple[str, ...] = ()
-    types: Tuple[Types, ...] = ()
-    shares: Tuple[Tuple[int, ...], ...] = ()
-    has_bindings: bool = False
-    slow: Optional[Operator] = None
+    premises: Tuple[Premise, ...]
+    inputs: Tuple[Pattern, ...]
+    needs: Tuple[Pattern, ...]
+    variables: Tuple[str, ...]
+    types: Tuple[Types, ...]
+    shares: Tuple[Tuple[int, ...], ...]
+    has_bindings: bool
+    slow: Optional[Operator]
 
 
 class Offer(NamedTuple):
@@ -237,6 +251,7 @@ class OperatorIndex:
         self.makers = makers
         # What was found out about patterns; it does not matter by which thread.
         self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
+        self._makers: Dict[Pattern, Tuple[Operator, ...]] = {}
         self._cheapest: Dict[Pattern, Optional[Head]] = {}
         self._crowds: Dict[Pattern, Optional[int]] = {}
 
@@ -264,6 +279,14 @@ class OperatorIndex:
             if len(self._offers) > _ASKED + 2 * len(self.actions):
                 self._offers, self._cheapest, self._crowds = {}, {}, {}  # others may read these
             found = self._offers[pattern] = tuple(self.look_up(pattern, ()))
+        return found
+
+    def makers_of(self, pattern: Pattern) -> Tuple[Operator, ...]:
+        """Return the makers that can supply a pattern, each once."""
+        found = self._makers.get(pattern)
+        if found is None:
+            heads = [offer.head for offer in self.offers(pattern)]
+            found = self._makers[pattern] = tuple(dict.fromkeys([each.action for each in heads]))
         return found
 
     def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
@@ -428,6 +451,7 @@ class Reader:
             types,
             shares,
             has_bindings,
+            None,
         )
         action.heads.extend([self._head(action, port) for port in tagged if port.direction == OUT])
         return action

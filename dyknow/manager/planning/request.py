@@ -145,7 +145,7 @@ class Request:
                 by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
         for name, some in by_name.items():
             labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
-            action = Operator(name, sum([charges.get(label, 0) for label in labels]), [])
+            action = _source(name, sum([charges.get(label, 0) for label in labels]))
             action.heads.extend([self._live_head(action, *stream) for stream in some])
             self.live.add(action)
             heads += action.heads
@@ -189,7 +189,10 @@ class Request:
 
     def makers(self, pattern: Pattern) -> Sequence[Operator]:
         """Return the actions with in-ports that can supply a pattern, each once."""
-        return list(dict.fromkeys([action for action, _ in self.offers(pattern)]))
+        if self.demand.min_rate:
+            return list(dict.fromkeys([action for action, _ in self.offers(pattern)]))
+        found = self.library.makers_of(pattern)
+        return [each for each in found if each not in self._barred] if self._barred else found
 
     def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Operator, Offer]]:
         """Yield how makers can supply a pattern; with what is known, some of them cannot."""
@@ -250,7 +253,7 @@ class Request:
         )
         yield from itertools.islice(found, _MOST_ALIKE)
         for each in self._unusable:
-            yield self._live_head(Operator(each[0].label, 0, []), *each)
+            yield self._live_head(_source(each[0].label, 0), *each)
 
     # Inside
 
@@ -291,3 +294,8 @@ class Request:
             stream.rate,
             microseconds(stream.latency),
         )
+
+
+def _source(name: str, cost: int) -> Operator:
+    """Return the action of live streams, which needs nothing."""
+    return Operator(name, cost, [], (), (), (), (), (), (), False, None)

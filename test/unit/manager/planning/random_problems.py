@@ -8,12 +8,15 @@ from __future__ import annotations
 import random
 from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 
+import pytest
 from unit.manager.planning.brute_force import Problem
 
+from dyknow.manager.planning import library
 from dyknow.manager.planning.problem import Demand, Live
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
+_MANY = library.MANY
 _FUNCTORS = {"A": 1, "B": 1, "C": 2, "D": 1, "E": 0, "F": 2}
 
 
@@ -138,11 +141,11 @@ class _Writer:
     def problem(self) -> Problem:
         chance = self.chance
         count = chance.randint(1, 8)
-        library = [self.transformation(number) for number in range(count)]
+        actions = [self.transformation(number) for number in range(count)]
         sources = chance.randint(2, 5) if self.is_rich else chance.randint(0, 3)
-        library += [self.source(count + number) for number in range(sources)]
+        actions += [self.source(count + number) for number in range(sources)]
         live = [self.live(number) for number in range(chance.choice([0, 0, 1, 2]))]
-        labels = [each.label for each in library]
+        labels = [each.label for each in actions]
         exclude = chance.sample(labels, min(len(labels), chance.choice([0, 0, 0, 1])))
         goal = frozenset(
             parse_tag(self.tag(["?p", "?q"], 0.4, True, self.made[-1:] if self.is_rich else ()))
@@ -150,7 +153,7 @@ class _Writer:
         )
         ontology = Kinds() if self.has_ontology else NO_ONTOLOGY
         return Problem(
-            tuple(library),
+            tuple(actions),
             tuple(live),
             frozenset(exclude),
             Demand(goal, self.datatype()),
@@ -163,6 +166,11 @@ def random_problem(seed: int) -> Problem:
     return _Writer(seed).problem()
 
 
+def look_up_by_name(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Look makers up by known names in half of the problems, however few makers there are."""
+    monkeypatch.setattr(library, "MANY", 0 if seed // 2 % 2 else _MANY)
+
+
 def with_limits(problem: Problem, seed: int) -> Problem:
     """Let out-ports and streams state rates and latencies, and the goal demand some."""
     chance = random.Random(seed)
@@ -171,7 +179,7 @@ def with_limits(problem: Problem, seed: int) -> Problem:
         latency = chance.choice([0.0, 0.0, 0.01, 0.02, 0.03, 0.1])
         return {"rate": chance.choice([0.0, 0.0, 0.0, 5.0, 30.0]), "latency": latency}
 
-    library = [
+    limited = [
         each._replace(
             ports=tuple(
                 port._replace(**stated()) if port.direction == "out" else port
@@ -184,4 +192,4 @@ def with_limits(problem: Problem, seed: int) -> Problem:
     min_rate = chance.choice([0.0, 0.0, 10.0])
     max_age = chance.choice([0.0, 0.005, 0.01, 0.03, 0.03, 0.05, 0.1, 0.12])
     goal = problem.goal._replace(min_rate=min_rate, max_age=0.0 if min_rate else max_age)
-    return problem._replace(library=tuple(library), live=tuple(live), goal=goal)
+    return problem._replace(library=tuple(limited), live=tuple(live), goal=goal)

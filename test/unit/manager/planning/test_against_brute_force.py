@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections import Counter
 from typing import List
 
 import pytest
@@ -17,10 +18,10 @@ from unit.manager.planning.brute_force import (
     individuals,
     is_typed,
     least_cost,
+    least_latency,
 )
-from unit.manager.planning.random_problems import random_problem
+from unit.manager.planning.random_problems import look_up_by_name, random_problem, with_limits
 
-from dyknow.manager.planning import library
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
@@ -31,49 +32,62 @@ _SHARE = 1_000
 
 def solve(problem: Problem, seed: int = 0) -> Answer:
     """Plan by the count of steps alone, which no other process disturbs."""
-    library = list(problem.library)
-    random.Random(seed).shuffle(library)
+    transformations = list(problem.library)
+    random.Random(seed).shuffle(transformations)
     planner = Planner(problem.ontology, clock=lambda: 0.0)
-    planner.add(library)
+    planner.add(transformations)
     return planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
 
 
-@pytest.fixture(autouse=True, params=[0, library.MANY])
-def many(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look makers up by known names, also where they are few."""
-    monkeypatch.setattr(library, "MANY", request.param)
-
-
-def compare(seeds: range) -> None:
-    plans, proven, skipped, bound, several = 0, 0, 0, 0, 0
+def compare(seeds: range, monkeypatch: pytest.MonkeyPatch, has_limits: bool) -> None:
+    """Judge plans, bounds and refusals; count how much of what matters occurred."""
+    count: Counter[str] = Counter()
     for seed in seeds:
+        look_up_by_name(monkeypatch, seed)
         problem = random_problem(seed)
+        if has_limits:
+            problem = with_limits(problem, seed)
+        goal = problem.goal
         answer = solve(problem)
         assert solve(problem, 1) == answer, seed
         try:
-            expected = least_cost(problem)
+            expected = at_any_age = least_cost(problem)
+            if goal.max_age:
+                at_any_age = least_cost(problem._replace(goal=goal._replace(max_age=0.0)))
         except TooLarge:
-            skipped += 1
+            count["skipped"] += 1
             continue
         if isinstance(answer, NoPlan):
             assert expected is None, seed
+            assert bool(answer.latency) == (at_any_age is not None), seed
+            if answer.latency:
+                assert answer.latency == pytest.approx(least_latency(problem)), seed
+                count["late"] += 1
             continue
-        assert expected is not None, seed
+        assert expected is not None and at_any_age is not None, seed
         assert_valid(answer, problem)
+        assert goal.is_soon(answer.latency), seed
         assert answer.least_cost <= expected <= answer.cost, seed
-        plans += 1
-        proven += answer.least_cost == answer.cost
-        bound += any(step.bindings for step in answer.steps)
-        several += any(len(step.bindings) > 1 for step in answer.steps)
+        count["plans"] += 1
+        count["proven"] += answer.least_cost == answer.cost
+        count["dearer"] += expected > at_any_age
+        count["bound"] += any(step.bindings for step in answer.steps)
+        count["several"] += any(len(step.bindings) > 1 for step in answer.steps)
+    plans = count["plans"]
     assert plans > len(seeds) // 3
-    assert bound > plans // 4
-    assert several > plans // 12
-    assert proven > 0.99 * plans
-    assert skipped < len(seeds) // 50
+    assert count["proven"] > 0.99 * plans
+    assert count["skipped"] < len(seeds) // (25 if has_limits else 50)
+    if has_limits:
+        assert count["dearer"] > plans // 30
+        assert count["late"] > plans // 10
+    else:
+        assert count["bound"] > plans // 4
+        assert count["several"] > plans // 12
 
 
-def test_a_share_of_random_libraries() -> None:
-    compare(range(_SHARE // 3))
+@pytest.mark.parametrize("has_limits", [False, True])
+def test_a_share_of_random_libraries(monkeypatch: pytest.MonkeyPatch, has_limits: bool) -> None:
+    compare(range(_SHARE // 3), monkeypatch, has_limits)
 
 
 def _rectified(seed: int) -> Problem:
@@ -119,15 +133,15 @@ def test_one_nodelet_of_what_is_free_costs_nothing() -> None:
     assert twice > 10
 
 
-def test_a_second_search_may_find_other_inputs_for_an_instance() -> None:
-    answer = solve(random_problem(6181))
-    assert isinstance(answer, Plan)
-    assert_valid(answer, random_problem(6181))
-    assert answer.cost == least_cost(random_problem(6181))
-
-
-def test_of_several_out_ports_one_is_taken_that_supplies_the_names() -> None:
-    problem = random_problem(23169)
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(6181, id="a second search finds other inputs for an instance"),
+        pytest.param(23169, id="of several out-ports one supplies the names"),
+    ],
+)
+def test_a_plan_that_was_wrong_once(seed: int) -> None:
+    problem = random_problem(seed)
     answer = solve(problem)
     assert isinstance(answer, Plan)
     assert_valid(answer, problem)
@@ -169,6 +183,7 @@ def test_what_the_variables_of_a_demand_can_stand_for() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("has_limits", [False, True])
 @pytest.mark.parametrize("block", range(30))
-def test_random_libraries(block: int) -> None:
-    compare(range(block * _SHARE, (block + 1) * _SHARE))
+def test_random_libraries(block: int, has_limits: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    compare(range(block * _SHARE, (block + 1) * _SHARE), monkeypatch, has_limits)

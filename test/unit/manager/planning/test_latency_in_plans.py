@@ -1,86 +1,19 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Stated latencies, and stated rates, in plans: against brute force, and by examples."""
+"""Stated latencies, and stated rates, in plans."""
 
 from __future__ import annotations
 
 from typing import List, Sequence
 
 import pytest
-from unit.manager.planning.brute_force import (
-    Problem,
-    TooLarge,
-    assert_valid,
-    least_cost,
-    least_latency,
-)
-from unit.manager.planning.random_problems import random_problem, with_limits
 
-from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Demand, Live, NoPlan, Plan, TaggedStream
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
-
-_SHARE = 1_000
-
-
-def solve(problem: Problem) -> Answer:
-    planner = Planner(problem.ontology, clock=lambda: 0.0)
-    planner.add(problem.library)
-    return planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
-
-
-def compare(seeds: range) -> None:
-    plans, proven, dearer, late, skipped = 0, 0, 0, 0, 0
-    for seed in seeds:
-        problem = with_limits(random_problem(seed), seed)
-        answer = solve(problem)
-        try:
-            expected = least_cost(problem)
-            at_any_age = problem._replace(goal=problem.goal._replace(max_age=0.0))
-            unlimited = least_cost(at_any_age)
-        except TooLarge:
-            skipped += 1
-            continue
-        if isinstance(answer, NoPlan):
-            assert expected is None, seed
-            late += bool(answer.latency)
-            assert bool(answer.latency) == (unlimited is not None), seed
-            if answer.latency:
-                assert answer.latency == pytest.approx(least_latency(problem)), seed
-            continue
-        assert expected is not None, seed
-        assert unlimited is not None, seed
-        assert_valid(answer, problem)
-        assert not problem.goal.max_age or answer.latency <= problem.goal.max_age, seed
-        assert answer.least_cost <= expected <= answer.cost, seed
-        plans += 1
-        dearer += expected > unlimited
-        proven += answer.least_cost == answer.cost
-    assert plans > len(seeds) // 3
-    assert proven > 0.99 * plans
-    assert dearer > plans // 30
-    assert late > plans // 10
-    assert skipped < len(seeds) // 25
-
-
-@pytest.fixture(autouse=True, params=[0, library.MANY])
-def many(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look makers up by known names, also where they are few."""
-    monkeypatch.setattr(library, "MANY", request.param)
-
-
-def test_a_share_of_random_libraries() -> None:
-    compare(range(_SHARE // 4))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("block", range(10))
-def test_random_libraries(block: int) -> None:
-    compare(range(block * _SHARE, (block + 1) * _SHARE))
 
 
 def make(
