@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import logging
 import os
 import re
@@ -52,6 +53,7 @@ def all_commands() -> Dict[str, Command]:
     return {command.name: command for _, commands in GROUPS for command in commands}
 
 
+@functools.lru_cache(maxsize=None)
 def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
     """Build the parser, and those of the commands by their names."""
     parser = Parser(

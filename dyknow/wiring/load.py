@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Dict, List, Mapping, Tuple
+from functools import partial
+from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.steps import ReversibleStep
@@ -18,34 +19,31 @@ from dyknow.wiring.plan import Kept, LoadPlan
 
 def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:
     """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
-    steps = [_end(each, plan, client) for each in plan.remade]
-    steps.extend(_add(each, client) for each in plan.added)
-    steps.extend(_replace(old, new, client) for old, new in zip(plan.replaced, plan.replacing))
-    for nodelet in plan.made:
-        steps.extend(_make(nodelet, plan, client))
-    for kept in plan.kept:
-        steps.extend(_change(kept, client))
-    return steps
+    library = [*((None, each) for each in plan.added), *zip(plan.replaced, plan.replacing)]
+    return [
+        *(_end(each, plan, client) for each in plan.remade),
+        *(_put(old, new, client) for old, new in library),
+        *(step for nodelet in plan.made for step in _make(nodelet, plan, client)),
+        *(step for kept in plan.kept for step in _change(kept, client)),
+    ]
 
 
-def _add(transformation: Transformation, client: BaseManagerClient) -> ReversibleStep:
-    label = transformation.label
-    return ReversibleStep(
-        f"adding transformation '{label}'",
-        label,
-        lambda: client.add_transformation(transformation.to_xml()),
-        lambda: client.remove_transformation(label),
-    )
-
-
-def _replace(
-    old: Transformation, new: Transformation, client: BaseManagerClient
+def _put(
+    old: Optional[Transformation], new: Transformation, client: BaseManagerClient
 ) -> ReversibleStep:
+    """Add a transformation, or replace an old one."""
+
+    def put_back() -> None:
+        if old is None:
+            client.remove_transformation(new.label)
+        else:
+            client.add_transformation(old.to_xml())
+
     return ReversibleStep(
-        f"replacing transformation '{new.label}'",
+        f"{'adding' if old is None else 'replacing'} transformation '{new.label}'",
         new.label,
         lambda: client.add_transformation(new.to_xml()),
-        lambda: client.add_transformation(old.to_xml()),
+        put_back,
     )
 
 
@@ -73,35 +71,25 @@ def _end(kept: Kept, plan: LoadPlan, client: BaseManagerClient) -> ReversibleSte
 
 def _make(
     nodelet: SpawnRequest, plan: LoadPlan, client: BaseManagerClient
-) -> List[ReversibleStep]:
+) -> Iterator[ReversibleStep]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
+    name = nodelet.name
     config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
-    manager = "" if nodelet.name in plan.any_manager else nodelet.manager
+    manager = "" if name in plan.any_manager else nodelet.manager
     request = replace(nodelet, config=config, manager=manager)
 
     def destroy() -> None:
         if nodelet.is_protected:
-            client.set_protection(nodelet.name, False)
-        client.destroy(nodelet.name)
+            client.set_protection(name, False)
+        client.destroy(name)
 
-    steps = [
-        ReversibleStep(
-            f"spawning '{nodelet.name}'",
-            nodelet.name,
-            lambda: client.spawn_nodelet(request),
-            destroy,
-        )
-    ]
+    yield ReversibleStep(
+        f"spawning '{name}'", name, lambda: client.spawn_nodelet(request), destroy
+    )
     if later:
-        steps.append(
-            ReversibleStep(
-                f"connecting '{nodelet.name}'",
-                nodelet.name,
-                lambda: _connect_undeclared(nodelet.name, later, client),
-                lambda: None,  # it goes with the nodelet
-            )
-        )
-    return steps
+        connect = partial(_connect_undeclared, name, later, client)
+        # Nothing to undo: the connections go with the nodelet.
+        yield ReversibleStep(f"connecting '{name}'", name, connect, lambda: None)
 
 
 def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManagerClient) -> None:
@@ -113,42 +101,33 @@ def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManage
     if nodelet is not None and not nodelet.kind.is_written_for_dyknow:
         config = {port: topic for port, topic in config.items() if nodelet.port(port) is not None}
     if config:
-        client.set_config(name, config)
+        client.connect([(name, config)])
 
 
 def _by_declaration(
     nodelet: SpawnRequest, blueprint: Transformation
 ) -> Tuple[Dict[str, str], Dict[str, str]]:
     """Split the connections into those of declared and of undeclared ports."""
-    declared = {port.name for port in blueprint.ports}
-    connections = nodelet.config.items()
-    return (
-        {port: topic for port, topic in connections if port in declared},
-        {port: topic for port, topic in connections if port not in declared},
-    )
+    ports = {port.name for port in blueprint.ports}
+    declared = {port: topic for port, topic in nodelet.config.items() if port in ports}
+    return declared, {p: topic for p, topic in nodelet.config.items() if p not in ports}
 
 
-def _change(kept: Kept, client: BaseManagerClient) -> List[ReversibleStep]:
+def _change(kept: Kept, client: BaseManagerClient) -> Iterator[ReversibleStep]:
     name, wanted, present = kept.wanted.name, kept.wanted, kept.present
-    steps = []
     moves = kept.moves
     if moves:
-        before: Dict[str, str] = {port: present.connections.get(port, "") for port in moves}
-        steps.append(
-            ReversibleStep(
-                f"connecting '{name}'",
-                name,
-                lambda: client.connect([(name, moves)]),
-                lambda: client.connect([(name, before)]),
-            )
+        before = {port: present.connections.get(port, "") for port in moves}
+        yield ReversibleStep(
+            f"connecting '{name}'",
+            name,
+            lambda: client.connect([(name, moves)]),
+            lambda: client.connect([(name, before)]),
         )
     if wanted.is_protected != present.is_protected:
-        steps.append(
-            ReversibleStep(
-                f"{'protecting' if wanted.is_protected else 'unprotecting'} '{name}'",
-                name,
-                lambda: client.set_protection(name, wanted.is_protected),
-                lambda: client.set_protection(name, present.is_protected),
-            )
+        yield ReversibleStep(
+            f"{'protecting' if wanted.is_protected else 'unprotecting'} '{name}'",
+            name,
+            lambda: client.set_protection(name, wanted.is_protected),
+            lambda: client.set_protection(name, present.is_protected),
         )
-    return steps

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -157,21 +156,16 @@ def test_a_wrong_manager_in_the_environment_is_named(
     assert "$DYKNOW_MANAGER: 'a b' is not a valid name" in refused(capsys, "list")
 
 
-def test_without_a_master_it_says_so_and_ends_with_3() -> None:
-    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:1"}
+def test_without_a_master_it_says_so_and_ends_with_3(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:1")
     for words in (["list"], ["library"], ["spawn", "a", "b"], ["connect", "a:b", "c:d"]):
-        done = subprocess.run(
-            [sys.executable, "-m", "dyknow.cli", *words],
-            capture_output=True,
-            text=True,
-            env=environment,
-            timeout=30,
-            check=False,
-        )
-        assert done.returncode == 3
-        assert done.stdout == ""
-        assert "no ROS master at http://localhost:1 (Connection refused)" in done.stderr
-        assert done.stderr.count("\n") == 1
+        assert main(words) == 3
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert "no ROS master at http://localhost:1 (Connection refused)" in said.err
+        assert said.err.count("\n") == 1
 
 
 def test_help_and_check_do_without_ros() -> None:
