@@ -46,10 +46,10 @@ def argument(
     names: str,
     metavar: Optional[str],
     help_text: str,
-    completer: Completer,
+    completer: Optional[Completer] = None,
     **kwds: Any,
 ) -> None:
-    """Add an argument whose values argcomplete completes.
+    """Add an argument.
 
     Args:
         parser: gets it.
@@ -61,6 +61,11 @@ def argument(
     """
     kwds.update(metavar=metavar, help=help_text)
     parser.add_argument(*names.split(), **kwds).completer = completer
+
+
+def flag(parser: Any, names: str, help_text: str) -> None:
+    """Add an option without a value; `names` are separated by blanks."""
+    parser.add_argument(*names.split(), action="store_true", help=help_text)
 
 
 def autocomplete(parser: argparse.ArgumentParser) -> None:

@@ -177,12 +177,13 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         type=manager_node,
         default=argparse.SUPPRESS,
     )
-    group.add_argument(
+    argument(
+        group,
         "--timeout",
-        metavar="SECONDS",
+        "SECONDS",
+        "how long each answer may take (default: 5, changes 60)",
         type=seconds,
         default=argparse.SUPPRESS,
-        help="how long each answer may take (default: 5, changes 60)",
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import hertz, seconds, seconds_or_none
-from dyknow.cli.completion import SEVERAL, argument
+from dyknow.cli.completion import SEVERAL, argument, flag
 from dyknow.cli.output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
@@ -35,11 +35,12 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         "the tag of the stream, such as 'FieldPosition(ball)'",
         completion.tags,
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--datatype",
-        metavar="TYPE",
+        "TYPE",
+        "the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
         default="",
-        help="the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
     )
     argument(
         parser,
@@ -50,20 +51,21 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         **SEVERAL,
     )
 
-    parser.add_argument(
+    argument(
+        parser,
         "--min-rate",
-        metavar="HZ",
+        "HZ",
+        "how many messages a second there have to be (default: any number)",
         type=hertz,
         default=0.0,
-        help="how many messages a second there have to be (default: any number)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--max-age",
-        metavar="SECONDS",
+        "SECONDS",
+        "how old messages may be when they are sent, by their headers' stamps (default: any age)",
         type=seconds,
         default=0.0,
-        help="how old messages may be when they are sent, by their headers' stamps (default: any "
-        "age)",
     )
     for option, what in (
         ("--prefer", "use these where there is a choice"),
@@ -77,12 +79,13 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
             completion.labels,
             **SEVERAL,
         )
-    parser.add_argument(
+    argument(
+        parser,
         "--budget",
-        metavar="SECONDS",
+        "SECONDS",
+        "how long the plan may be improved (default: 0.1 s)",
         type=seconds,
         default=0.0,
-        help="how long the plan may be improved (default: 0.1 s)",
     )
 
 
@@ -114,25 +117,21 @@ _RETRY = 1.0
 
 def _acquire_arguments(parser: argparse.ArgumentParser) -> None:
     demand_arguments(parser)
-    parser.add_argument(
+    argument(
+        parser,
         "--max-silence",
-        metavar="SECONDS",
+        "SECONDS",
+        "how long the stream may be silent before it is repaired (default: repair only what died)",
         type=seconds,
         default=0.0,
-        help="how long the stream may be silent before it is repaired "
-        "(default: repair only what died)",
     )
-    parser.add_argument(
-        "--wait",
-        action="store_true",
-        help="wait if the stream cannot be made now, until it can",
-    )
-    parser.add_argument(
+    flag(parser, "--wait", "wait if the stream cannot be made now, until it can")
+    argument(
+        parser,
         "--lease",
-        metavar="SECONDS",
+        "SECONDS",
+        "do not hold the stream: leave a claim that lasts so long (0: until 'release')",
         type=seconds_or_none,
-        default=None,
-        help="do not hold the stream: leave a claim that lasts so long (0: until 'release')",
     )
 
 

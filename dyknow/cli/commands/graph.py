@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import namespace
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import nodelet_json, state_of, write_file
 from dyknow.cli.shell import Command, Shell
 from dyknow.graphviz import CannotDraw, quote, render
@@ -32,7 +32,7 @@ _TIMEOUT = 120.0
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--dot", action="store_true", help="print it in graphviz's DOT language")
+    flag(form, "--dot", "print it in graphviz's DOT language")
     for kind in ("svg", "png"):
         argument(form, f"--{kind}", "FILE", f"draw it into a file ({kind})", completion.files)
     argument(

@@ -23,7 +23,7 @@ from typing import (
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, namespace, positive, seconds
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import (
     Screen,
     columns,
@@ -56,9 +56,7 @@ def _list_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         type=namespace,
     )
-    parser.add_argument(
-        "-l", "--long", action="store_true", help="show transformation, state, ports and manager"
-    )
+    flag(parser, "-l --long", "show transformation, state, ports and manager")
 
 
 def _list(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -175,18 +173,16 @@ def _stats_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         type=graph_name,
     )
-    parser.add_argument(
-        "-w",
-        "--watch",
-        metavar="SECONDS",
+    argument(
+        parser,
+        "-w --watch",
+        "SECONDS",
+        f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
         type=seconds,
         nargs="?",
         const=_PERIOD,
-        help=f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
     )
-    parser.add_argument(
-        "-n", "--count", metavar="N", type=positive, help="with --watch: end after N times"
-    )
+    argument(parser, "-n --count", "N", "with --watch: end after N times", type=positive)
 
 
 def _stats_problem(arguments: argparse.Namespace) -> str:
@@ -302,9 +298,7 @@ def _milliseconds(duration: Optional[float]) -> str:
 
 
 def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-q", "--quiet", action="store_true", help="do not list the checks without a finding"
-    )
+    flag(parser, "-q --quiet", "do not list the checks without a finding")
 
 
 def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import positive, seconds
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import columns, count
 from dyknow.cli.shell import Command, Shell
 from dyknow.errors import CannotLaunch
@@ -33,46 +33,40 @@ def _launch_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
     )
     parser.add_argument("--given", action="append", default=[], help=argparse.SUPPRESS)
-    parser.add_argument(
+    argument(
+        parser,
         "--only",
-        metavar="PATTERN",
+        "PATTERN",
+        "leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
         action="append",
         default=[],
-        help="leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--except",
+        "PATTERN",
+        "leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
         dest="except_",
-        metavar="PATTERN",
         action="append",
         default=[],
-        help="leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
     )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="show what would become of each node, and end"
-    )
+    flag(parser, "--dry-run", "show what would become of each node, and end")
     _roslaunch_arguments(parser.add_argument_group("options of roslaunch"))
 
 
 def _roslaunch_arguments(group: Any) -> None:
-    group.add_argument("--screen", action="store_true", help="output of all nodes to the screen")
-    group.add_argument("--log", action="store_true", help="output of all nodes to the log")
-    group.add_argument("--required", action="store_true", help="every node is required")
-    group.add_argument("--local", action="store_true", help="do not start nodes of other machines")
-    group.add_argument("--wait", action="store_true", help="wait for the master")
-    group.add_argument(
-        "-p", "--port", metavar="PORT", type=positive, help="port of the master, if it starts one"
-    )
+    flag(group, "--screen", "output of all nodes to the screen")
+    flag(group, "--log", "output of all nodes to the log")
+    flag(group, "--required", "every node is required")
+    flag(group, "--local", "do not start nodes of other machines")
+    flag(group, "--wait", "wait for the master")
+    argument(group, "-p --port", "PORT", "port of the master, if it starts one", type=positive)
     argument(group, "--pid", "FILE", "write its process id there", completion.files, default="")
-    group.add_argument("--run_id", metavar="ID", help="id of the run")
-    group.add_argument("-v", "--verbose", action="store_true", help="say what is read")
-    group.add_argument("--no-summary", action="store_true", help="no summary of roslaunch's")
-    group.add_argument(
-        "--skip-log-check", action="store_true", help="do not look how large the logs are"
-    )
-    group.add_argument(
-        "--disable-title", action="store_true", help="leave the terminal's title alone"
-    )
+    argument(group, "--run_id", "ID", "id of the run")
+    flag(group, "-v --verbose", "say what is read")
+    flag(group, "--no-summary", "no summary of roslaunch's")
+    flag(group, "--skip-log-check", "do not look how large the logs are")
+    flag(group, "--disable-title", "leave the terminal's title alone")
     for name in ("sigint", "sigterm"):
         group.add_argument(
             f"--{name}-timeout",

@@ -11,7 +11,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.cli import completion
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import columns, count, transformation_json, write_file
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
@@ -42,7 +42,7 @@ def _files(parser: argparse.ArgumentParser) -> None:
 
 def _library_arguments(parser: argparse.ArgumentParser) -> None:
     _labels(parser, "*", "show the specification (default: list the labels)")
-    parser.add_argument("-l", "--long", action="store_true", help="show source, ports and cost")
+    flag(parser, "-l --long", "show source, ports and cost")
 
 
 def _library(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -184,11 +184,12 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--language",
-        metavar="CODE",
+        "CODE",
+        "language of the labels that are preferred as names (default: %(default)s)",
         default="en",
-        help="language of the labels that are preferred as names (default: %(default)s)",
     )
 
 

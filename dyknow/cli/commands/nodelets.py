@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Dict, Optional
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import given_parameter, graph_name, port_topic
-from dyknow.cli.completion import SEVERAL, argument
+from dyknow.cli.completion import SEVERAL, argument, flag
 from dyknow.cli.output import nodelet_json, state_of
 from dyknow.cli.shell import Command, Shell
 from dyknow.errors import DuplicatePort
@@ -23,11 +23,9 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
     argument(
         parser, "label", "LABEL", "the transformation to make it from", completion.spawnable_labels
     )
-    parser.add_argument("name", metavar="NAME", type=graph_name, help="its name")
-    parser.add_argument(
-        "--protected", action="store_true", help="refuse to destroy it before 'unprotect'"
-    )
-    parser.add_argument("--isolated", action="store_true", help="give it a process of its own")
+    argument(parser, "name", "NAME", "its name", type=graph_name)
+    flag(parser, "--protected", "refuse to destroy it before 'unprotect'")
+    flag(parser, "--isolated", "give it a process of its own")
     argument(
         parser,
         "--manager",

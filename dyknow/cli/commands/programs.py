@@ -35,12 +35,13 @@ if TYPE_CHECKING:
 def program_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare a program and its arguments, as for rosrun."""
     argument(parser, "package", "PKG", "a package", completion.packages)
-    parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
-    parser.add_argument(
+    argument(parser, "executable", "EXECUTABLE", "a program of it")
+    argument(
+        parser,
         "words",
+        "ARGUMENT",
+        "its arguments, remappings and parameters, as for rosrun",
         nargs=argparse.REMAINDER,
-        metavar="ARGUMENT",
-        help="its arguments, remappings and parameters, as for rosrun",
     )
 
 
@@ -64,19 +65,21 @@ _SHARED = re.compile(
 
 
 def _probe_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    argument(
+        parser,
         "--settle",
-        metavar="S",
+        "S",
+        "end when no port has come for so many seconds (default: %(default)s)",
         type=seconds,
         default=2.0,
-        help="end when no port has come for so many seconds (default: %(default)s)",
     )
-    parser.add_argument(
+    argument(
+        parser,
         "--start",
-        metavar="S",
+        "S",
+        "seconds that its first port may take (default: %(default)s)",
         type=seconds,
         default=20.0,
-        help="seconds that its first port may take (default: %(default)s)",
     )
     program_arguments(parser)
 

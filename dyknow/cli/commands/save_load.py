@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
 
 from dyknow.cli import completion
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import count, write_file
 from dyknow.cli.shell import FAILED, Command, Shell
 from dyknow.errors import Problem, SpecificationError
@@ -61,24 +61,22 @@ def _load_arguments(parser: argparse.ArgumentParser) -> None:
     argument(
         parser, "file", "FILE", f"what 'save' wrote; {STDIO} for standard input", completion.files
     )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="check, and show what would be changed"
-    )
-    parser.add_argument(
+    flag(parser, "--dry-run", "check, and show what would be changed")
+    flag(
+        parser,
         "--keep-going",
-        action="store_true",
-        help="go on when a step fails, and keep what was done (default: undo everything)",
+        "go on when a step fails, and keep what was done (default: undo everything)",
     )
-    parser.add_argument(
+    flag(
+        parser,
         "--replace",
-        action="store_true",
-        help="replace transformations that differ, and make nodelets again that were made "
+        "replace transformations that differ, and make nodelets again that were made "
         "differently (default: refuse)",
     )
-    parser.add_argument(
+    flag(
+        parser,
         "--any-manager",
-        action="store_true",
-        help="where a nodelet manager is not running, let the DyKnow manager choose another",
+        "where a nodelet manager is not running, let the DyKnow manager choose another",
     )
 
 

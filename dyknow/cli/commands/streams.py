@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set
 
 from dyknow.cli import completion
 from dyknow.cli.commands.acquire import demand_arguments, request_of
-from dyknow.cli.completion import argument
+from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import columns, stream_json
 from dyknow.cli.shell import Command, Shell
 from dyknow.errors import DyKnowError, Refused
@@ -142,9 +142,7 @@ def _numbered(tag: str) -> str:
 
 def _plan_arguments(parser: argparse.ArgumentParser) -> None:
     demand_arguments(parser)
-    parser.add_argument(
-        "--dot", action="store_true", help="print the plan in graphviz's DOT language"
-    )
+    flag(parser, "--dot", "print the plan in graphviz's DOT language")
 
 
 def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -170,12 +168,8 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _streams_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-a", "--all", action="store_true", help="list claims that ended recently, too"
-    )
-    parser.add_argument(
-        "-l", "--long", action="store_true", help="show client, nodelets and details, too"
-    )
+    flag(parser, "-a --all", "list claims that ended recently, too")
+    flag(parser, "-l --long", "show client, nodelets and details, too")
 
 
 def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -238,9 +232,7 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 def _replan_arguments(parser: argparse.ArgumentParser) -> None:
     argument(parser, "claim", "ID", "a claim; see 'streams'", completion.claims)
-    parser.add_argument(
-        "-n", "--dry-run", action="store_true", help="show the plan, change nothing"
-    )
+    flag(parser, "-n --dry-run", "show the plan, change nothing")
 
 
 def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
