@@ -6,62 +6,75 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
-from typing import Dict, Optional, Sequence
+from typing import Optional, Sequence
 
 import rospy
 
-from dyknow_benchmark import (
-    busy,
-    chain,
-    cpp_ports,
-    failover,
-    fan,
-    footprint,
-    idle,
-    images,
-    leak,
-    library,
-    model,
-    outside,
-    plan,
-    recover,
-    rewire,
-    scripts,
-    throughput,
-    window,
-)
+from dyknow_benchmark import arrival, switching, system
+from dyknow_benchmark.options import MEASUREMENTS, measurement, positive
 from dyknow_benchmark.results import Results, obstacle
-from dyknow_benchmark.session import MeasurementFailed, interruptible
-
-#: Measurements by name; each module has ``add_arguments``, ``run`` and a docstring.
-_MEASUREMENTS: Dict[str, object] = {
-    "chain": chain,
-    "images": images,
-    "throughput": throughput,
-    "fan": fan,
-    "busy": busy,
-    "outside": outside,
-    "rewire": rewire,
-    "cpp": cpp_ports,
-    "scripts": scripts,
-    "leak": leak,
-    "idle": idle,
-    "footprint": footprint,
-    "model": model,
-    "library": library,
-    "plan": plan,
-    "recover": recover,
-    "failover": failover,
-    "window": window,
-}
+from dyknow_benchmark.session import MeasurementFailed, interruptible, say
 
 TARGET_NOT_MET, FAILED, INTERRUPTED = 1, 2, 130
 
+#: The modules that declare measurements, in the order of the help.
+MODULES = (arrival, switching, system)
+
+#: Where the files of the chain go without ``--out``: half an hour is not to be lost.
+OUT = Path("figure4")
+
+
+@measurement(
+    nodelets={
+        "type": positive,
+        "nargs": "+",
+        "default": [50, 200, 500],
+        "help": "default: 50 200 500",
+    },
+    restored={
+        "type": int,
+        "default": 500,
+        "metavar": "N",
+        "help": "nodelets of the real manager; 0 to leave it out (default: %(default)s)",
+    },
+)
+def window(arguments: argparse.Namespace) -> Results:
+    """How long the window keeps hands waiting, with many nodelets.
+
+    The window runs without a screen, in this process. It is opened, its nodelets come back one
+    after the other while it looks on, and it is zoomed and moved. The nodelets of the simulated
+    manager come back at a fixed pace; those of the real one after kill -9 of the DyKnow manager
+    and of its nodelet manager. A gap is the time between two turns of the window's event loop, or
+    two frames.
+    """
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    from dyknow_benchmark import window_hands  # only here: not every robot has Qt
+
+    results, rows = Results(), []
+    with window_hands.application():
+        for count in arguments.nodelets:
+            say(f"simulated manager, {count} nodelets")
+            rows += window_hands.simulated(count)
+        if arguments.restored:
+            say(f"real manager, {arguments.restored} nodelets")
+            rows += window_hands.real(arguments.restored)
+    header = ("manager", "nodelets", "what", "frames", "frames_per_s", "median_ms", "longest_ms")
+    results.table("window", "gaps between two turns of the window", header, rows)
+    most = max(row.nodelets for row in rows)
+    for row in rows:
+        if row.nodelets == most:
+            what = f"{row.nodelets} nodelets, {row.manager} manager, {row.what}"
+            results.verdict(f"{what}: longest gap in ms", row.longest_ms, 200.0)
+            if row.is_moved:
+                results.verdict(f"{what}: frames a second", row.fps, 30.0, at_least=True)
+    return results
+
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
-    """Measure what the command line names and show it.
+    """Run the measurement of the command line and show its results.
 
     Returns:
         0; with ``--check`` 1 if a target is not met; 2 if it could not be measured or written.
@@ -74,7 +87,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         return FAILED
     try:
         with interruptible():
-            results = arguments.run(arguments)
+            results = MEASUREMENTS[arguments.command].run(arguments).end()
     except MeasurementFailed as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return FAILED
@@ -82,21 +95,14 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         print("benchmark: interrupted, nothing is written", file=sys.stderr)
         return INTERRUPTED
     print(results.show())
-    if arguments.out is not None and not _write(results, arguments.out):
-        return FAILED
+    if arguments.out is not None:
+        try:
+            for path in results.write(arguments.out):
+                print(f"wrote {path}")
+        except OSError as error:
+            print(f"benchmark: cannot write to {arguments.out}: {error}", file=sys.stderr)
+            return FAILED
     return TARGET_NOT_MET if arguments.check and not results.met else 0
-
-
-def _write(results: Results, directory: Path) -> bool:
-    """Write the files and print their paths, or the reason why they cannot be written."""
-    try:
-        paths = results.write(directory)
-    except OSError as error:
-        print(f"benchmark: cannot write to {directory}: {error}", file=sys.stderr)
-        return False
-    for path in paths:
-        print(f"wrote {path}")
-    return True
 
 
 def with_measurement(words: Sequence[str]) -> Sequence[str]:
@@ -115,16 +121,12 @@ def parser() -> argparse.ArgumentParser:
         "name it is chain.",
     )
     commands = top.add_subparsers(dest="command", metavar="MEASUREMENT", required=True)
-    for name, module in _MEASUREMENTS.items():
-        summary, _, description = (module.__doc__ or "").partition("\n")
-        text = summary.partition(": ")[2].rstrip(".")
-        command = commands.add_parser(name, help=text, description=f"{text}. {description}")
-        module.add_arguments(command)  # type: ignore[attr-defined]
-        out = command.get_default("out")
+    for name, each in MEASUREMENTS.items():
+        command = each.add_to(commands, name)
+        out = OUT if name == "chain" else None
         where = f"write the files here (default: {out})" if out else "write CSV files here"
-        command.add_argument("--out", type=Path, metavar="DIR", help=where)
+        command.add_argument("--out", type=Path, metavar="DIR", default=out, help=where)
         command.add_argument(
             "--check", action="store_true", help="exit with 1 if a target is not met"
         )
-        command.set_defaults(run=module.run)  # type: ignore[attr-defined]
     return top

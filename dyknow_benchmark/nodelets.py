@@ -1,19 +1,29 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The parts of a chain as nodelets, on ports and on plain topics."""
+"""The nodelets of the measurements: parts of chains, on ports and on plain topics, and others."""
 
 from __future__ import annotations
 
+import threading
+import uuid
 from typing import Any
 
+from std_msgs.msg import Empty, Header, UInt64
+
 import dyknow
-from dyknow_benchmark import control_topics
-from dyknow_benchmark.parts import Hop, MessageSource, Ring, payload_of
+from dyknow_benchmark.parts import (
+    Hop,
+    MessageSource,
+    SwitchedIn,
+    SwitchedOut,
+    listen_collect,
+    payload_of,
+)
 
 
 class ChainSource(dyknow.Nodelet):
-    """Publishes stamped messages on the port ``out`` when it is told to.
+    """Publishes stamped messages on the port ``out`` as ordered.
 
     Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time, or a size).
     """
@@ -24,7 +34,7 @@ class ChainSource(dyknow.Nodelet):
         payload = payload_of(handle.get_param("~payload", "time"))
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         self._source = MessageSource(publisher.publish, payload)
-        control_topics.listen_send(self.node_handle, handle.get_param("~control"), self._source)
+        self._source.listen(self.node_handle, handle.get_param("~control"))
 
     def on_shutdown(self) -> None:
         """Stop sending."""
@@ -45,36 +55,28 @@ class ChainHop(dyknow.Nodelet):
         """Set up the ports."""
         handle = self._handle()
         payload = payload_of(handle.get_param("~payload", "time"))
-        record = handle.get_param("~record", False)
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
-        number = handle.get_param("~hop", 0)
+        number, record = handle.get_param("~hop", 0), handle.get_param("~record", False)
         hop = Hop(number, record, publisher.publish, payload)
-        if record:
-            control_topics.listen_collect(
-                self.node_handle, handle.get_param("~control"), number, hop
-            )
+        hop.listen(self.node_handle, handle.get_param("~control", ""))
         handle.Subscriber("in", payload.datatype, hop.receive, queue_size=10)
 
     def _handle(self) -> Any:
         return dyknow.NodeHandle(self.node_handle)
 
 
-class ChainRing(dyknow.Nodelet):
-    """Publishes on the port ``out`` what arrives on the port ``in``, and starts it.
+class PlainChainSource(ChainSource):
+    """``ChainSource`` without the proxy: ``out`` is a topic."""
 
-    Parameters: ``~control`` (namespace of the control topics).
-    """
+    def _handle(self) -> Any:
+        return self.node_handle
 
-    def on_init(self) -> None:
-        """Set up the ports and listen for orders."""
-        handle = dyknow.NodeHandle(self.node_handle)
-        payload = payload_of("time")
-        publisher = handle.Publisher("out", payload.datatype, queue_size=10)
-        ring = Ring(publisher.publish, payload)
-        control = handle.get_param("~control")
-        control_topics.listen_send(self.node_handle, control, ring)
-        control_topics.listen_collect(self.node_handle, control, 0, ring)
-        handle.Subscriber("in", payload.datatype, ring.receive, queue_size=10)
+
+class PlainChainHop(ChainHop):
+    """``ChainHop`` without the proxy: ``in`` and ``out`` are topics."""
+
+    def _handle(self) -> Any:
+        return self.node_handle
 
 
 class Burner(dyknow.Nodelet):
@@ -96,15 +98,73 @@ class Burner(dyknow.Nodelet):
             count += 1
 
 
-class PlainChainSource(ChainSource):
-    """``ChainSource`` without the proxy: ``out`` is a topic."""
+class SwitchSource(dyknow.Nodelet):
+    """Publishes numbers on the ports ``even``, ``odd`` (2n, 2n + 1) and ``out`` (n).
 
-    def _handle(self) -> Any:
-        return self.node_handle
+    Parameters: ``~rate`` (Hz).
+    """
+
+    def on_init(self) -> None:
+        """Set up the ports and begin."""
+        handle = dyknow.NodeHandle(self.node_handle)
+        self._even, self._odd, self._out = (
+            handle.Publisher(port, UInt64, queue_size=10) for port in ("even", "odd", "out")
+        )
+        self._period = 1.0 / handle.get_param("~rate", 1000.0)
+        self._stopped = threading.Event()
+        threading.Thread(target=self._run, name="switch source", daemon=True).start()
+
+    def on_shutdown(self) -> None:
+        """Stop."""
+        self._stopped.set()
+
+    def _run(self) -> None:
+        number = 0
+        while not self._stopped.wait(self._period):
+            self._even.publish(UInt64(2 * number))
+            self._odd.publish(UInt64(2 * number + 1))
+            self._out.publish(UInt64(number))
+            number += 1
 
 
-class PlainChainHop(ChainHop):
-    """``ChainHop`` without the proxy: ``in`` and ``out`` are topics."""
+class SwitchSink(dyknow.Nodelet):
+    """Checks the messages at ``in`` (to be switched) and at ``left`` and ``right`` (to stay).
 
-    def _handle(self) -> Any:
-        return self.node_handle
+    Parameters: ``~control`` (namespace of the control topics). It reports ``in``
+    as hop 0, and the other two as hop 1.
+    """
+
+    def on_init(self) -> None:
+        """Set up the ports."""
+        handle = dyknow.NodeHandle(self.node_handle)
+        switched_in, switched_out = SwitchedIn(), SwitchedOut()
+        control = handle.get_param("~control")
+        listen_collect(self.node_handle, control, 0, switched_in.collect)
+        listen_collect(self.node_handle, control, 1, switched_out.collect)
+        handle.Subscriber("in", UInt64, lambda m: switched_in.receive(m.data), queue_size=1000)
+        for side in ("left", "right"):
+            handle.Subscriber(
+                side,
+                UInt64,
+                lambda m, side: switched_out.receive(side, m.data),
+                callback_args=side,
+                queue_size=1000,
+            )
+
+
+class SignedRelay(dyknow.Nodelet):
+    """Forwards headers, with a name of this life as the frame, until ``~fall_silent`` is heard."""
+
+    def on_init(self) -> None:
+        """Set up the ports."""
+        handle: Any = dyknow.NodeHandle(self.node_handle)
+        life = str(uuid.uuid4())
+        silent = threading.Event()
+        publisher = handle.Publisher("out", Header, queue_size=10)
+
+        def forward(message: Header) -> None:
+            if not silent.is_set():
+                publisher.publish(Header(stamp=message.stamp, frame_id=life))
+
+        handle.Subscriber("in", Header, forward, queue_size=10)
+        self.private_node_handle.Subscriber("fall_silent", Empty, lambda message: silent.set())

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Large libraries to plan over, in the shapes that libraries have, each with what is asked of it.
+"""Large libraries to plan over, in the shapes that libraries have, each with demands.
 
 Equal counts make equal libraries. ``deep`` and ``dense`` have no variables. In ``rules`` there
 are many transformations with variables and few individuals: layers of kinds of streams, each of
@@ -33,7 +33,7 @@ class Things:
     """An ontology in which every individual is a thing."""
 
     def names_above(self, name: str) -> FrozenSet[str]:
-        """The name, and what all individuals are."""
+        """The name, and the class of all individuals."""
         return frozenset((name, "Thing") if name[:1].islower() else (name,))
 
     def canonical(self, name: str) -> str:
@@ -45,9 +45,9 @@ class PlanningLibrary(NamedTuple):
     """A library, and demands of several sorts.
 
     Attributes:
-        transformations: what can be planned with.
+        transformations: those to plan with.
         demands: tags by their sort: ``ground``, ``variable`` or ``class``.
-        ontology: what is a kind of what.
+        ontology: subsumption of names.
     """
 
     transformations: List[Transformation]
@@ -85,7 +85,7 @@ def rules(count: int, variables: int, ontology: Subsumption = NO_ONTOLOGY) -> Pl
         variables: of each transformation: one for ``Kind(?x)`` from ``Kind(?x)``, two for
             ``Kind(?x, ?y)`` from ``Kind(?y, ?x)``, three for ``Kind(?x, ?z)`` from
             ``Kind(?x, ?y)`` of the layer below and ``Kind(?y, ?z)`` of the lowest one.
-        ontology: what is a kind of what.
+        ontology: subsumption of names.
     """
     chance = random.Random(variables)
     names = [f"one{number}" for number in range(_INDIVIDUALS)]
@@ -155,11 +155,11 @@ def individuals(count: int, ontology: Subsumption = NO_ONTOLOGY) -> PlanningLibr
 
 
 def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
-    """Write many devices in rooms of 21, and transformations that join what one room has.
+    """Write many devices in rooms of 21, and transformations that join those of one room.
 
     Args:
         count: transformations.
-        needs_power: whether what the devices supply needs something itself.
+        needs_power: whether the streams of devices need another one.
     """
     chance = random.Random(5)
     parts = 3 if needs_power else 2

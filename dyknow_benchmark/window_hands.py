@@ -1,14 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Uses the window as hands do, and takes the time of every turn. Imported only where Qt is."""
+"""The window, used as hands do, with the time of every turn. Imported only where Qt is."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
-import os
-import signal
 import statistics
 import threading
 import time
@@ -20,8 +18,14 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
 from dyknow.model.graph import Model, NodeletStatus, State
-from dyknow_benchmark import progress, system
-from dyknow_benchmark.session import MeasurementFailed, Session
+from dyknow_benchmark.session import (
+    MANAGER,
+    NODELET_MANAGER,
+    MeasurementFailed,
+    Session,
+    kill,
+    steps,
+)
 from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.example_graphs import spawn_relay, tree
 from dyknow_rqt.ros_remote import RosRemote
@@ -38,7 +42,7 @@ _FRAMES = 60
 
 
 class Row(NamedTuple):
-    """A row of the table: what was done, and its gaps."""
+    """A row of the table: an action, and its gaps."""
 
     manager: str
     nodelets: int
@@ -71,7 +75,7 @@ class _Returning(SimulatedRemote):
         self._model = self.client.get_graph()
 
     def graph(self) -> Model:
-        """Answer with what was told last."""
+        """Return the last model."""
         return self._model
 
     def come_back(self) -> None:
@@ -104,23 +108,22 @@ def simulated(count: int) -> List[Row]:
 
 
 def real(count: int) -> List[Row]:
-    """Open a window on a real manager, kill what hosts its nodelets, and see them come back."""
+    """Open a window on a real manager, kill the hosts of its nodelets, and see them come back."""
     rows = []
     with Session() as session:
-        client = system.start(session)
-        for number in progress.steps(range(count), "spawning", count, "nodelet"):
+        client = session.dyknow_manager()
+        for number in steps(range(count), "spawning", "nodelet"):
             spawn_relay(client, number)
-        with _window(DyKnowWidget(RosRemote(system.MANAGER))) as window:
+        with _window(DyKnowWidget(RosRemote(MANAGER))) as window:
             gaps = _gaps(lambda: _is_whole(window, count))
             rows.append(_row("real", count, "open", gaps))
             for what, nodes in (
-                ("nodelet manager killed", [system.NODELET_MANAGER]),
-                ("both managers killed", [system.MANAGER, system.NODELET_MANAGER]),
+                ("nodelet manager killed", [NODELET_MANAGER]),
+                ("both managers killed", [MANAGER, NODELET_MANAGER]),
             ):
-                for pid in [system.pid(node) for node in nodes]:
-                    os.kill(pid, signal.SIGKILL)
-                if system.MANAGER in nodes:
-                    system.start_manager(session)
+                kill(*nodes)
+                if MANAGER in nodes:
+                    session.start_manager()
                 gaps = _gaps(_is_whole_again(window, count))
                 rows.append(_row("real", count, what, gaps))
             rows += [_row("real", count, *moved) for moved in _moves(window)]
@@ -212,7 +215,7 @@ def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[float]:
     for _ in range(_FRAMES):
         move()
         QApplication.processEvents()
-        view.viewport().repaint()  # what is left to draw
+        view.viewport().repaint()  # the rest of the drawing
         ticks.append(time.monotonic())
     return ticks
 

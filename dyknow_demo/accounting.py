@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Counts what was lost and doubled in a chain that is re-wired while it runs.
+"""Counts the frames that are lost and doubled in a chain that is re-wired while it runs.
 
 Three independent records are compared, all in seconds of one clock:
 
-* what each camera *published*, as a witness saw it that stays connected to that camera: a frame
-  was routed at some moment between ``sent``, its stamp, and ``seen``, when it reached the witness;
-* what *arrived* at the end of the chain;
+* the frames that each camera *published*, as seen by a witness that stays connected to that
+  camera: a frame was routed at some moment between ``sent``, its stamp, and ``seen``, when it
+  reached the witness;
+* the *arrivals* at the end of the chain;
 * the *switches*: which camera the chain was connected to, and between which moments (``called``,
   ``returned``) that came into force.
 
@@ -79,7 +80,7 @@ class Switch(NamedTuple):
 
 @dataclass(frozen=True)
 class Account:
-    """What became of the frames of one stage.
+    """Counts of the frames of one stage.
 
     Attributes:
         messages: arrivals.

@@ -25,10 +25,10 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         argv: arguments without the program's name; by default those of the process.
 
     Returns:
-        0 if it kept what it promises, 1 if it did not or something failed, 130 after Ctrl-C.
+        0 if it kept its promise, 1 if it did not or something failed, 130 after Ctrl-C.
     """
     given = sys.argv[1:] if argv is None else argv
-    # roslaunch and rostest append arguments of theirs, such as __name:=demo.
+    # roslaunch and rostest append their own arguments, such as __name:=demo.
     arguments = [each for each in given if ":=" not in each]
     # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -43,7 +43,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> bool:
-    """Run a demonstration; what it needs is imported once its options are known to be right."""
+    """Run a demonstration; its modules are imported once its options are known to be right."""
     if _OTHER in arguments:
         options = _rewiring_parser().parse_args([each for each in arguments if each != _OTHER])
         from dyknow_demo import rewiring

@@ -173,8 +173,8 @@ class Reporter(dyknow.Nodelet):
     """Logs rate, latency, and frames lost and doubled; hands out its records on request.
 
     Frames between two of the same camera that never came are logged as lost, so a re-wiring to
-    another camera and back shows as a gap: what was lost at a re-wiring only the records tell,
-    compared with what was published.
+    another camera and back shows as a gap: only the records, compared with the published frames,
+    show which frames a re-wiring lost.
 
     Ports:
         image (in): sensor_msgs/Image with ``camera#number`` as ``frame_id``.
@@ -219,7 +219,7 @@ class Reporter(dyknow.Nodelet):
         return TriggerResponse(True, json.dumps(self.arrivals))
 
     def on_timer(self, event: Any) -> None:
-        """Log what came since the last time, and what is missing since the start."""
+        """Log the images since the last time, and those missing since the start."""
         recent = self.arrivals[self.reported :]
         self.reported = len(self.arrivals)
         line = f"{len(recent)} images, {len(recent) / self.period:.1f} Hz"

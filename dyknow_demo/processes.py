@@ -3,7 +3,7 @@
 
 """The processes of the demonstrations: a roscore where there is none, and managers.
 
-Who owns what: ``Processes`` owns what it started and ends exactly that, by process id, in reverse
+``Processes`` owns the processes that it started and ends exactly those, by process id, in reverse
 order, however the demonstration ends.
 """
 
@@ -24,7 +24,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.master import Master
 
-#: Names of what the demonstrations start.
+#: Names of the nodes that the demonstrations start.
 NAMESPACE = "/dyknow_demo"
 MANAGER = f"{NAMESPACE}/manager"
 
@@ -134,7 +134,7 @@ def master_answers() -> bool:
 
 
 def check_real_time() -> None:
-    """Make sure that time is not what a simulator says.
+    """Make sure that time is not simulated.
 
     Raises:
         DyKnowError: /use_sim_time is set.
@@ -145,7 +145,7 @@ def check_real_time() -> None:
 
 
 def forget_parameters() -> None:
-    """Delete the parameters of what was started."""
+    """Delete the parameters of the nodes that were started."""
     with contextlib.suppress(LookupError, PeerTimeout):
         Master(NAMESPACE).ask("deleteParam", NAMESPACE)
 

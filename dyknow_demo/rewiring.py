@@ -4,9 +4,9 @@
 """The chain that is re-wired by hand: ``demo --rewiring``.
 
 The chain is re-wired from outside, by ``set_config``. A camera is exchanged at the in-port of the
-first stage. A stage is taken out, and put back, at the *out-port* before it: then what is still
-inside the stage goes on to the end. Moving the in-port behind it instead would leave that behind,
-and on the way back deliver it a second time.
+first stage. A stage is taken out, and put back, at the *out-port* before it: then frames that are
+still inside the stage go on to the end. Moving the in-port behind it instead would leave them
+behind, and on the way back deliver them a second time.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class _Story:
                 self._switch(str(number), camera, ("colour", "image", topic))
 
     def _row(self, number: int) -> None:
-        """Print what became of the frames of one wiring, and how long the calls took."""
+        """Print the account of one wiring, and how long the calls took."""
         found = self._settled()[str(number)]
         times = [
             1000 * (switch.returned - switch.called)
@@ -274,7 +274,7 @@ class _Story:
         return not (lost or doubled or reordered or problems)
 
     def _disagreements(self) -> List[str]:
-        """Compare what cameras, proxies and witnesses counted, each by itself."""
+        """Compare the counts of cameras, proxies and witnesses."""
         problems = []
         for camera in _CAMERAS:
             sent, seen = self._messages(camera), self._messages(_witness(camera))

@@ -4,7 +4,7 @@
 """The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
 
 The story requests a stream, removes the robot's camera and adds it again. The manager makes,
-repairs and re-wires the stream by itself; the story reads what was done from the model. A ROS
+repairs and re-wires the stream by itself; the story reads the changes from the model. A ROS
 master or manager that runs is used; otherwise one is started, and ended with the story.
 """
 

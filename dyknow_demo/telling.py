@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the story prints and draws: changes of the graph, and how well the ball is tracked."""
+"""The lines and pictures of the story: changes of the graph, and how well the ball is tracked."""
 
 from __future__ import annotations
 
@@ -128,9 +128,9 @@ def to_dot(
 ) -> str:
     """Write a picture of the graph in graphviz's DOT language.
 
-    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Whatever
-    was in the first picture is blue, new things are green, and what the stream no longer needs is
-    grey. Anything that has gone since the first picture is dashed.
+    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Nodelets
+    of the first picture are blue, new ones are green, and those that the stream no longer needs
+    are grey. Nodelets that have gone since the first picture are dashed.
 
     Args:
         title: heading of the picture.

@@ -4,10 +4,10 @@
 """Measures what doc/performance.md shows, and writes the results into that page.
 
 Without arguments everything is measured, which takes most of an hour; the machine should have
-nothing else to do. Arguments choose: `chain`, `fan`, ..., or `page` to measure nothing and fill in
-what is there. Between the marks `<!-- begin MEASUREMENT/FILE -->` and `<!-- end -->` of the page
-stands what `FILE.csv` of the last run of that measurement says; with `every` for the measurement
-those of all that were run, one below the other.
+nothing else to do. Arguments choose: `chain`, `images`, ..., or `page` to measure nothing and
+fill in what is there. Between the marks `<!-- begin MEASUREMENT/FILE -->` and `<!-- end -->` of
+the page stands what `FILE.csv` of the last run of that measurement says; with `every` for the
+measurement those of all that were run, one below the other.
 """
 
 from __future__ import annotations
@@ -28,10 +28,8 @@ PICTURES = ROOT / "doc" / "images"
 #: What is run for each measurement of the page; it writes into a folder of that name.
 COMMANDS: dict[str, Sequence[str]] = {
     "chain": ("chain",),
-    "fast_chain": ("chain", "--rate", "100", "--ratio-messages", "0"),
+    "fast_chain": ("chain", "--rate", "100"),
     "images": ("images",),
-    "throughput": ("throughput",),
-    "fan": ("fan",),
     "busy": ("busy",),
     "outside": ("outside",),
     "rewire": ("rewire",),
@@ -39,7 +37,6 @@ COMMANDS: dict[str, Sequence[str]] = {
     "scripts": ("scripts",),
     "footprint": ("footprint",),
     "model": ("model",),
-    "library": ("library",),
     "plan": ("plan",),
     "recover": ("recover",),
     "failover": ("failover",),

@@ -11,25 +11,15 @@ from typing import List, NamedTuple, Sequence
 import numpy as np
 
 from dyknow_demo.images import Pixels
+from dyknow_demo.soccer import geometry
 from dyknow_demo.soccer.finder import ORANGE, find_balls
-from dyknow_demo.soccer.geometry import (
-    BOTTOM_CAMERA,
-    CEILING_CAMERA,
-    CEILING_HEIGHT,
-    CEILING_PLACE,
-    apply,
-    field_from_owner,
-    floor_from_camera,
-    inverse,
-    robot_from_bottom_camera,
-)
 from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, best_sighting
 from dyknow_demo.soccer.world import BALL_RADIUS, SoccerWorld
 
 SEEDS = range(5)
-CAMERAS = {"bottom_camera": BOTTOM_CAMERA, "ceiling_camera": CEILING_CAMERA}
+CAMERAS = {"bottom_camera": geometry.BOTTOM_CAMERA, "ceiling_camera": geometry.CEILING_CAMERA}
 _TIMES = [0.48 * number for number in range(200)]  # a round of the ball, 96 s
 #: A find further than this (m) from the truth does not count.
 _FALSE = 0.5
@@ -55,21 +45,24 @@ def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
     world, camera = SoccerWorld(seed), CAMERAS[name]
     view = FieldCamera(camera, seed)
     frame: Pixels = np.empty((camera.height, camera.width, 2), np.uint8)
-    believed, place = floor_from_camera(CEILING_HEIGHT, math.pi / 2), CEILING_PLACE
+    believed, place = (
+        geometry.floor_from_camera(geometry.CEILING_HEIGHT, math.pi / 2),
+        geometry.CEILING_PLACE,
+    )
     pose, frames, distances = world.field_from_ceiling_camera(), 0, []
     for number, time in enumerate(times):
         if name == "bottom_camera":
             pose = world.field_from_bottom_camera(time)
-            believed = robot_from_bottom_camera(world.encoders(time))
+            believed = geometry.robot_from_bottom_camera(world.encoders(time))
             place = world.believed_place(time)
         truth = world.ball_on_field(time)
-        column, row = camera.project(apply(inverse(pose), truth))
+        column, row = camera.project(geometry.apply(geometry.inverse(pose), truth))
         frames += int(0 <= column < camera.width and 0 <= row < camera.height)
         view.render(pose, truth, number, frame)
-        geometry = Geometry(camera, believed, BALL_RADIUS, min(_FACTORS))
-        sighting = best_sighting(find_balls(pyramid(frame, _FACTORS), ORANGE), geometry)
+        known = Geometry(camera, believed, BALL_RADIUS, min(_FACTORS))
+        sighting = best_sighting(find_balls(pyramid(frame, _FACTORS), ORANGE), known)
         if sighting is not None:
-            found = apply(field_from_owner(place), sighting.position)
+            found = geometry.apply(geometry.field_from_owner(place), sighting.position)
             distances.append(float(np.hypot(*(found - truth)[:2])))
     errors = [each for each in distances if each <= _FALSE]
     return Accuracy(frames, errors, len(distances) - len(errors))

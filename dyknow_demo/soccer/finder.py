@@ -63,7 +63,7 @@ class Find:
         box: left, top, right, bottom of the region itself.
         outline: points (n, 2) of the outline that lie on the circle.
         score: 0 to 1: the fraction of the outline on the circle, times the fraction of the inside
-            that is filled; or what the forest says.
+            that is filled; or the score of the forest.
     """
 
     centre: Tuple[float, float]

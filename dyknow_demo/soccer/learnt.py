@@ -29,7 +29,7 @@ from dyknow_demo.soccer.geometry import Array
 
 #: The shipped model, trained on all days.
 MODEL = Path(__file__).with_name("ball_forest.yml.gz")
-#: Threshold of the shipped model: what ``learn`` prints.
+#: Threshold of the shipped model, as printed by ``learn``.
 THRESHOLD = 0.16
 
 _LEVELS = (6, 11, 17, 24, 32, 42, 54, 70)
@@ -163,7 +163,7 @@ def _describe(stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Arra
         for mask in (inside, outside)
         for part in (slice(middle), slice(middle, None))
     )
-    # How well one cut, halfway, separates the region from what is around it.
+    # How well one cut, halfway, separates the region from its surroundings.
     warm = patch[..., 3] > (mean[3] + around[3]) / 2
     area, hull = area_of(outline), cv2.contourArea(cv2.convexHull(outline)) + len(outline) / 2 + 1
     length = cv2.arcLength(outline, True) + 1e-6

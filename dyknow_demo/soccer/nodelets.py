@@ -20,21 +20,9 @@ from dyknow.errors import BadParameter
 from dyknow.ros.parameters import get_positive
 from dyknow_demo import images
 from dyknow_demo.images import Pixels
-from dyknow_demo.soccer import learnt
+from dyknow_demo.soccer import geometry, learnt
 from dyknow_demo.soccer.finder import COLOURS, Find, find_balls
-from dyknow_demo.soccer.geometry import (
-    BOTTOM_CAMERA,
-    CEILING_CAMERA,
-    CEILING_PLACE,
-    JOINTS,
-    MOUNT,
-    Array,
-    Mount,
-    Pinhole,
-    apply,
-    field_from_owner,
-    mount_of,
-)
+from dyknow_demo.soccer.geometry import Array
 from dyknow_demo.soccer.planes import blank_planes, planes_of, shrink
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, History, Sighting, best_sighting
@@ -58,7 +46,7 @@ class SimulatedCamera(dyknow.Nodelet):
         ~frame_id (string, the nodelet's name): of the optical frame.
     """
 
-    camera: Pinhole
+    camera: geometry.Pinhole
     default_rate: float
 
     def on_init(self) -> None:
@@ -101,7 +89,7 @@ class SimulatedCamera(dyknow.Nodelet):
 class BottomCamera(SimulatedCamera):
     """The NAO's view of the floor before its feet, 640 x 480; ``~rate`` is 20 if it is not set."""
 
-    camera, default_rate = BOTTOM_CAMERA, 20.0
+    camera, default_rate = geometry.BOTTOM_CAMERA, 20.0
 
     def pose(self, time: float) -> Array:
         """Pose of the camera as the robot walks and turns its head."""
@@ -116,7 +104,7 @@ class CeilingCamera(SimulatedCamera):
             the camera's own frame, which is on the floor right below it.
     """
 
-    camera, default_rate = CEILING_CAMERA, 15.0
+    camera, default_rate = geometry.CEILING_CAMERA, 15.0
 
     def on_init(self) -> None:
         """Declare the ports and start the timer."""
@@ -130,7 +118,7 @@ class CeilingCamera(SimulatedCamera):
 
     def on_timer(self, event: Any) -> None:
         """Publish the place of the camera's frame, and one frame."""
-        self.pose_pub.publish(_place_message(self.nh.Time.now(), CEILING_PLACE, 0.0, 0.0))
+        self.pose_pub.publish(_place_message(self.nh.Time.now(), geometry.CEILING_PLACE, 0.0, 0.0))
         super().on_timer(event)
 
 
@@ -164,7 +152,7 @@ class NaoBody(dyknow.Nodelet):
         stamp = self.nh.Time.now()
         time = stamp.to_sec()
         angles = self.world.encoders(time)
-        self.joints_pub.publish(JointState(Header(stamp=stamp), JOINTS, angles, [], []))
+        self.joints_pub.publish(JointState(Header(stamp=stamp), geometry.JOINTS, angles, [], []))
         place = self.world.believed_place(time)
         self.pose_pub.publish(_place_message(stamp, place, PLACE_ERROR, HEADING_ERROR))
 
@@ -256,7 +244,7 @@ class BallDetector(dyknow.Nodelet):
         self.radius = get_positive(self.nh, "~radius", BALL_RADIUS, "m")
         self.owner = str(get("~owner", "nao"))
         self.joints = History([True] * len(self.mount.joints))
-        self.cameras: dict[str, Pinhole] = {}
+        self.cameras: dict[str, geometry.Pinhole] = {}
         self.pub = self.nh.Publisher("ball", PoseWithCovarianceStamped, queue_size=5)
         self.info_sub = self.nh.Subscriber("camera_info", CameraInfo, self.on_info, queue_size=1)
         self.joints_sub = self.nh.Subscriber(
@@ -276,16 +264,16 @@ class BallDetector(dyknow.Nodelet):
             return lambda pyramid: learnt.find_learnt(pyramid[min(pyramid)], min(pyramid), forest)
         return lambda pyramid: find_balls(pyramid, COLOURS[colour])
 
-    def read_mount(self, parameter: str, given: Any) -> Mount:
+    def read_mount(self, parameter: str, given: Any) -> geometry.Mount:
         """Read the mount of one camera."""
         try:
-            return mount_of(given)
+            return geometry.mount_of(given)
         except (TypeError, ValueError):
-            raise BadParameter(self.nh.resolve_name(parameter), given, MOUNT) from None
+            raise BadParameter(self.nh.resolve_name(parameter), given, geometry.MOUNT) from None
 
     def on_info(self, info: Any) -> None:
         """Store the camera's intrinsics."""
-        camera = Pinhole.of_matrix(info.width, info.height, info.K)
+        camera = geometry.Pinhole.of_matrix(info.width, info.height, info.K)
         self.cameras[info.header.frame_id] = camera
 
     def on_joints(self, state: Any) -> None:
@@ -306,8 +294,8 @@ class BallDetector(dyknow.Nodelet):
             return
         pyramid = {camera.width // image.width: planes_of(image) for image in (fine, coarse)}
         pose = mount.owner_from_camera(angles)
-        geometry = Geometry(camera, pose, self.radius, min(pyramid))
-        sighting = best_sighting(self.find(pyramid), geometry)
+        known = Geometry(camera, pose, self.radius, min(pyramid))
+        sighting = best_sighting(self.find(pyramid), known)
         if sighting is not None:
             owner = frame if frame in self.fixed else self.owner
             self.publish(Header(stamp=stamp, frame_id=owner), sighting)
@@ -373,7 +361,9 @@ class Localization(dyknow.Nodelet):
             )
             return
         position = observed.pose.pose.position
-        x, y, z = apply(field_from_owner(place), np.array([position.x, position.y, position.z]))
+        x, y, z = geometry.apply(
+            geometry.field_from_owner(place), np.array([position.x, position.y, position.z])
+        )
         self.pub.publish(PointStamped(Header(stamp=stamp, frame_id=FIELD), Point(x, y, z)))
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a camera over the simulated field sees, as YUV 4:2:2.
+"""The view of a camera over the simulated field, as YUV 4:2:2.
 
 Colours are ITU-R BT.601 with its narrow range (Y 16 to 235), which OpenCV's conversions from YUV
 4:2:2 assume; packed pixels are in the order UYVY, which is ROS's encoding ``yuv422``.
@@ -20,7 +20,7 @@ _YUV_FROM_BGR = np.array(
     [[0.098, 0.504, 0.257, 16.0], [0.439, -0.291, -0.148, 128.0], [-0.071, -0.368, 0.439, 128.0]]
 )
 
-# The field's lines in metres, its picture's metres a pixel, and BGR of what is seen.
+# The field's lines in metres, its picture's metres a pixel, and the colours in BGR.
 _BORDER, _LINE, CIRCLE_RADIUS = 0.7, 0.05, 0.75
 _BOX_DEPTH, _BOX_WIDTH, _PENALTY_CROSS, _CROSS_SIZE = 0.6, 2.2, 1.3, 0.1
 _SCALE = 0.005

@@ -54,12 +54,10 @@ class Sighting:
     Attributes:
         position: centre (3,), m.
         covariance: (3, 3), m^2.
-        find: the round region that it was computed from.
     """
 
     position: Array
     covariance: Array
-    find: Find
 
 
 def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Optional[Sighting]:
@@ -86,7 +84,7 @@ def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
     turned = np.cross(np.eye(3), ray)
     moved = distance * (turned - np.outer(turned[:, 2] / ray[2], ray))
     error = float(np.hypot(geometry.angle_error, _CENTRE_ERROR * pixel))
-    return Sighting(eye + distance * ray, error**2 * moved.T @ moved, find)
+    return Sighting(eye + distance * ray, error**2 * moved.T @ moved)
 
 
 def cone(rays: Array) -> Tuple[Array, float]:

@@ -19,21 +19,8 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from dyknow_demo.soccer.geometry import (
-    BOTTOM_CAMERA_PITCH,
-    CEILING_HEIGHT,
-    CEILING_PLACE,
-    ENCODER_STEP,
-    HEAD_PITCH_LIMITS,
-    HEAD_YAW_LIMITS,
-    Array,
-    apply,
-    field_from_owner,
-    floor_from_camera,
-    inverse,
-    robot_from_bottom_camera,
-    turn,
-)
+from dyknow_demo.soccer import geometry
+from dyknow_demo.soccer.geometry import Array
 
 FIELD_LENGTH, FIELD_WIDTH = 9.0, 6.0
 BALL_RADIUS = 0.0325
@@ -78,7 +65,7 @@ class SoccerWorld:
         self._kicks: Array = loop + generator.uniform(-_SPREAD, _SPREAD, loop.shape)
         generator = np.random.default_rng([seed, 2])
         errors = generator.normal(0.0, MOUNTING_ERROR, (2, 3))
-        self._bottom_error, self._ceiling_error = (turn(*each) for each in errors)
+        self._bottom_error, self._ceiling_error = (geometry.turn(*each) for each in errors)
         spread = (PLACE_ERROR, PLACE_ERROR, HEADING_ERROR)
         self._place_errors = generator.normal(0.0, spread, (round(KICKS * INTERVAL / _FORGETS), 3))
 
@@ -102,17 +89,22 @@ class SoccerWorld:
         towards = np.array([0.6, 0.0]) - _BEHIND
         place = x, y, math.atan2(towards[1], towards[0])
         seen = self.ball_on_field(time - _LATENESS)
-        ahead, left, _ = apply(inverse(field_from_owner(place)), seen)
-        down = math.atan2(_CAMERA_OVER_BALL, math.hypot(ahead, left)) - BOTTOM_CAMERA_PITCH
-        head_yaw = float(np.clip(math.atan2(left, ahead), *HEAD_YAW_LIMITS))
+        ahead, left, _ = geometry.apply(geometry.inverse(geometry.field_from_owner(place)), seen)
+        down = (
+            math.atan2(_CAMERA_OVER_BALL, math.hypot(ahead, left)) - geometry.BOTTOM_CAMERA_PITCH
+        )
+        head_yaw = float(np.clip(math.atan2(left, ahead), *geometry.HEAD_YAW_LIMITS))
         knee = _KNEE + _SWING * math.sin(2 * math.pi * _STEPS * (time % 3600.0))
         # The torso nods a little with each step: the hip does not fully compensate the knee.
-        head_pitch = float(np.clip(down, *HEAD_PITCH_LIMITS))
+        head_pitch = float(np.clip(down, *geometry.HEAD_PITCH_LIMITS))
         return RobotState(place, (head_yaw, head_pitch, -0.45 * knee, knee, -0.5 * knee))
 
     def encoders(self, time: float) -> Tuple[float, ...]:
         """The angles as the robot's encoders read them."""
-        return tuple(round(each / ENCODER_STEP) * ENCODER_STEP for each in self.robot(time).angles)
+        return tuple(
+            round(each / geometry.ENCODER_STEP) * geometry.ENCODER_STEP
+            for each in self.robot(time).angles
+        )
 
     def believed_place(self, time: float) -> Tuple[float, float, float]:
         """The robot's place as estimated by its self-localization: x, y (m), yaw (rad)."""
@@ -128,10 +120,12 @@ class SoccerWorld:
     def field_from_bottom_camera(self, time: float) -> Array:
         """True pose of the bottom camera's optical frame on the field."""
         robot = self.robot(time)
-        mounted = robot_from_bottom_camera(robot.angles) @ self._bottom_error
-        return field_from_owner(robot.place) @ mounted
+        mounted = geometry.robot_from_bottom_camera(robot.angles) @ self._bottom_error
+        return geometry.field_from_owner(robot.place) @ mounted
 
     def field_from_ceiling_camera(self) -> Array:
         """True pose of the ceiling camera's optical frame on the field."""
-        mounted = floor_from_camera(CEILING_HEIGHT, math.pi / 2) @ self._ceiling_error
-        return field_from_owner(CEILING_PLACE) @ mounted
+        mounted = (
+            geometry.floor_from_camera(geometry.CEILING_HEIGHT, math.pi / 2) @ self._ceiling_error
+        )
+        return geometry.field_from_owner(geometry.CEILING_PLACE) @ mounted

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from processes import TellingCase
 
-from dyknow_benchmark.kinds import KINDS
+from dyknow_benchmark.chains import KINDS
 
 PKG, NAME = "dyknow", "benchmark"
 TIME_LIMIT = 150.0
@@ -73,20 +73,14 @@ class BenchmarkTest(TellingCase):
                 *("--kinds", *KINDS, "--hops", 1, 3),
                 *("--rate", 200, "--messages", 6, "--repeats", 2),
             ),
-            "ratios": (
-                *("chain", "--kinds", "dyknow", "cpp_nodelet", "--pairs", 0, "--hops", 50),
-                *("--rate", 5, "--messages", 2, "--repeats", 1, "--ratio-messages", 2),
-            ),
             "images": ("images", "--hops", 2, "--messages", 4, "--sizes", "640x480", "1920x1080"),
-            "fan": ("fan", "--receivers", 1, 3, "--messages", 4),
             "busy": ("busy", "--hops", 2, "--messages", 4),
             "outside": ("outside", "--hops", 3, "--messages", 4, "--listened", 0, 2),
             "footprint": ("footprint", "--nodelets", 5, "--nodes", 2),
             "scripts": ("scripts", "--messages", 4, "--scripts", 3, "--size", "320x240"),
-            "throughput": ("throughput", "--hops", 2, "--seconds", 0.3, "--repeats", 2),
+            "cpp": ("cpp", "--hops", 3, "--pairs", 2, "--switches", 4),
             "idle": ("idle", "--nodelets", 3, "--seconds", 1),
             "model": ("model", "--nodelets", 5),
-            "library": ("library", "--transformations", 400),
             "recover": ("recover", "--nodelets", 3, "--kills", 1),
             "window": ("window", "--nodelets", 4, "--restored", 4),
         }
@@ -95,7 +89,7 @@ class BenchmarkTest(TellingCase):
                 name: pool.submit(self.measure, *command, name=name)
                 for name, command in commands.items()
             }
-        files = {"every_kind": "figure4", "ratios": "targets"}
+        files = {"every_kind": "figure4", "cpp": "cpp_chains"}
         for name, run in runs.items():
             with self.subTest(name):
                 self.assertIn("busy_percent", run.result())
@@ -137,16 +131,6 @@ class BenchmarkTest(TellingCase):
         (target,) = self.rows("targets", "images")
         self.assertIn("median with images of 1920x1080", target["what"])
 
-    def check_fan(self, rows):
-        self.assertEqual(
-            [(row["kind"], row["receivers"], row["lost"]) for row in rows],
-            [
-                (kind, receivers, "0")
-                for kind in ("dyknow", "nodelet", "cpp_nodelet")
-                for receivers in ("1", "3")
-            ],
-        )
-
     def check_busy(self, rows):
         self.assertEqual(
             [(row["burner"], row["lost"]) for row in rows],
@@ -165,17 +149,6 @@ class BenchmarkTest(TellingCase):
             self.assertEqual(row["processes"], processes, row)
         self.assertGreater(float(of["node"]["kib_each"]), float(of["dyknow"]["kib_each"]))
 
-    def check_throughput(self, rows):
-        self.assertEqual(
-            [(row["kind"], row["lost"]) for row in rows], [("dyknow", "0"), ("rospy", "0")]
-        )
-        self.assertTrue(all(float(row["median_hz"]) > 0 for row in rows), rows)
-
-    def check_ratios(self, targets):
-        """The ratios that need messages of their own."""
-        self.assertEqual([row["target"] for row in targets], ["<= 0.35", "<= 0.25", "<= 1.2"])
-        self.assertEqual({row["met"] for row in targets} - {"met", "NOT met"}, set())
-
     def test_rewire_loses_and_doubles_nothing(self):
         self.measure("rewire", "--switches", 40, "--rate", 500)
         rows = self.rows("rewire")
@@ -190,16 +163,21 @@ class BenchmarkTest(TellingCase):
         for what in ("file_descriptors", "threads", "registrations"):
             self.assertLessEqual(int(rows[what]["after"]), int(rows[what]["before"]), rows)
 
+    def check_cpp(self, rows):
+        self.assertEqual(
+            [(row["chain"], row["lost"]) for row in rows],
+            [("cpp_nodelet", "0"), ("cpp_live", "0"), ("mixed", "0")],
+        )
+        differences = [row["pairs"] for row in self.rows("cpp_ports", "cpp")]
+        switches = [row["switches"] for row in self.rows("cpp_switches", "cpp")]
+        self.assertEqual((differences, switches), (["2", "2"], ["4", "4"]))
+
     def check_idle(self, rows):
         self.assertEqual([row["nodelets"] for row in rows], ["3"])
 
     def check_model(self, rows):
         self.assertEqual([row["count"] for row in rows], ["5", "50"])
         self.assertIn("spawn, median", self.rows("targets", "model")[0]["what"])
-
-    def check_library(self, rows):
-        self.assertEqual(len(rows), 4)
-        self.assertIn("plan, median", self.rows("targets", "library")[0]["what"])
 
     def check_recover(self, rows):
         self.assertEqual([(row["nodelets"], row["kills"]) for row in rows], [("3", "1")])

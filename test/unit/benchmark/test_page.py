@@ -14,7 +14,7 @@ def test_the_page_stays_as_it_is_where_nothing_was_measured(tmp_path, monkeypatc
 
 def test_the_targets_of_all_measurements_are_in_one_table(tmp_path, monkeypatch):
     monkeypatch.setattr(performance, "RESULTS", tmp_path)
-    for name in ("fan", "chain"):
+    for name in ("images", "chain"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "targets.csv").write_text(f"what,met\nof {name},met\n")
     text = "<!-- begin every/targets -->\nold\n<!-- end -->"
@@ -23,5 +23,5 @@ def test_the_targets_of_all_measurements_are_in_one_table(tmp_path, monkeypatch)
         "| measurement | what | met |",
         "| --- | --- | --- |",
         "| `chain` | of chain | met |",
-        "| `fan` | of fan | met |",
+        "| `images` | of images | met |",
     ]

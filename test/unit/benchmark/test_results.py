@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import csv
+import random
 
 import pytest
 
-from dyknow_benchmark import chain, ratios, tables
-from dyknow_benchmark.chain import HEADER, OVERHEAD_HEADER, ChainPlan
-from dyknow_benchmark.control import Block, Order, select
-from dyknow_benchmark.fan import last_arrivals
-from dyknow_benchmark.main import FAILED, main, parser, with_measurement
-from dyknow_benchmark.outside import spread
-from dyknow_benchmark.parts import payload_of
-from dyknow_benchmark.results import Results
-from dyknow_benchmark.targets import Verdict
+from dyknow_benchmark import arrival, results
+from dyknow_benchmark.arrival import ChainPlan, plan_of, spread, tell_chain
+from dyknow_benchmark.chains import Block, Order, blocks_of, select
+from dyknow_benchmark.main import FAILED, OUT, main, parser, with_measurement
+from dyknow_benchmark.options import MEASUREMENTS
+from dyknow_benchmark.parts import SwitchedIn, SwitchedOut, payload_of
+from dyknow_benchmark.results import ARRIVALS, Results, Summary, Verdict, median_interval
+from dyknow_benchmark.switching import delays
 
 
 def read(path):
@@ -29,61 +29,63 @@ def measured(frequency=100.0, hops=(1, 50), pairs=20):
     factor = {"dyknow": 2.0, "nodelet": 1.9, "cpp_nodelet": 10.0}
     blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
-    return chain.results_of(plan, blocks, differences, [], [("cores", 2)])
+    found = Results()
+    tell_chain(found, plan, blocks, differences)
+    return found.end()
+
+
+@pytest.fixture
+def run_chain(monkeypatch):
+    """Let a function take the place of the measurement."""
+    return lambda run: monkeypatch.setitem(
+        MEASUREMENTS, "chain", MEASUREMENTS["chain"]._replace(run=run)
+    )
 
 
 @pytest.mark.parametrize("place", ["taken", "taken/folder"])
 def test_a_place_that_cannot_be_written_to_is_refused_before_anything_is_measured(
-    place, tmp_path, monkeypatch, capsys
+    place, tmp_path, run_chain, capsys
 ):
     (tmp_path / "taken").touch()
-    monkeypatch.setattr(chain, "run", lambda arguments: pytest.fail("it is measured"))
+    run_chain(lambda arguments: pytest.fail("it is measured"))
     assert main(["--out", str(tmp_path / place)]) == FAILED
     assert f"{tmp_path / 'taken'} is not a folder" in capsys.readouterr().err
 
 
-def test_what_cannot_be_written_in_the_end_was_shown_and_is_one_line(
-    tmp_path, monkeypatch, capsys
-):
+def test_what_cannot_be_written_in_the_end_was_shown_and_is_one_line(tmp_path, run_chain, capsys):
     def run(arguments):
         (tmp_path / "taken").touch()
         return measured()
 
-    monkeypatch.setattr(chain, "run", run)
+    run_chain(run)
     assert main(["--out", str(tmp_path / "taken")]) == FAILED
     shown = capsys.readouterr()
     assert "targets" in shown.out
     assert shown.err.startswith(f"benchmark: cannot write to {tmp_path / 'taken'}: ")
 
 
-def test_figure_4_has_one_row_for_each_kind_and_number_of_hops(tmp_path):
-    measured().write(tmp_path)
-    header, *rows = read(tmp_path / "figure4.csv")
-    assert header == list(HEADER)
-    assert [(row[0], row[1]) for row in rows] == [
-        (kind, hops) for kind in ("dyknow", "nodelet", "cpp_nodelet") for hops in ("1", "50")
-    ]
-    assert rows[1] == ["dyknow", "50", "3", "1", "100.0", "100.0", "100.0", "100.0"]
-
-
-def test_the_overhead_has_one_row_for_each_number_of_hops(tmp_path):
-    measured().write(tmp_path)
-    header, *rows = read(tmp_path / "overhead.csv")
-    assert header == list(OVERHEAD_HEADER)
-    assert rows[0] == ["1", "20", "9.600", "5.100", "14.100"]
-    assert [row[0] for row in rows] == ["1", "50"]
-
-
-def test_the_figure_is_drawn_in_both_formats(tmp_path):
+def test_figure_4_and_the_overhead_are_written_as_tables_and_drawn(tmp_path):
     written = measured().write(tmp_path)
     assert {path.name for path in written} == {
         "figure4.csv", "overhead.csv", "machine.csv", "targets.csv", "figure4.png", "figure4.svg",
     }  # fmt: skip
+    header, *rows = read(tmp_path / "figure4.csv")
+    assert header == ["kind", "hops", *ARRIVALS]
+    assert [(row[0], row[1]) for row in rows] == [
+        (kind, hops) for kind in ("dyknow", "nodelet", "cpp_nodelet") for hops in ("1", "50")
+    ]
+    assert rows[1] == ["dyknow", "50", "3", "1", "100.0", "100.0", "100.0", "100.0"]
+    header, *rows = read(tmp_path / "overhead.csv")
+    assert header == ["hops", "pairs", "median_us", "low_us", "high_us"]
+    assert rows[0] == ["1", "20", "9.600", "5.100", "14.100"]
+    assert [row[0] for row in rows] == ["1", "50"]
     assert (tmp_path / "figure4.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (tmp_path / "figure4.svg").read_text()
 
 
-@pytest.mark.parametrize(("frequency", "limit"), [(100.0, 0.25), (5.0, 0.35)])
+@pytest.mark.parametrize(
+    ("frequency", "limit"), [(1.0, 0.35), (5.0, 0.35), (50.0, 0.35), (100.0, 0.25), (200.0, 0.25)]
+)
 def test_the_target_depends_on_the_frequency(frequency, limit):
     ratio, added = measured(frequency).verdicts
     assert (ratio.measured, ratio.limit, ratio.met) == (pytest.approx(0.2), limit, True)
@@ -91,27 +93,32 @@ def test_the_target_depends_on_the_frequency(frequency, limit):
 
 
 def test_targets_are_for_50_hops_only():
-    results = measured(hops=(1, 10))
-    assert results.verdicts == []
-    assert "no target applies" in results.show()
-    assert results.met
+    found = measured(hops=(1, 10))
+    assert found.verdicts == []
+    assert "no target applies" in found.show()
+    assert found.met
 
 
 def test_a_verdict_says_whether_the_target_is_met():
     assert Verdict("x", 2.0, 2.0).met and Verdict("x", 20.0, 20.0, at_least=True).met
     assert not Verdict("x", 2.1, 2.0).met and not Verdict("x", 19.9, 20.0, at_least=True).met
     assert Verdict("x", 19.9, 20.0, at_least=True).row == ("x", 19.9, ">= 20", "NOT met")
-    assert not Results([], [Verdict("x", 1, 2), Verdict("x", 3, 2)]).met
+    found = Results()
+    found.verdict("x", 1, 2)
+    assert found.met
+    found.verdict("x", 3, 2)
+    assert not found.met
 
 
 def test_a_chain_that_delivered_nothing_has_rows_but_no_verdict():
     plan = ChainPlan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
-    results = chain.results_of(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [], [])
-    assert [tuple(row[:4]) for row in results.tables[0].rows] == [
+    found = Results()
+    tell_chain(found, plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {})
+    assert [tuple(row[:4]) for row in found.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
         ("cpp_nodelet", 50, 0, 4),
     ]
-    assert results.verdicts == []
+    assert found.verdicts == []
 
 
 def test_the_warm_up_is_left_out_at_every_hop_alike():
@@ -122,25 +129,26 @@ def test_the_warm_up_is_left_out_at_every_hop_alike():
 
 
 def test_the_blocks_of_a_plan_add_up():
-    orders = ChainPlan(["dyknow"], [1], 5.0, 1003, 10, 0).orders()
+    orders = blocks_of(1003, 5.0, 10)
     assert sum(order.count for order in orders) == 1003
     assert {order.count for order in orders} == {100, 101}
-    assert len(ChainPlan(["dyknow"], [1], 5.0, 3, 10, 0).orders()) == 3
+    assert len(blocks_of(3, 5.0, 10)) == 3
+    assert [order.count for order in blocks_of(120, 5.0)] == [40, 40, 40]
 
 
 def test_numbers_stand_to_the_right_in_a_table():
-    assert tables.render(("kind", "us"), [("a", 1.0), ("bcdef", 1234.5)]).splitlines() == [
+    assert results.render(("kind", "us"), [("a", 1.0), ("bcdef", 1234.5)]).splitlines() == [
         "kind       us",
         "-----  ------",
         "a       1.000",
         "bcdef  1234.5",
     ]
-    assert tables.render(("kind",), []).splitlines() == ["kind", "----"]
+    assert results.render(("kind",), []).splitlines() == ["kind", "----"]
 
 
 def test_without_options_the_setting_is_the_papers():
-    plan = chain.plan_of(parser().parse_args(["chain"]))
-    assert plan == chain.PAPER
+    plan = plan_of(parser().parse_args(["chain"]))
+    assert plan == arrival.PAPER
     assert (plan.hops, plan.frequency, plan.messages) == (
         (1, 2, 5, 10, 20, 50),
         5.0,
@@ -162,16 +170,15 @@ def test_without_a_name_the_measurement_is_the_chain(capsys):
 
 
 def test_the_chain_is_never_measured_for_nothing():
-    assert parser().parse_args(["chain"]).out == chain.OUT
+    assert parser().parse_args(["chain"]).out == OUT
     assert parser().parse_args(["idle"]).out is None
 
 
 def test_options_go_over_the_quick_setting():
     arguments = ["chain", "--quick", "--kinds", "node", "dyknow", "--hops", "3", "1", "3"]
-    plan = chain.plan_of(parser().parse_args(arguments))
+    plan = plan_of(parser().parse_args(arguments))
     assert (plan.kinds, plan.hops) == (("dyknow", "node"), (1, 3))
-    assert plan.frequency == chain.QUICK.frequency
-    assert not plan.paired
+    assert plan.frequency == arrival.QUICK.frequency
 
 
 @pytest.mark.parametrize(
@@ -182,11 +189,6 @@ def test_a_wrong_option_is_refused(wrong, capsys):
         parser().parse_args(["chain", *wrong])
     assert error.value.code == 2
     assert wrong[0] in capsys.readouterr().err
-
-
-def test_the_last_receiver_counts_and_a_block_with_a_gap_does_not():
-    assert last_arrivals(Block(2, {1: [1.0, 5.0], 2: [2.0, 4.0]})) == [2.0, 5.0]
-    assert last_arrivals(Block(2, {1: [1.0, 5.0], 2: [2.0]})) == []
 
 
 def test_subscribers_outside_are_spread_over_the_chain():
@@ -205,8 +207,92 @@ def test_a_payload_is_a_time_or_images_of_a_size():
             payload_of(wrong)
 
 
-def test_a_ratio_has_the_limit_of_its_frequency():
-    limits = {
-        rate: ratios.to_peer(1.0, 2.0, rate).limit for rate in (1.0, 5.0, 50.0, 100.0, 200.0)
-    }
-    assert limits == {1.0: 0.35, 5.0: 0.35, 50.0: 0.35, 100.0: 0.25, 200.0: 0.25}
+# Statistics
+
+
+def test_a_summary_of_no_values_is_all_zero():
+    assert Summary.of([]) == Summary(0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_summary_does_not_depend_on_the_order():
+    values = [float(each) for each in range(1, 201)]
+    shuffled = values[:]
+    random.Random(1).shuffle(shuffled)
+    assert Summary.of(shuffled) == Summary.of(values) == Summary(200, 100.5, 100.5, 198.0, 200.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "ranks"),
+    [(1, (1, 1)), (5, (1, 5)), (6, (1, 6)), (20, (6, 15)), (100, (40, 61)), (5000, (2431, 2570))],
+)
+def test_the_interval_of_the_median_is_that_of_the_binomial_distribution(count, ranks):
+    assert median_interval([float(each) for each in range(count, 0, -1)]) == ranks
+
+
+def test_the_interval_holds_the_true_median_as_often_as_it_says():
+    source = random.Random(2)
+    held = 0
+    for _ in range(1000):
+        low, high = median_interval([source.expovariate(1.0) for _ in range(20)])
+        held += low <= 0.6931 <= high
+    assert held >= 940
+
+
+# Messages by their numbers
+
+
+def ticking():
+    ticks = iter(range(0, 10**12, 10**9))
+    return lambda: next(ticks)
+
+
+def taken_in(numbers):
+    watch = SwitchedIn(ticking())
+    for number in numbers:
+        watch.receive(number)
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost", "doubled", "changes"),
+    [
+        ([0, 2, 4, 6], 0, 0, 0),
+        ([10, 12, 13, 15, 16, 18], 0, 0, 2),
+        ([10, 12, 15, 17], 0, 0, 1),  # 13 came before the switch, on the topic that was not ours
+        ([10, 12, 11, 13], 0, 0, 1),  # the new topic was collected before the old one was left
+        ([10, 12, 17, 19], 1, 0, 1),
+        ([0, 2, 8, 10], 2, 0, 0),
+        ([0, 2, 2, 4], 0, 1, 0),
+        ([10, 12, 13, 12, 15], 0, 1, 1),
+        ([10, 13, 10, 12, 16], 1, 1, 2),
+    ],
+)
+def test_an_in_port_that_is_switched(numbers, lost, doubled, changes):
+    watch = taken_in(numbers)
+    assert (watch.lost, watch.doubled) == (lost, doubled)
+    assert watch.collect() == [lost, doubled, *map(float, range(changes))]
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "lost", "doubled", "changes"),
+    [
+        ("l3 l4 l5", 0, 0, 0),
+        ("l3 r4 r5 l6", 0, 0, 2),
+        ("l3 r4 l4 r5", 0, 1, 1),
+        ("l3 r6 r5 r7", 2, 1, 1),
+    ],
+)
+def test_an_out_port_that_is_switched(arrivals, lost, doubled, changes):
+    watch = SwitchedOut(ticking())
+    for each in arrivals.split():
+        watch.receive(each[0], int(each[1:]))
+    assert watch.collect() == [lost, doubled, *map(float, range(changes))]
+
+
+def test_each_request_is_paired_with_the_first_message_after_it():
+    assert delays([1.0, 2.0, 3.0], [1.25, 2.5, 3.125]) == [250.0, 500.0, 125.0]
+
+
+def test_a_request_whose_topic_was_never_seen_has_no_delay():
+    assert delays([1.0, 2.0, 3.0], [0.5, 1.25, 3.5]) == [250.0, 500.0]
+    assert delays([1.0], []) == []

@@ -177,7 +177,8 @@ def test_what_cannot_be_a_ball_on_the_floor_is_passed_over():
     assert sight(doubled, known) is None
     assert sight(above, known) is None
     good = find_at(ball, known)
-    assert best_sighting([above, doubled, good], known).find is good
+    best = best_sighting([above, doubled, good], known)
+    assert best.position == pytest.approx(ball)
     assert best_sighting([], known) is None
 
 
