@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Sequence
+from typing import List, Sequence, Tuple
 
 import numpy as np
 
@@ -22,26 +22,17 @@ SEEDS = range(5)
 CAMERAS = {"bottom_camera": geometry.BOTTOM_CAMERA, "ceiling_camera": geometry.CEILING_CAMERA}
 _TIMES = [0.48 * number for number in range(200)]  # a round of the ball, 96 s
 #: A find further than this (m) from the truth does not count.
-_FALSE = 0.5
+FALSE = 0.5
 _FACTORS = (2, 4)
 
 
-class Accuracy(NamedTuple):
-    """Errors of the ball's place on the field.
+def measure(name: str, seed: int, times: Sequence[float]) -> Tuple[int, List[float]]:
+    """Measure the errors of one of ``CAMERAS`` in the world of a seed, at some times (s).
 
-    Attributes:
-        frames: number of frames in which the ball's centre is in the picture.
-        errors: m, one for each frame in which it was found.
-        false_finds: number of frames with a find more than half a metre off.
+    Returns:
+        The number of frames in which the ball's centre is in the picture, and the distance (m) of
+        the find from the truth for each frame with a find.
     """
-
-    frames: int
-    errors: List[float]
-    false_finds: int
-
-
-def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
-    """Measure the errors of one of ``CAMERAS`` in the world of a seed, at some times (s)."""
     world, camera = SoccerWorld(seed), CAMERAS[name]
     view = FieldCamera(camera, seed)
     frame: Pixels = np.empty((camera.height, camera.width, 2), np.uint8)
@@ -64,8 +55,7 @@ def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
         if sighting is not None:
             found = geometry.apply(geometry.field_from_owner(place), sighting.position)
             distances.append(float(np.hypot(*(found - truth)[:2])))
-    errors = [each for each in distances if each <= _FALSE]
-    return Accuracy(frames, errors, len(distances) - len(errors))
+    return frames, distances
 
 
 def main() -> None:
@@ -74,8 +64,9 @@ def main() -> None:
     print(f"{'camera':16}{'in view':>8}{'found':>7}{'false':>7}{'median':>8}{'p95':>7}{'max':>7}")
     for name in CAMERAS:
         runs = [measure(name, seed, _TIMES) for seed in SEEDS]
-        errors = [error for run in runs for error in run.errors]
-        in_view, false = sum(run.frames for run in runs), sum(run.false_finds for run in runs)
+        finds = [distance for _, distances in runs for distance in distances]
+        errors = [each for each in finds if each <= FALSE]
+        in_view, false = sum(frames for frames, _ in runs), len(finds) - len(errors)
         median, high, most = np.percentile(errors, (50, 95, 100))
         counts = f"{in_view:8}{len(errors):7}{false:7}"
         print(f"{name:16}{counts}{median:8.3f}{high:7.3f}{most:7.3f}")

@@ -108,18 +108,12 @@ class SoccerTest(LaunchedManagerCase):
         self.assertLess(np.percentile(errors, 90), LARGE_ERROR)
         self.assertEqual(stamps, sorted(set(stamps)))
 
-    def test_by_the_robots_own_camera(self):
-        positions = self.listen("position", PointStamped)
-        self.load_chain("bottom", "nao", "position")
-        self.load_robot()
-        self.assert_true(self.take(positions, 60), "bottom camera")
-
     def test_by_the_ceiling_camera_with_the_same_nodelets(self):
         positions = self.listen("position", PointStamped)
         balls = self.listen("ceiling_camera/ball", PoseWithCovarianceStamped)
         self.load_chain("ceiling", "ceiling_camera", "position")
         self.load_ceiling()
-        self.assert_true(self.take(positions, 40), "ceiling camera")
+        self.assert_true(self.take(positions, 20), "ceiling camera")
         _, ball = balls.get(timeout=TIMEOUT)
         self.assertEqual(ball.header.frame_id, "ceiling_camera")
         self.assertGreater(ball.pose.covariance[0], 0.0)
@@ -128,7 +122,7 @@ class SoccerTest(LaunchedManagerCase):
         """The client's topic stays; what publishes on it is exchanged by set_config."""
         positions = self.listen("position", PointStamped)
         own = [*self.load_chain("bottom", "nao", "position"), *self.load_robot()]
-        self.take(positions, 10)
+        self.assert_true(self.take(positions, 30), "bottom camera")
         self.load_ceiling()
         standing_in, *_ = self.load_chain("ceiling", "ceiling_camera", "")
         topic = f"{self.space}/position"

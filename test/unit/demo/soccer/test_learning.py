@@ -37,7 +37,7 @@ def with_ball(centre, radius, colour, seed=0):
 @pytest.fixture
 def folder(tmp_path):
     for day in range(4):
-        for number in range(3):
+        for number in range(2):
             x, y, radius = 120 + 40 * number, 200 + 30 * day, 12 + 3 * number
             colour = list(YELLOWS.values())[day % 3]
             name = tmp_path / f"cam0_2026010{day}_{number}"
