@@ -124,6 +124,8 @@ def regions(planes: Pixels) -> List[Region]:
     for number, plane in enumerate((yellow, orange)):
         for level in _LEVELS:
             for outline in outlines_in(cv2.inRange(plane, level, 255)):
+                if len(outline) < 8:
+                    continue
                 box = cv2.boundingRect(outline)
                 key = tuple(each // 2 for each in box)
                 if _may_be_ball(outline, box) and key not in seen:
@@ -135,11 +137,9 @@ def regions(planes: Pixels) -> List[Region]:
 
 def _may_be_ball(outline: Any, box: _Box) -> bool:
     width, height = box[2:]
-    return (
-        len(outline) >= 8
-        and max(width, height) <= min(_LARGEST, _BOX_STRETCH * min(width, height))
-        and area_of(outline) >= max(_LEAST_AREA, _EXTENT * width * height)
-    )
+    largest = min(_LARGEST, _BOX_STRETCH * min(width, height))
+    least = max(_LEAST_AREA, _EXTENT * width * height)
+    return max(width, height) <= largest and area_of(outline) >= least
 
 
 def _describe(stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Array) -> List[float]:
