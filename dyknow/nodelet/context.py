@@ -9,6 +9,7 @@ owns its strands, endpoints, services and timers. Handles only refer to it.
 
 from __future__ import annotations
 
+import functools
 import logging
 import threading
 import traceback
@@ -181,11 +182,10 @@ class Context:
             datatype,
             latch,
             queue_size,
-            self.runtime.transport.build,
+            self.runtime.transport,
             self.runtime.clock,
             lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
-            self.runtime.transport.age_of,
             self.name,
         )
         self._keep(publication)
@@ -196,14 +196,8 @@ class Context:
     ) -> Subscription:
         """Make a subscription that this nodelet owns, without callbacks and not connected yet."""
         check_message_class(what, datatype)
-        subscription = Subscription(
-            datatype,
-            queue_size,
-            strand,
-            lambda error: self.failed(f"'{what}'", error),
-            options,
-            self.name,
-        )
+        failed = functools.partial(self.failed, f"'{what}'")
+        subscription = Subscription(datatype, queue_size, strand, failed, options, self.name)
         self._keep(subscription)
         return subscription
 
@@ -211,9 +205,10 @@ class Context:
         self, period: float, callback: Callable[[Any], None], strand: Strand, oneshot: bool
     ) -> Timer:
         """Start a timer that this nodelet owns; the period is in seconds."""
-        timer = self.runtime.timers.add(
-            period, callback, strand, oneshot, lambda error: self.failed("a timer", error)
-        )
+        queue = self.runtime.timers
+        failed = functools.partial(self.failed, "a timer")
+        timer = Timer(queue, period, callback, strand, oneshot, failed)
+        queue.add(timer)
         with self._lock:
             ended = [each for each in self._timers if not each.is_alive()]
             self._timers = [*(each for each in self._timers if each.is_alive()), timer]

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
-from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive, Transport
 from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 
 #: Stands for "no message", since a message may be None.
@@ -202,7 +202,7 @@ class Subscription:
         strand: Strand,
         failed: Callable[[BaseException], None],
         options: Dict[str, Any],
-        owner: str = "",
+        owner: str,
     ) -> None:
         """Describe a subscription; ``failed`` is called with the errors of its callbacks."""
         self.datatype = datatype
@@ -263,12 +263,11 @@ class Publication:
         datatype: Any,
         latch: bool,
         queue_size: Optional[int],
-        build: Callable[[Any, Sequence[Any], Dict[str, Any]], Any],
+        transport: Transport,
         clock: Clock,
         refusal: Callable[[], Exception],
         options: Dict[str, Any],
-        age_of: Callable[[Any], Optional[float]] = lambda message: None,
-        owner: str = "",
+        owner: str,
     ) -> None:
         """Describe a publication; ``refusal`` makes the exception of a publish after its end."""
         self.datatype = datatype
@@ -282,8 +281,8 @@ class Publication:
         self.latched = NOTHING
         #: Whether it was withdrawn.
         self.closed = False
-        self._build = build
-        self._age_of = age_of
+        self._build = transport.build
+        self._age_of = transport.age_of
         self._age: Optional[float] = None
         self._is_age_wanted = False
         self._fence: Optional[Callable[[str], bool]] = None

@@ -41,6 +41,13 @@ class Timer:
         oneshot: bool,
         failed: Callable[[BaseException], None],
     ) -> None:
+        """Make a timer with a period in seconds; ``TimerQueue.add`` starts it.
+
+        Raises:
+            ValueError: the period is not positive.
+        """
+        if not period > 0.0:
+            raise ValueError(f"the period of a timer must be positive, not {period}")
         self.period = period
         self.oneshot = oneshot
         self._queue = queue
@@ -103,26 +110,12 @@ class TimerQueue:
         self._thread: Optional[threading.Thread] = None
         self._closed = False
 
-    def add(
-        self,
-        period: float,
-        callback: Callable[[Any], None],
-        strand: Strand,
-        oneshot: bool,
-        failed: Callable[[BaseException], None],
-    ) -> Timer:
-        """Start a timer with a period in seconds.
-
-        Raises:
-            ValueError: the period is not positive.
-        """
-        if not period > 0.0:
-            raise ValueError(f"the period of a timer must be positive, not {period}")
-        timer = Timer(self, period, callback, strand, oneshot, failed)
+    def add(self, timer: Timer) -> None:
+        """Start a timer."""
         now = self.ticker.now()
         with self._lock:
             self._latest = max(self._latest, now)
-            heapq.heappush(self._heap, (now + period, next(self._order), timer))
+            heapq.heappush(self._heap, (now + timer.period, next(self._order), timer))
             self._pause = min(self._pause, _pause(timer))
             if self._thread is None and not self._closed:
                 self._thread = threading.Thread(
@@ -130,7 +123,6 @@ class TimerQueue:
                 )
                 self._thread.start()
         self.ticker.wake()
-        return timer
 
     def discard(self, timer: Timer) -> None:
         """Forget a timer."""

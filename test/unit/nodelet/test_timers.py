@@ -16,7 +16,7 @@ from dyknow.nodelet import timers
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.local import ManualTicker
-from dyknow.nodelet.timers import TimerQueue
+from dyknow.nodelet.timers import Timer, TimerQueue
 
 
 class StillQueue(TimerQueue):
@@ -244,7 +244,7 @@ def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
     ticker.wait = failing_wait  # type: ignore[method-assign]
     context = world.context()
     try:
-        timers.add(1.0, lambda event: fired.set(), context.strand, False, lambda error: None)
+        timers.add(Timer(timers, 1.0, lambda event: fired.set(), context.strand, False, print))
         wait_until(lambda: len(calls) > 1)
         ticker.advance(1.0)
         wait_for(fired)
