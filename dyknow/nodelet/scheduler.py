@@ -158,11 +158,19 @@ class Strand:
         try:
             task()
         except BaseException:  # the boundary: sys.exit() in a task must not end a worker
-            _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
+            self.log_failure()
         self.began = None
         if self._is_end_logged:
-            self._is_end_logged = False
-            _log.info("%s: the callback that ran at the unload has ended", self.name)
+            self.log_end()
+
+    def log_failure(self) -> None:
+        """Log the exception of a task."""
+        _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
+
+    def log_end(self) -> None:
+        """Log, once, the end of the task that was running when the strand was killed."""
+        self._is_end_logged = False
+        _log.info("%s: the callback that ran at the unload has ended", self.name)
 
     def try_idle(self) -> bool:
         """Become idle; False if there is more to do."""
@@ -350,7 +358,7 @@ class WorkerPool(Executor):
     def _work(self, worker: _Worker) -> None:
         strand: Optional[Strand] = None
         words, word = self.record.words, self.record.take()
-        queue = self._queue
+        queue, clock = self._queue, self.clock
         is_woken = self._grows
         while True:
             if not _attempt(False):
@@ -385,7 +393,14 @@ class WorkerPool(Executor):
                     self._dozes = False
                     self._awake.set()
                 words[word] = strand.mark
-                strand.run(task)
+                strand.began = clock()  # as run, without its call
+                try:
+                    task()
+                except BaseException:  # the boundary
+                    strand.log_failure()
+                strand.began = None
+                if strand._is_end_logged:
+                    strand.log_end()
             elif strand is None:
                 words[word] = 0.0
                 self._notify_drainers()
