@@ -284,7 +284,7 @@ class FakeHost(Host):
         moving = {each for each in self.topics - self.silent if self._sends(each)}
         self._ages.update((each, self._aged([], each)) for each in moving)
         waiting = [
-            nodelet
+            (nodelet, nodelet.topics("in"), nodelet.topics("out"))
             for name, process in self.processes.items()
             for nodelet in process.nodelets.values()
             if not {nodelet.request.name, nodelet.request.source} & self.silent
@@ -292,20 +292,19 @@ class FakeHost(Host):
         ]
         count = len(waiting) + 1
         while len(waiting) < count:
-            count = len(waiting)
-            for nodelet in list(waiting):
-                inputs = nodelet.topics("in")
+            count, left = len(waiting), []
+            for nodelet, inputs, outputs in waiting:
                 takes = any(port.direction == "in" for port in nodelet.ports.values())
-                if (inputs or not takes) and moving.issuperset(inputs):
-                    waiting.remove(nodelet)
-                    if not self._sends(nodelet.request.name, nodelet.request.source):
-                        continue
+                if (takes and not inputs) or not moving.issuperset(inputs):
+                    left.append((nodelet, inputs, outputs))
+                elif self._sends(nodelet.request.name, nodelet.request.source):
                     age = self._aged(inputs, nodelet.request.name, nodelet.request.source)
-                    self._ages.update(dict.fromkeys(nodelet.topics("out"), age))
-                    moving.update(nodelet.topics("out"))
+                    self._ages.update(dict.fromkeys(outputs, age))
+                    moving.update(outputs)
                     for port in nodelet.ports.values():
                         if port.direction == "out" and port.topic:
                             nodelet.sent[port.name] = nodelet.sent.get(port.name, 0) + 1
+            waiting = left
         for listener in self.listeners:
             listener.messages += listener.topic in moving
         return moving

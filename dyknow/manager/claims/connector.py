@@ -64,7 +64,7 @@ class Connector:
     def remember(self) -> None:
         """Store the bindings of nodelets with variables."""
         world = self.world()
-        for name, heard in world.topology.dependent.heard().items():
+        for name, heard in world.topology.heard.items():
             known = world.records.get(name)
             if known is None or known.heard == heard or known.state is not State.RUNNING:
                 continue

@@ -71,6 +71,8 @@ class FlowMeter:
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
+        self._parts: Dict[str, StreamParts] = {}
+        self._parts_at = -1
         self._running = running
         self._host = host
         self._graph = graph
@@ -92,6 +94,16 @@ class FlowMeter:
     def flows(self) -> Mapping[Place, Flow]:
         """The flow of each place that was counted."""
         return self._flows
+
+    def parts(self, claim: Claim) -> StreamParts:
+        """Return the places of a claim's stream; read again only after a change."""
+        if self._parts_at != self._graph.revision:
+            self._parts_at = self._graph.revision  # first: a change meanwhile counts the next time
+            self._parts = {}
+        known = self._parts.get(claim.claim_id)
+        if known is None or known.claim is not claim:
+            known = self._parts[claim.claim_id] = StreamParts(claim, self._graph)
+        return known
 
     def has_come(self, place: Place, since: float) -> bool:
         """Whether a message has certainly come since then, or a latched one is kept."""

@@ -97,7 +97,7 @@ class QualityMonitor:
             judge.add(self._meter.counted, self._windows(judge, claims))
         for claim in claims:
             self._forgive(claim.claim_id)
-            parts = StreamParts(claim, self._graph)
+            parts = self._meter.parts(claim)
             for judge in self._limits(claim):
                 judgement = judge.judge(parts, now)
                 if judgement is not None:
@@ -151,7 +151,7 @@ class QualityMonitor:
         for claim in claims:
             if claim.topic and judge.limit(claim) > 0:
                 window = judge.window(judge.limit(claim))
-                for place in StreamParts(claim, self._graph).topics:
+                for place in self._meter.parts(claim).topics:
                     found[place] = max(found.get(place, window), window)
         for shortfalls in self._shortfalls.values():
             for each in shortfalls.values():
@@ -338,7 +338,7 @@ class SilenceMonitor:
         found: Dict[Place, float] = {}
         for claim in _watched(claims):
             period = max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD)
-            for place in StreamParts(claim, self._graph).topics:
+            for place in self._meter.parts(claim).topics:
                 found[place] = min(found.get(place, period), period)
         for place in self._meter.flows:
             if place[0] in self.silent and self._graph.find(place[0]) is not None:
@@ -362,7 +362,7 @@ class SilenceMonitor:
             del self.silent[name]
         fallen: Set[str] = set()
         for claim in _watched(claims):
-            fallen.update(self._judge(StreamParts(claim, self._graph)))
+            fallen.update(self._judge(self._meter.parts(claim)))
         return sorted(fallen)
 
     def _judge(self, parts: StreamParts) -> Set[str]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from functools import cached_property
 from typing import (
     AbstractSet,
     Callable,
@@ -350,6 +351,8 @@ class Topology:
         ):
             return Topology(nodelets, self._described, self._claims, self._perhaps, self._ontology)
         found = copy.copy(self)
+        for name in ("_all_mismatches", "heard"):
+            found.__dict__.pop(name, None)
         found._nodelets = tuple(nodelets)
         found._producers = {topic: list(each) for topic, each in self._producers.items()}
         found._consumers = {topic: list(each) for topic, each in self._consumers.items()}
@@ -381,7 +384,8 @@ class Topology:
         """Take away the tags of relays that may receive something else than these say."""
         misled: AbstractSet[str] = relays
         while relays and misled:
-            receiving = {consumer.nodelet for _, _, consumer in self.mismatches()}
+            found = self._mismatches(self._consumers)
+            receiving = {consumer.nodelet for _, _, consumer in found}
             misled, relays = relays & receiving, relays - receiving
             for producers in self._producers.values():
                 producers[:] = [
@@ -439,13 +443,25 @@ class Topology:
 
     def mismatches(
         self, topics: Optional[Iterable[str]] = None
-    ) -> Iterator[Tuple[str, Producer, Consumer]]:
-        """Yield each topic, producer and consumer that may meet there and do not fit.
+    ) -> Iterable[Tuple[str, Producer, Consumer]]:
+        """Return each topic, producer and consumer that may meet there and do not fit.
 
         Args:
             topics: where to look; everywhere by default.
         """
-        for topic in sorted(set(self._consumers if topics is None else topics)):
+        return self._all_mismatches if topics is None else self._mismatches(topics)
+
+    @cached_property
+    def _all_mismatches(self) -> Tuple[Tuple[str, Producer, Consumer], ...]:
+        return tuple(self._mismatches(self._consumers))
+
+    @cached_property
+    def heard(self) -> Mapping[str, Heard]:
+        """The messages that bound the variables of nodelets, where they are certain."""
+        return self.dependent.heard()
+
+    def _mismatches(self, topics: Iterable[str]) -> Iterator[Tuple[str, Producer, Consumer]]:
+        for topic in sorted(set(topics)):
             for consumer in self.consumers(topic):
                 for producer in self.producers(topic):
                     if not self.fits(producer, consumer):

@@ -91,3 +91,16 @@ def test_an_acquire_takes_few_calls() -> None:
     assert sum(calls.values()) <= 3_300
     assert len(functions) <= 480
     assert len(calls) <= 50
+
+
+def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = client_with_chain(4)
+    client.acquire_stream(StreamRequest("Step4(x)"))
+    for _ in range(3):
+        client.settle()
+    topologies = counted(monkeypatch, Topology, "__init__")
+    searches = counted(monkeypatch, Topology, "fits")
+    writes = counted(monkeypatch, StateFile, "write")
+    for _ in range(5):
+        client.settle()
+    assert (topologies, searches, writes) == ([], [], [])
