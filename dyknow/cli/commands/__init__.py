@@ -9,6 +9,7 @@ from typing import Tuple
 
 from dyknow.cli.commands import (
     acquire,
+    connect,
     graph,
     inspect,
     launch,
@@ -17,13 +18,12 @@ from dyknow.cli.commands import (
     programs,
     save_load,
     streams,
-    wiring,
 )
 from dyknow.cli.shell import Command
 
 _MODULES = (
     *(inspect, graph, nodelets, programs, launch),
-    *(wiring, streams, acquire, library, save_load),
+    *(connect, streams, acquire, library, save_load),
 )
 _BY_NAME = {each.name: each for module in _MODULES for each in module.COMMANDS}
 
