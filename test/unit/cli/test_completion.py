@@ -42,6 +42,7 @@ def offered(client: FakeClient, text: str) -> list[str]:
         os.environ.update(_ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)))
         os.environ["_ARGCOMPLETE_COMP_WORDBREAKS"] = " \t\n\"'><=;|&(:"
         completion.connect = cast(Any, lambda manager: client)
+        completion._LIMIT = 60.0  # of a user's patience, not of a busy machine's
         try:
             completion.autocomplete(build_parser()[0])
         finally:
