@@ -151,7 +151,7 @@ class AcquiredStream:
         """Number of changes seen; an answer requested before the last change is out of date."""
         return self._events
 
-    def apply(self, event: StreamEvent) -> None:
+    def on_event(self, event: StreamEvent) -> None:
         """Apply a change, unless the claim has ended."""
         with self._changed:
             if not self._status.state.ended:
@@ -159,14 +159,14 @@ class AcquiredStream:
                 self._put(event)
         self._notifications.deliver()
 
-    def update(self, status: StreamStatus, events: int) -> None:
+    def on_status(self, status: StreamStatus, events: int) -> None:
         """Apply the claim's status as of ``events`` changes; reported if a change was missed."""
         with self._changed:
             if events == self._events:
                 self._take(status, status.detail or "an earlier event was missed")
         self._notifications.deliver()
 
-    def end(self, why: str) -> None:
+    def on_lost(self, why: str) -> None:
         """Mark the claim as ended: the manager no longer knows it."""
         self._change(why, state=ClaimState.EXPIRED, detail=why)
 

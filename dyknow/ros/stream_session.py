@@ -99,13 +99,13 @@ class KeptStream(Protocol):
     def events(self) -> int:
         """Number of changes seen."""
 
-    def apply(self, event: StreamEvent) -> None:
+    def on_event(self, event: StreamEvent) -> None:
         """Apply a change."""
 
-    def update(self, status: StreamStatus, events: int) -> None:
+    def on_status(self, status: StreamStatus, events: int) -> None:
         """Apply the status of the claim as of so many changes."""
 
-    def end(self, why: str) -> None:
+    def on_lost(self, why: str) -> None:
         """Mark the claim as ended: the manager no longer knows it."""
 
 
@@ -204,7 +204,7 @@ class StreamSession:
         with self._state_lock:
             stream = self._streams.get(message.after.claim_id)
         if stream is not None:
-            stream.apply(event_from(message))
+            stream.on_event(event_from(message))
 
     def _keep(self) -> None:
         """Renew the leases when they are due."""
@@ -230,7 +230,7 @@ class StreamSession:
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know why it ended
             self.remove(stream.claim_id)
-            stream.end(str(error))
+            stream.on_lost(str(error))
             return
         except (HostError, PeerTimeout) as error:
             rospy.logwarn_throttle(10, f"the lease of stream {stream.claim_id}: {error}")
@@ -254,4 +254,4 @@ class StreamSession:
             with self._state_lock:
                 stream = self._streams.get(claim_id)
             if stream is not None and claim_id in claims:
-                stream.update(claims[claim_id], events.get(claim_id, -1))
+                stream.on_status(claims[claim_id], events.get(claim_id, -1))

@@ -133,10 +133,10 @@ def event(status: StreamStatus) -> StreamEvent:
 
 def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
     asked_at = stream.events
-    stream.apply(event(DEGRADED))
-    stream.update(ACTIVE, asked_at)
+    stream.on_event(event(DEGRADED))
+    stream.on_status(ACTIVE, asked_at)
     assert stream.state is ClaimState.DEGRADED
-    stream.update(ACTIVE, stream.events)
+    stream.on_status(ACTIVE, stream.events)
     assert stream.state is ClaimState.ACTIVE
 
 
@@ -144,9 +144,9 @@ def test_a_late_event_does_not_revive_what_was_released(
     stream: AcquiredStream, events: List[StreamEvent]
 ) -> None:
     stream.release()
-    stream.apply(event(DEGRADED))
-    stream.update(DEGRADED, stream.events)
-    stream.end("unknown")
+    stream.on_event(event(DEGRADED))
+    stream.on_status(DEGRADED, stream.events)
+    stream.on_lost("unknown")
     assert stream.state is ClaimState.RELEASED
     assert [each.after.state for each in events] == [ClaimState.RELEASED]
 
@@ -159,5 +159,5 @@ def test_a_callback_that_releases_gets_that_event_afterwards(
         stream.release()
 
     stream._notifications.listener = release
-    stream.apply(event(DEGRADED))
+    stream.on_event(event(DEGRADED))
     assert [each.after.state for each in events] == [ClaimState.DEGRADED, ClaimState.RELEASED]
