@@ -24,6 +24,7 @@ from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.logs import LogTail
+from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.os_process import ProcessId
 
@@ -94,7 +95,10 @@ def test_how_a_child_ended_is_known(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stubborn", [False, True])
-def test_what_a_child_forked_ends_with_it(tmp_path: Path, stubborn: bool) -> None:
+def test_what_a_child_forked_ends_with_it(
+    tmp_path: Path, stubborn: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os_process, "_REST_PATIENCE", 0.05)
     found = start(tmp_path, (*FORKS, "stubborn") if stubborn else FORKS)
     forked = ProcessId.of(int((tmp_path / "output").read_text().split()[1]))
     assert forked is not None
@@ -186,7 +190,8 @@ def test_damaged_records_are_refused(tmp_path: Path, text: str) -> None:
         child_records.read(str(path))
 
 
-def test_one_owner_at_a_time(tmp_path: Path) -> None:
+def test_one_owner_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(owner_module, "_CONTENTION", 0.05)
     path = str(tmp_path / "folder" / "lock")
     owner = OwnerLock(path)
     with pytest.raises(StoreError, match="another manager"):

@@ -13,6 +13,7 @@ import pytest
 from clocks import eventually
 
 from dyknow.ros.master import Master
+from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar
 
 
@@ -72,7 +73,8 @@ def master():
 
 
 @pytest.fixture
-def registrar(master):
+def registrar(master, monkeypatch):
+    monkeypatch.setattr(registrar_module, "_AGAIN", 0.02)
     return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=1.0))
 
 
