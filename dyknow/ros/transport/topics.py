@@ -40,19 +40,7 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that sends only while it has listeners outside."""
 
-    __slots__ = (
-        "_closed",
-        "_implementation",
-        "_intraprocess",
-        "_local",
-        "_publisher",
-        "_told",
-        "_topic",
-        "heard",
-        "sent",
-    )
-
-    heard: bool
+    heard: bool = False
 
     def __init__(
         self,
@@ -74,7 +62,6 @@ class RospyPublisher(OutsidePublisher):
             )
             queue_size = DEFAULT_QUEUE_SIZE
         self._topic = _unremapped(topic)
-        self.heard = False
         self.in_flight = 0
         self.changed = None
         self._closed = False
