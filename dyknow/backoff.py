@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""When to try again what failed: after pauses that double from failure to failure."""
+"""Pauses between attempts, which double from failure to failure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dyknow.locks import state_lock
 LONGEST = 30.0
 #: Seconds of good service after which earlier failures are forgiven.
 FORGIVEN_AFTER = 10.0
-#: Seconds after which a failure is forgotten, whatever came of it.
+#: Seconds after which a failure is forgotten in any case.
 MEMORY = 3600.0
 
 _MOST_DOUBLINGS = 16
@@ -40,7 +40,7 @@ class Backoff:
         forgiven_after: float = FORGIVEN_AFTER,
         tolerated: int = 1,
     ) -> None:
-        """Begin with no failures.
+        """Start without failures.
 
         Args:
             clock: steady time, in seconds.

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Dict, Iterable, Iterator, Set
+from typing import Dict, Iterable, Iterator, Mapping, Set
 
 from lxml import etree
 
 from dyknow.errors import HostError
-from dyknow.locks import state_lock
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.nodelets.packages import exported_files, plugin_files
@@ -41,9 +40,7 @@ class NodeletTypes:
     def __init__(self) -> None:
         """Read the packages at the first request."""
         self._plugins = Plugins(plugin_files)
-        self._state_lock = state_lock("nodelet types")
-        self._python: Set[str] = set()
-        self._cpp: Set[str] = set()
+        self._kinds: Mapping[str, NodeletKind] = {}
 
     def kind_of(self, source: str) -> NodeletKind:
         """Return the kind of a type; one that is declared in both languages is Python.
@@ -51,38 +48,32 @@ class NodeletTypes:
         Raises:
             HostError: no package declares it.
         """
-        undeclared = self.undeclared([source])
-        found = self._known(source)
-        if found is None:
-            raise HostError(undeclared[source])
-        return found
+        declared = self._declared({source})
+        if source not in declared:
+            raise HostError(_explanation(source, declared))
+        return declared[source]
 
     def undeclared(self, sources: Iterable[str]) -> Dict[str, str]:
         """Return the sources that no package declares, each with an explanation."""
-        sources = sorted(set(sources))
-        if any(self._known(source) is None for source in sources):
-            self._refresh()
-        with self._state_lock:
-            known = self._python | self._cpp
-        return {
-            source: f"no package declares a nodelet type '{source}': expected it in a "
-            "<dyknow plugin> or a <nodelet plugin> export of a package on ROS_PACKAGE_PATH"
-            + did_you_mean(source, known)
-            for source in sources
-            if source not in known
-        }
+        wanted = set(sources)
+        declared = self._declared(wanted)
+        return {each: _explanation(each, declared) for each in sorted(wanted - declared.keys())}
 
-    def _known(self, source: str) -> NodeletKind | None:
-        with self._state_lock:
-            if source in self._python:
-                return NodeletKind.PYTHON
-            return NodeletKind.CPP if source in self._cpp else None
+    def _declared(self, wanted: Set[str]) -> Mapping[str, NodeletKind]:
+        if not self._kinds.keys() >= wanted:
+            python = [each.name for each in self._plugins.declared()]
+            self._kinds = {
+                **dict.fromkeys(cpp_classes(), NodeletKind.CPP),
+                **dict.fromkeys(python, NodeletKind.PYTHON),
+            }
+        return self._kinds
 
-    def _refresh(self) -> None:
-        python = {each.name for each in self._plugins.declared()}
-        cpp = set(cpp_classes())
-        with self._state_lock:
-            self._python, self._cpp = python, cpp
+
+def _explanation(source: str, declared: Iterable[str]) -> str:
+    return (
+        f"no package declares a nodelet type '{source}': expected it in a <dyknow plugin> or a "
+        "<nodelet plugin> export of a package on ROS_PACKAGE_PATH" + did_you_mean(source, declared)
+    )
 
 
 def _read(file: Path) -> Iterator[str]:
