@@ -19,7 +19,7 @@ import sys
 import unittest
 import xmlrpc.client
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
 PACKAGES = Path(__file__).resolve().parent.parent / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
@@ -211,17 +211,17 @@ def hearing(topic: str, message_class: Any = String) -> Iterator[list[Any]]:
         subscriber.unregister()
 
 
+def comes(topic: str, message_class: Any, wanted: Callable[[Any], bool] = bool) -> Any:
+    """Wait until a message that is wanted comes on a topic, and return it."""
+    with hearing(topic, message_class) as heard:
+        what = f"what is wanted comes on {topic}"
+        eventually(lambda: any(map(wanted, list(heard))), 10.0, what, lambda: heard[-9:])
+        return next(filter(wanted, heard))
+
+
 def hears(topic: str, text: str, is_whole: bool = False) -> None:
     """Wait until a text comes on a topic, in a message or as the whole of one."""
-    with hearing(topic) as heard:
-        eventually(
-            lambda: any(
-                text == each.data if is_whole else text in each.data for each in list(heard)
-            ),
-            10.0,
-            f"'{text}' comes on {topic}",
-            lambda: heard,
-        )
+    comes(topic, String, lambda each: text == each.data if is_whole else text in each.data)
 
 
 def let_the_bond_form(topic: str) -> None:

@@ -19,7 +19,7 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped
-from graph import NodeletManagerCase, set_config, topics_of_ports
+from graph import NodeletManagerCase, comes, set_config, topics_of_ports
 from processes import BUSY, DYKNOW, HELD_UP, eventually
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Header, Int32, String
@@ -31,17 +31,6 @@ RUN = [*DYKNOW, "run"]
 ROBOT = """<robot name="r"><link name="base"/><link name="arm"/>
 <joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-
-
-def comes(topic: str, message_class: Any, wanted: Callable[[Any], bool] = bool) -> Any:
-    """Wait until a message that is wanted comes on a topic, and return it."""
-    heard: list[Any] = []
-    subscriber = rospy.Subscriber(topic, message_class, heard.append)
-    try:
-        eventually(lambda: any(map(wanted, list(heard))), 10.0, f"on {topic}", lambda: heard[-1:])
-    finally:
-        subscriber.unregister()
-    return next(filter(wanted, heard))
 
 
 @contextlib.contextmanager
