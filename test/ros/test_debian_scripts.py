@@ -26,7 +26,6 @@ from std_msgs.msg import Float64, Header, Int32, String
 from tf2_msgs.msg import TFMessage
 
 RUN = [*DYKNOW, "run"]
-#: Seconds that an unload may take; a process alone may take longer.
 #: A robot with one joint.
 ROBOT = """<robot name="r"><link name="base"/><link name="arm"/>
 <joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
