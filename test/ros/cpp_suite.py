@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about live ports of C++ nodelets share."""
+"""Shared by the suites about live ports of C++ nodelets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STOCK = (*STOCK_NODELET, "manager")
 #: Runs a node with the library.
 RUN = (*DYKNOW, "run")
 PRELOADED = (*RUN, "nodelet", "nodelet", "manager")
-#: What a sink reports when everything has come once, in order and by reference.
+#: Report of a sink to which everything has come once, in order and by reference.
 FLAWLESS = {"lost": 0, "doubled": 0, "reordered": 0, "copied": 0}
 
 
@@ -47,7 +47,7 @@ def start(source: str) -> None:
 
 
 def report(nodelet: str) -> dict[str, int]:
-    """What a source or a sink has seen."""
+    """The report of a source or a sink."""
     return json.loads(rospy.ServiceProxy(f"{nodelet}/report", Trigger)().message)
 
 

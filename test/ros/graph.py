@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about the ROS graph share: the test package, managers, and looks at the master.
+"""Shared by the suites about the ROS graph: the test package, managers, and looks at the master.
 
 Importing it makes the packages of test/packages known to this process and those that it starts.
 """
@@ -42,7 +42,7 @@ TIMEOUT = 5.0 * BUSY
 
 
 class Ended(Running):
-    """A process that is asked to end before being killed, to unregister and end its children."""
+    """A process that gets SIGINT before it is killed, to unregister and end its children."""
 
     def __exit__(self, *unused: object) -> None:
         if not self.has_ended:
@@ -59,7 +59,7 @@ class ManagerServices:
         self.name = name
 
     def forget_output(self) -> None:
-        """Begin its output anew, if it has one."""
+        """Leave out earlier output from now on, if it has output."""
 
     def wait_until_up(self) -> None:
         eventually(self._answers, 20.0, f"{self.name} is up")
@@ -103,7 +103,7 @@ class ManagerServices:
         return list(rospy.ServiceProxy(f"{self.name}/list", NodeletList)().nodelets)
 
     def lists(self) -> bool:
-        """Whether it says what it has loaded; it does until it ends."""
+        """Whether it lists its nodelets; it does until it ends."""
         try:
             self.list()
         except rospy.ServiceException:
@@ -212,7 +212,7 @@ def hearing(topic: str, message_class: Any = String) -> Iterator[list[Any]]:
 
 
 def comes(topic: str, message_class: Any, wanted: Callable[[Any], bool] = bool) -> Any:
-    """Wait until a message that is wanted comes on a topic, and return it."""
+    """Wait until a wanted message comes on a topic, and return it."""
     with hearing(topic, message_class) as heard:
         what = f"what is wanted comes on {topic}"
         eventually(lambda: any(map(wanted, list(heard))), 10.0, what, lambda: heard[-9:])

@@ -53,7 +53,7 @@ class HostsCase(StreamCase):
     def host(self) -> Host:
         """Make a host that stays after the test, to refuse connections to its ended processes.
 
-        The master has three threads to tell nodes of changes, and each waits for two minutes for
+        The master has three threads to notify nodes of changes, and each waits for two minutes for
         a host that does not answer.
         """
         return self.network.host()
@@ -184,7 +184,7 @@ class ClaimOverHosts(HostsCase):
         self.fast = self.spawn_time(self.manager)
 
     def reasons(self) -> list[str]:
-        """Why the claim changed since it was met; an offer of a cheaper way is no change."""
+        """Why the claim changed since it was met; an offer of a cheaper way does not count."""
         return changes_of_state(self.heard.all[self.heard_before :])
 
     def mended(self) -> int:
@@ -201,7 +201,7 @@ class ClaimOverHosts(HostsCase):
         return self.claim(self.manager, self.claim_id).state is ClaimState.ACTIVE
 
     def loses_it(self, fault: ContextManager[None], seconds: float) -> None:
-        """It is replaced once, others are unaffected, and the returning nodelet is removed."""
+        """It is replaced once, other claims stay, and the returning nodelet is removed."""
         with fault:
             eventually(lambda: self.is_met() and not self.on_far(), NOTICED, "it is replaced")
             eventually(lambda: self.mended() == 1, NOTICED, "it is told that it was mended")

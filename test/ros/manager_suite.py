@@ -109,7 +109,7 @@ class ManagerProcess:
 
     @property
     def output(self) -> str:
-        """What it has written in this test."""
+        """Its output in this test."""
         with open(self.log) as log:
             log.seek(self._log_begin)
             return log.read()
@@ -146,7 +146,7 @@ class ManagerProcess:
         return time.monotonic() - begin
 
     def destroy(self) -> None:
-        """Remove everything, whatever the test did."""
+        """Remove everything, after any test."""
         started = []
         if self.process is not None and self.process.poll() is None:
             self.process.send_signal(signal.SIGSTOP)

@@ -113,7 +113,7 @@ def claim(tag: str, lease: str = "") -> None:
 
 def bond(topic: str, *bond_ids: str) -> None:
     """Be the other end of bonds, made with python3-bondpy; SIGINT breaks them from this side."""
-    from bondpy.bondpy import Bond  # the others need not wait for it
+    from bondpy.bondpy import Bond  # other commands need not wait for it
 
     bonds = [
         Bond(
@@ -128,7 +128,7 @@ def bond(topic: str, *bond_ids: str) -> None:
     def part() -> None:
         for each in bonds:
             each.break_bond()
-        for each in bonds:  # rospy may drop what is still queued when it ends
+        for each in bonds:  # rospy may drop queued messages when it ends
             each.wait_until_broken(rospy.Duration(5))
 
     rospy.on_shutdown(part)

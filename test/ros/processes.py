@@ -49,8 +49,8 @@ def eventually(
     Args:
         condition: Whether it holds.
         timeout: How long (s) it may take on a quiet machine.
-        what: Says what is to hold.
-        shown: Returns what a failure shows besides, as it is then.
+        what: Names the condition.
+        shown: Returns more text for a failure, as of then.
     """
     start = time.monotonic()
     timeout *= BUSY
@@ -67,7 +67,7 @@ class Running:
 
     def __init__(self, *command: str) -> None:
         self.command = command
-        # Not a pipe: whoever reads one may be behind what the process has written.
+        # Not a pipe: its reader may be behind the writing process.
         self._written = tempfile.TemporaryFile()  # noqa: SIM115 - it is read after the end too
         self._begin = 0
         self._process = subprocess.Popen(
@@ -91,7 +91,7 @@ class Running:
 
     @property
     def output(self) -> str:
-        """What it has written by now, or since `forget_output`."""
+        """Its output by now, or since `forget_output`."""
         size = os.fstat(self._written.fileno()).st_size - self._begin
         return os.pread(self._written.fileno(), size, self._begin).decode(errors="replace")
 
@@ -129,7 +129,7 @@ class Running:
 
 
 def free_port() -> str:
-    """A port that nobody listens on, for a master of a test's own."""
+    """A free port, for a master of a test's own."""
     with socket.socket() as free:
         free.bind(("", 0))
         return str(free.getsockname()[1])
@@ -144,7 +144,7 @@ def nodes() -> set[str]:
 def forget_ended(*nodes: str) -> None:
     """Make the master forget those nodes that have ended.
 
-    Else it tells whoever has their port by then to end, as soon as their names are back.
+    Else it shuts down the next process on their port, as soon as their names are back.
     """
     master = Master("/tests")
     for node in nodes:

@@ -100,7 +100,7 @@ class WindowTest(ManagerCase):
         manager = self.started()
         window = self.window()
         until(lambda: window.monitor.is_linked, "the manager is found")
-        window.monitor.set_period(60.0)  # what comes now arrives by the topic
+        window.monitor.set_period(60.0)  # news arrives by the topic now
         until(lambda: window.monitor.remote._models.is_connected, "the topic is heard")
         manager.client.spawn("counter", "/count")
         until(lambda: "n_/count" in self.keys(window), "it is drawn")
@@ -216,7 +216,7 @@ class DeadSystemTest(TellingCase):
 
 
 def readers_of_the_model() -> set[int]:
-    """Ports of those who are connected to the manager's model."""
+    """Ports of the subscribers of the manager's model."""
     master = Master("/test")
     uri = master.node("/dyknow_manager")
     return master.connections(uri, "/dyknow_manager/model", 2.0) if uri else set()

@@ -433,7 +433,7 @@ class RandomLife:
         time.sleep(seconds)
         return f"{seconds:.1f} s"
 
-    # What must hold
+    # Invariants
 
     def _living(self) -> list[Any]:
         claims = self.manager.client.list_streams()

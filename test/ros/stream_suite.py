@@ -122,9 +122,9 @@ class StreamCase(ManagerCase):
         return events
 
     def tell(self, nodelet: str, order: str) -> None:
-        """Send an order to a nodelet that can be told to misbehave."""
+        """Send an order to a nodelet that can misbehave on request."""
         publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
-        self.addCleanup(publisher.unregister)  # not before, which would drop what is not sent yet
+        self.addCleanup(publisher.unregister)  # not before, which would drop unsent messages
         eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
         publisher.publish(order)
 

@@ -2,11 +2,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ends the manager, or it and all its processes, at any moment, and compares what comes back.
+"""Ends the manager, or it and all its processes, at any moment, and compares the restored state.
 
 Three threads work until then: two make, connect, protect and destroy nodelets of every kind, one
-acquires and releases streams. What was acknowledged has to be there afterwards, once, and nothing
-else; a change that was under way was made completely or not at all.
+acquires and releases streams. All that was acknowledged has to be there afterwards, once, and no
+more; a change that was under way was made completely or not at all.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Made:
 
 
 class Promises:
-    """What was acknowledged, and what was under way: then it is as before, or as it was to be."""
+    """Acknowledged changes, and those under way, which may be made or not."""
 
     def __init__(self) -> None:
         self.nodelets: Dict[str, Made] = {}
@@ -250,7 +250,7 @@ class BootTest(ManagerCase):
             return child_records.running(str(lock))
         return []
 
-    # What is there
+    # The state
 
     def resolve(self) -> None:
         """Accept either outcome of the changes that were under way."""
@@ -283,7 +283,7 @@ class BootTest(ManagerCase):
         return [each for each in self.manager.client.list_streams() if not each.state.ended]
 
     def wrong(self) -> List[str]:
-        """What is lost, doubled, orphaned, or left behind."""
+        """Report lost, doubled, orphaned and leftover things."""
         client, promises = self.manager.client, self.promises
         nodelets = {each.name: each for each in client.get_graph().nodelets}
         claims = self.claims()
@@ -362,7 +362,7 @@ class BootTest(ManagerCase):
                 client.set_protection(name, False)
             client.destroy(name)
 
-    # What a failure shows
+    # Texts of failures
 
     def told(self) -> str:
         return "\n".join([*self.wrong(), "", self.manager.output[-20000:]])
@@ -381,7 +381,7 @@ def set_by_dyknow() -> List[str]:
 
 
 def differences(what: str, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> List[str]:
-    """Say what is missing, too much, or other than it should be."""
+    """Report missing, surplus and different entries."""
     return (
         [f"{what} {name} is missing" for name in sorted(set(wanted) - set(found))]
         + [f"{what} {name} is too much" for name in sorted(set(found) - set(wanted))]

@@ -311,7 +311,7 @@ class OrdinaryHandleTest(BusTest):
                 numbers = iter(range(100))
                 expected = {label: [] for label in order if "subscriber" in label}
                 present = list(order)
-                # Remove one after another; the others go on, with each message once.
+                # Remove one after another; the remaining ones go on, with each message once.
                 for removed in order:
                     for publisher in [label for label in present if "publisher" in label]:
                         sent = [next(numbers) for _ in range(2)]

@@ -154,7 +154,7 @@ class ReconfigureTest(NodeletManagerCase):
 
 
 class CarelessTest(NodeletManagerCase):
-    """What nodelets leave to DyKnow to take back."""
+    """Things that nodelets leave to DyKnow to take back."""
 
     def test_libraries_act_in_the_name_of_their_nodelet(self):
         self.manager.load("Careless", "/robot/one")

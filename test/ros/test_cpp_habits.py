@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Habits of public nodes: they see what they see without live ports, and none of them hangs."""
+"""Habits of public nodes: they see the same as without live ports, and none of them hangs."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class CyclesTest(HabitsCase):
 class StatisticsTest(HabitsCase):
     """roscpp publishes statistics of messages, by a publisher that ends with a subscription."""
 
-    #: Of each node what it is run by, its in-port and its out-port.
+    #: Command, in-port and out-port of each node.
     NODES = {
         "/relaying": (("topic_tools", "relay", "/a", "/copied"), "/a", "/copied"),
         "/choosing": (("topic_tools", "mux", "/chosen", "/a", "/spare"), "/a", "/chosen"),
@@ -141,7 +141,7 @@ class StatisticsTest(HabitsCase):
         came: set[str] = set()
 
         def all_came() -> bool:
-            # A subscriber that stays would be deaf to a node that advertises the topic anew.
+            # A subscriber that stays would be deaf to a node that advertises the topic again.
             with hearing("/statistics", TopicStatistics) as messages:
                 with contextlib.suppress(AssertionError):
                     eventually(

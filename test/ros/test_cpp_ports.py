@@ -173,7 +173,7 @@ class MoveTest(CppCase):
 
 
 class PortTest(CppCase):
-    """What the services tell of ports."""
+    """Ports as the services return them."""
 
     def test_names(self):
         self.manager.load(
@@ -244,7 +244,7 @@ class PortTest(CppCase):
         self.addCleanup(subscriber.unregister)
         eventually(lambda: graph.is_fed(f"{MANAGER}/changes"), 5.0, "connected")
         self.manager.load("Source", "/source", {"/out": "/a"}, count=7, rate=RATE)
-        self.manager.load("Sink", "/later")  # what is told of it comes after the load of the other
+        self.manager.load("Sink", "/later")  # its announcement comes after that of the other
         eventually(lambda: "/later" in told, 5.0, "loads are told")
         self.assertIn("/source", told)
         del told[:]
@@ -277,7 +277,7 @@ class PortTest(CppCase):
                     "camera/image_raw": f"{camera_name}/image_raw",
                     "camera/camera_info": f"{camera_name}/camera_info",
                 },
-            )  # while nobody listens
+            )  # while it has no subscriber
             self.assertTrue(answer.success, answer.message)
             self.assertEqual(width_on("/resize/image"), width)
         eventually(lambda: not graph.nodes_on("/cam/image_raw")[1], 5.0, "nobody listens any more")
@@ -309,7 +309,7 @@ class ReconfigureTest(CppCase):
     """The callback of nodelets that are written with dyknow/node_handle.h."""
 
     def means(self, topic: str, connected: bool = True) -> list[float]:
-        """What comes on a topic from now on, or once it is published."""
+        """The numbers on a topic from now on, or once it is published."""
         found: list[float] = []
         subscriber = rospy.Subscriber(topic, Float64, lambda number: found.append(number.data))
         self.addCleanup(subscriber.unregister)

@@ -42,12 +42,12 @@ TYPES = {
 
 
 def command(workspace: str) -> tuple[str, ...]:
-    """The nodelet manager of a workspace, with what its sanitizer is to leave out."""
+    """The nodelet manager of a workspace, with the exceptions of its sanitizer."""
     devel = ROOT / "build" / workspace / "devel"
     environment = {
         "CMAKE_PREFIX_PATH": f"{devel}:{os.environ['CMAKE_PREFIX_PATH']}",
         "LD_LIBRARY_PATH": f"{devel}/lib:{os.environ.get('LD_LIBRARY_PATH', '')}",
-        # Threads of ROS run until the end of the process, and what is global of ours is leaked.
+        # Threads of ROS run until the end of the process, and our globals are leaked.
         "ASAN_OPTIONS": "detect_leaks=0:exitcode=66",
         "TSAN_OPTIONS": ":".join(TSAN),
     }

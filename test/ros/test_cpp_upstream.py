@@ -2,9 +2,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Suites of roscpp, nodelet_core and actionlib: what passes without live ports passes with them.
+"""Suites of roscpp, nodelet_core and actionlib: none fails with live ports alone.
 
-They are no part of this repository. ``DYKNOW_ROS_COMM`` names checkouts of ros_comm, and of
+They are not part of this repository. ``DYKNOW_ROS_COMM`` names checkouts of ros_comm, and of
 nodelet_core and actionlib if wanted, separated by colons. The programs are built in
 ``build/upstream``, once; each suite runs plainly, and with the library in front of libroscpp.
 """

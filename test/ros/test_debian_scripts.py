@@ -55,7 +55,7 @@ def transform(parent: str, child: str, x: float) -> TransformStamped:
 
 
 class Scripts:
-    """What they do in either way."""
+    """Their behaviour in either way."""
 
     def start(self, script: str, name: str, *arguments: str, **names: str) -> None:
         """Start a script ``PACKAGE/SCRIPT`` under a global name, with remappings."""

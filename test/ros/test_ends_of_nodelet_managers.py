@@ -140,7 +140,7 @@ class EndsTest(ManagerCase):
             f"/native{number}" for number in range(3)
         ]
 
-    # An external nodelet manager, which others start, end and start again
+    # An external nodelet manager, which is started, ended and started again
 
     def test_a_peer_that_others_end(self):
         peer = self.start_peer()

@@ -37,7 +37,7 @@ CPP_CAMERA = (
 MOST_TOGETHER = 1.0
 #: Seconds from a fault to the first message of the replacement.
 REPLACED = 3.0
-#: Seconds for what the machine is busy with besides.
+#: Seconds for other work of the machine.
 SLACK = 2.0
 
 
@@ -159,7 +159,7 @@ class Fencing(HostsCase):
             went_on = time.monotonic()
         self.stays(5.0, self.has_one_sender, self.reasons)
         late = [each for each in self.senders.since(went_on) if each[1] == "/far"]
-        # What was in its sockets when it was stopped has arrived before.
+        # Messages in its sockets at that moment have arrived before.
         self.assertEqual(late, [], self.reasons())
         self.is_whole()
 

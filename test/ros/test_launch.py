@@ -29,7 +29,7 @@ from dyknow.ros.master import Master
 FILES = Path(__file__).resolve().parent.parent / "launch"
 LAUNCH = (*DYKNOW, "launch")
 PLAIN = ("roslaunch",)
-#: What a node offers besides when it is re-wirable.
+#: Additional names of a re-wirable node.
 OURS = re.compile(
     "^/dyknow/|/(get_config|set_config|get_statistics|get_counts|renew_lease|changes)$"
 )
@@ -59,7 +59,7 @@ class Launched(graph.Ended):
         return found
 
     def is_complete(self) -> bool:
-        """Whether the last of a chain of nodelets and nodes hears what the first one sends."""
+        """Whether the last of a chain of nodelets and nodes hears the first one."""
         try:
             types = dict(self._master.getTopicTypes())
         except (OSError, rosgraph.MasterException):

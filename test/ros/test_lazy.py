@@ -47,7 +47,7 @@ class LazyTest(unittest.TestCase):
             self.assertEqual(call(name, "connections"), int(listening))
 
     def check_delivery(self, listener, chain):
-        """What is published at the head of the chain arrives at its end."""
+        """A message published at the head of the chain arrives at its end."""
         call("/talker", "publish", 1, 1)
         eventually(lambda: 1 in call(listener, "received"), 5.0, "through the whole chain")
 

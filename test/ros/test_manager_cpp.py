@@ -109,7 +109,7 @@ class CppTest(ManagerCase):
         eventually(lambda: registrations("/small") == [], 2.0, "nothing is left")
 
     def assert_declared(self, topics: dict[str, str]) -> None:
-        """The model shows the declared ports, lazy ones too, and the proxy what it has of them."""
+        """The model shows the declared ports, lazy ones too, and the proxy those that exist."""
         declared = ("image", "camera_info", "~image", "~camera_info")
         wanted = {**dict.fromkeys(declared, ""), **topics}
 
@@ -261,7 +261,7 @@ class StockTest(ManagerCase):
 
 
 class ExternalTest(ManagerCase):
-    """C++ nodelet managers that others started."""
+    """External C++ nodelet managers."""
 
     def test_ours_and_a_stock_one(self):
         for name, command in (("/ours", cpp_suite.OURS), ("/stock", cpp_suite.STOCK)):

@@ -162,7 +162,7 @@ class ManagerDiskTest(ManagerCase):
         self.assertEqual(after.claim_id, claim_id)
         said = re.findall("DyKnow manager.*", manager.output)[-1]
         for part in (f"manager {MANAGER}, version {__version__}", manager.state, "1 nodelets"):
-            self.assertIn(part, said)  # who it is and what it restores
+            self.assertIn(part, said)  # its identity, and its restored state
         self.assertAlmostEqual(after.expires, before.expires, delta=0.5)
         manager.client.renew_stream(claim_id, 3.0)
         manager.kill()

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bad input is refused with a text that says what is wrong, and leaves nothing behind."""
+"""Bad input is refused with a text that names the mistake, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ class SetConfigTest(Refusals):
 
 
 class CallbackTest(NodeletManagerCase):
-    """What goes wrong in a callback stays there."""
+    """An error in a callback stays there."""
 
     def setUp(self):
         self.speaker = rospy.Publisher("/orders", Header, queue_size=100)
@@ -310,7 +310,7 @@ class CallbackTest(NodeletManagerCase):
         heard = []
         listener = rospy.Subscriber("/sink", Header, lambda message: heard.append(message.seq))
         speaker = rospy.Publisher("/source", Header, queue_size=100)
-        probe = 1000  # rospy counts connections before their handshake: only a message tells
+        probe = 1000  # rospy counts connections before their handshake: only a message is proof
 
         def arrives():
             speaker.publish(Header(seq=probe))

@@ -62,7 +62,7 @@ class ScriptLeakTest(NodeletManagerCase):
             if all(value <= most[key] for key, value in grown().items()):
                 return True
             # A class that all scripts share may keep the last script's copies of a library, as
-            # actionlib's does, until another script has used it. What leaks grows by this.
+            # actionlib's does, until another script has used it. A leak grows by this.
             self.cycle()
             return False
 
@@ -77,7 +77,7 @@ class ScriptLeakTest(NodeletManagerCase):
 
     @staticmethod
     def foreign() -> list[str]:
-        """What is registered for the process and is not the manager's own."""
+        """Registrations of the process other than the manager's own."""
         registered = graph.registrations("/manager").values()
         every = [name for kind in registered for name in kind]
         return [name for name in every if not name.startswith(("/manager/", "/rosout"))]

@@ -54,7 +54,7 @@ def said_last(heard: List[Any]) -> None:
 def connected(topic: str, publisher: str) -> None:
     """Wait until the node that publishes a topic sends it to this process.
 
-    It greets before that, and what it publishes in between does not come.
+    It greets before that, and messages in between do not come.
     """
     me = rospy.get_name()
     eventually(
@@ -244,7 +244,7 @@ class SharedTest(NodeletManagerCase):
 
 @contextlib.contextmanager
 def temporary_script(sibling: str) -> Iterator[str]:
-    """The folder of a package with a script that tells what its sibling says."""
+    """The folder of a package with a script that reports a word of its sibling."""
     with tempfile.TemporaryDirectory(dir=FURTHER_PACKAGES.name) as folder:
         write(os.path.join(folder, "package.xml"), MANIFEST, 0)
         path = os.path.join(folder, "news.py")
@@ -259,7 +259,7 @@ def temporary_script(sibling: str) -> Iterator[str]:
 
 
 def write(path: str, text: str, seconds: int) -> None:
-    """Write a file of another second: Python tells compiled files apart by that."""
+    """Write a file of another second: Python distinguishes compiled files by that."""
     with open(path, "w") as file:
         file.write(text)
     os.utime(path, (1e9 + seconds, 1e9 + seconds))

@@ -105,7 +105,7 @@ def program(label, source):
 
 
 class TopicsTest(ManagerCase):
-    """Nothing that a DyKnow manager starts is on a denied topic, whatever connects it."""
+    """Nothing that a DyKnow manager starts is on a denied topic, by any way of connecting it."""
 
     def setUp(self):
         self.manager = self.started(denied_topics=["/e_stop", "/tf"])
@@ -221,7 +221,7 @@ class ProgramsTest(ManagerCase):
         manager = self.started(remote_programs=False)
         with self.assertRaisesRegex(Refused, "remote_programs"):
             manager.client.add_transformation(program("script", SCRIPT))
-        manager.client.spawn("relay", RELAY)  # declared code is no program
+        manager.client.spawn("relay", RELAY)  # declared code is not a program
         for script in (SCRIPT, __file__):
             self.assertIn(
                 "is denied", load_refusal(CHILD, "/s", "dyknow/Script", my_argv=[script])

@@ -39,7 +39,7 @@ RECTIFIER = SignedTransformation(
 
 
 def camera(name: str) -> SignedTransformation:
-    """A camera that sends images, and what is known of them."""
+    """A camera that sends images, and information on them."""
     image, info = SignedPort("image", "out", (f"Raw({name})",)), f"Info({name})"
     ports = (image, SignedPort("info", "out", (info,)))
     return SignedTransformation(f"camera {name}", ports, rate=500)
@@ -75,7 +75,7 @@ class SignedTest(ManagerCase):
         self.assertTrue(read or not life.readers)
 
     def test_one_camera_takes_the_place_of_another(self):
-        """What listens to a claim's topic is reconfigured before it hears another camera."""
+        """A subscriber of a claim's topic is reconfigured before it hears another camera."""
         manager = self.make(linger=1.0)
         manager.start()
         report = Path(manager.state) / "report.txt"

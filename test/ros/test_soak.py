@@ -239,7 +239,7 @@ class SoakTest(ManagerCase):
         self.settled()
 
     def settled(self) -> None:
-        """Wait until counts of what comes and goes by itself stand still for a while."""
+        """Wait until counts that vary by themselves stand still for a while."""
         last: Any = None
         since = time.monotonic()
         while time.monotonic() - since < 8.0:  # longer than idle threads and connections stay
@@ -263,7 +263,7 @@ class SoakTest(ManagerCase):
         found["parameters"] = len(rospy.get_param_names())
         found["state files"] = len(list(Path(self.manager.state).rglob("*")))
         logs = Path(os.environ["ROS_HOME"], "log")
-        # What ROS writes for each node, whoever starts it, is not ours.
+        # Files that ROS writes for each node are not ours.
         found["outputs of children"] = sum(
             len(list(each.iterdir())) for each in logs.glob("dyknow-*")
         )

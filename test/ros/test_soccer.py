@@ -24,7 +24,7 @@ from dyknow_demo.soccer.world import BALL_RADIUS, SoccerWorld
 SEED = 4
 CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}
 
-#: Metres: several times what the unit tests find, for a machine that is busy with other things.
+#: Metres: several times the error in the unit tests, for a machine that is busy with other things.
 LARGE_ERROR = 0.3
 
 
@@ -53,7 +53,7 @@ class SoccerTest(LaunchedManagerCase):
         return messages
 
     def load_chain(self, camera, owner, goal):
-        """Load what makes field positions of a camera's images; returns its nodelets."""
+        """Load the chain from a camera's images to field positions; returns its nodelets."""
         mount = "nao_bottom" if owner == "nao" else CEILING_MOUNT
         half, quarter = f"{camera}/half", f"{camera}/quarter"
         subsampler = {"yuv": f"{camera}/image", "yuv_half": half, "yuv_quarter": quarter}
@@ -119,7 +119,7 @@ class SoccerTest(LaunchedManagerCase):
         self.assertGreater(ball.pose.covariance[0], 0.0)
 
     def test_the_robot_leaves_and_the_ceiling_camera_stands_in(self):
-        """The client's topic stays; what publishes on it is exchanged by set_config."""
+        """The client's topic stays; its publisher is exchanged by set_config."""
         positions = self.listen("position", PointStamped)
         own = [*self.load_chain("bottom", "nao", "position"), *self.load_robot()]
         self.assert_true(self.take(positions, 30), "bottom camera")

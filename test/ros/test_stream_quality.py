@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ages, rates and silence in real processes: what harms a stream is replaced, once and alone."""
+"""Ages, rates and silence in real processes: a part that harms a stream is replaced, once."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The end of a manager's process: orderly and in time, whatever its nodelets are doing."""
+"""The end of a manager's process: orderly and in time, during any work of its nodelets."""
 
 from __future__ import annotations
 
