@@ -53,11 +53,7 @@ def as_tree(answer: Answer) -> str:
         reasons = [f"nothing supplies {each}" for each in answer.missing]
         reasons += map(str, answer.obstacles)
         *others, last = reasons or [answer.reason]
-        lines = [
-            f"{answer.demand}: no plan",
-            *(f"├─ {each}" for each in others),
-            f"└─ {last}",
-        ]
+        lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
         return "\n".join(lines)
     lines = [f"{answer.demand}: cost {answer.cost} ({_how_good(answer)})"]
     if answer.latency or answer.demand.max_age:
@@ -88,12 +84,7 @@ def read_tree(text: str) -> Tuple[str, List[Entry]]:
             raise ValueError(f"not a line of a plan: '{line}'")
         depth = len(found.group("lead")) // _INDENT - 1
         entries.append(
-            Entry(
-                depth,
-                found.group("port") or "",
-                found.group("what"),
-                found.group("how"),
-            )
+            Entry(depth, found.group("port") or "", found.group("what"), found.group("how"))
         )
     return title, entries
 

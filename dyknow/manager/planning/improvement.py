@@ -18,17 +18,7 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import (
-    Callable,
-    FrozenSet,
-    Iterable,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-)
+from typing import Callable, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted
 from dyknow.manager.planning.bounds import Bounds
@@ -106,12 +96,7 @@ def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool
     """
     least, _ = bounds.least(False)
     cost = draft.cost
-    for below in (
-        cost + 1,
-        2 * cost + 1,
-        4 * cost + 1,
-        8 * cost + sys.maxsize + bounds.most,
-    ):
+    for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
         found = Search(request, bounds, least, False, below)
         found.run(_EACH_RISE)
         graph = AndOrGraph(request, found)

@@ -13,17 +13,7 @@ import heapq
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import (
-    Any,
-    Dict,
-    Iterable,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from weakref import WeakValueDictionary
 
 from dyknow.datatypes import types_fit
@@ -34,6 +24,7 @@ from dyknow.manager.planning.patterns import (
     Known,
     Names,
     Pattern,
+    Theta,
     Types,
     atoms_of,
     known_args,
@@ -49,8 +40,6 @@ from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 #: Makers that are looked up by the names that a search knows, not all at once.
 MANY = 300
-#: Patterns of requests about which something is remembered, beside those of transformations.
-_ASKED = 1_000
 #: Transformations whose variables are remembered: many have equal ones.
 _REMEMBERED = 1_000
 
@@ -249,7 +238,7 @@ class OperatorIndex:
         self.actions = actions
         self.facts = facts
         self.makers = makers
-        # What was found out about patterns; it does not matter by which thread.
+        # What was found out about the patterns of in-ports; it does not matter by which thread.
         self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
         self._makers: Dict[Pattern, Tuple[Operator, ...]] = {}
         self._cheapest: Dict[Pattern, Optional[Head]] = {}
@@ -276,17 +265,18 @@ class OperatorIndex:
         """Return how makers can supply a pattern."""
         found = self._offers.get(pattern)
         if found is None:
-            if len(self._offers) > _ASKED + 2 * len(self.actions):
-                self._offers, self._cheapest, self._crowds = {}, {}, {}  # others may read these
-            found = self._offers[pattern] = tuple(self.look_up(pattern, ()))
+            found = tuple(self.look_up(pattern, ()))
+            if pattern.is_kept:
+                self._offers[pattern] = found
         return found
 
     def makers_of(self, pattern: Pattern) -> Tuple[Operator, ...]:
         """Return the makers that can supply a pattern, each once."""
         found = self._makers.get(pattern)
         if found is None:
-            heads = [offer.head for offer in self.offers(pattern)]
-            found = self._makers[pattern] = tuple(dict.fromkeys([each.action for each in heads]))
+            found = tuple(dict.fromkeys([offer.head.action for offer in self.offers(pattern)]))
+            if pattern.is_kept:
+                self._makers[pattern] = found
         return found
 
     def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
@@ -312,29 +302,27 @@ class OperatorIndex:
 
     def crowd(self, pattern: Pattern) -> Optional[int]:
         """Return what the cheapest one costs of very many makers that may supply a pattern."""
-        crowds = self._crowds
-        if pattern not in crowds:
-            atom = pattern.atoms[0]
-            functors = self.names.below(frozenset((atom.functor,)))
-            found = [self.makers.get((functor, len(atom.args))) for functor in functors]
-            buckets = [each for each in found if each is not None]
-            is_crowd = pattern.wanted and sum([len(each.entries) for each in buckets]) > MANY
-            least = min([each.by_cost()[0].action.cost for each in buckets]) if is_crowd else None
-            crowds[pattern] = least
-        return crowds[pattern]
+        if pattern in self._crowds:
+            return self._crowds[pattern]
+        atom = pattern.atoms[0]
+        functors = self.names.below(frozenset((atom.functor,)))
+        found = [self.makers.get((functor, len(atom.args))) for functor in functors]
+        buckets = [each for each in found if each is not None]
+        is_crowd = pattern.wanted and sum([len(each.entries) for each in buckets]) > MANY
+        least = min([each.by_cost()[0].cost for each in buckets]) if is_crowd else None
+        if pattern.is_kept:
+            self._crowds[pattern] = least
+        return least
 
     def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
         """Return the cheapest fact that supplies a pattern."""
-        known = self._cheapest
-        if pattern not in known:
-            match, cheapest = None, None
-            for head in candidates(self.facts, pattern, (), self.names):
-                match = match or matcher(pattern, (), self.names)
-                if head.goes_with(pattern.datatype) and match(head.atoms):
-                    cheapest = head
-                    break
-            known[pattern] = cheapest
-        return known[pattern]
+        if pattern in self._cheapest:
+            return self._cheapest[pattern]
+        heads = candidates(self.facts, pattern, (), self.names)
+        found = next((head for head, _ in matching(heads, pattern, (), self.names)), None)
+        if pattern.is_kept:
+            self._cheapest[pattern] = found
+        return found
 
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
@@ -364,11 +352,7 @@ def _edited(old: Buckets, gone: List[Operator], come: List[Operator]) -> Buckets
 
 
 def candidates(
-    buckets: Buckets,
-    pattern: Pattern,
-    known: Known,
-    names: Names,
-    is_local: bool = False,
+    buckets: Buckets, pattern: Pattern, known: Known, names: Names, is_local: bool = False
 ) -> Iterator[Head]:
     """Return the out-ports that may supply a pattern, the cheapest first; some may not.
 
@@ -406,6 +390,18 @@ def candidates(
     if len(best) < 2:
         return iter(best[0] if best else ())
     return iter(dict.fromkeys(heapq.merge(*best, key=_by_order)))
+
+
+def matching(
+    heads: Iterable[Head], pattern: Pattern, known: Known, names: Names
+) -> Iterator[Tuple[Head, Theta]]:
+    """Yield the out-ports without variables that supply a pattern, and what is wanted of it."""
+    match = None
+    for head in heads:
+        if head.goes_with(pattern.datatype):
+            match = match or matcher(pattern, known, names)
+            for theta in match(head.atoms):
+                yield head, theta
 
 
 class Reader:
@@ -469,6 +465,7 @@ class Reader:
             _, terms, datatype = premise
             found = pattern_of(terms, datatype, self._names, variables, types)
             found = self._patterns.setdefault(found.key, found)
+            found.is_kept = True
             self._by_text[key] = found
         return found
 

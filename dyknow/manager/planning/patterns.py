@@ -57,12 +57,14 @@ class Pattern:
             others, the cheapest will do.
         is_plain: whether it has one atom, in which no variable occurs twice.
         slow: the same pattern without a rate, if this one demands a rate.
+        is_kept: whether an in-port of the library has it, not only one request.
     """
 
     __slots__ = (
         "__weakref__",
         "atoms",
         "datatype",
+        "is_kept",
         "is_plain",
         "slow",
         "types",
@@ -82,6 +84,7 @@ class Pattern:
         self.types = types
         self.wanted = wanted
         self.slow = slow
+        self.is_kept = False
         variables = [arg for arg in atoms[0].args if isinstance(arg, int)]
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
@@ -293,7 +296,7 @@ def known_args(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Know
     found: List[Union[None, str, Types]] = []
     for arg in atom.args:
         if isinstance(arg, str):
-            found.append(names.known(frozenset((arg,))))
+            found.append(arg if names.is_plain else frozenset((arg,)))
         else:
             found.append(names.both(names.known(pattern.types[arg]), by_variable.get(arg)))
     return tuple(found)

@@ -29,13 +29,7 @@ from typing import (
 from dyknow.manager.planning import problem
 from dyknow.manager.planning.and_or_graph import Draft, drafted
 from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.improvement import (
-    STEPS,
-    Budget,
-    Improved,
-    improve,
-    soonest,
-)
+from dyknow.manager.planning.improvement import STEPS, Budget, Improved, improve, soonest
 from dyknow.manager.planning.library import Operator, OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names, Pattern, Theta
 from dyknow.manager.planning.problem import (
@@ -83,9 +77,7 @@ class Planner:
     """
 
     def __init__(
-        self,
-        ontology: Subsumption = NO_ONTOLOGY,
-        clock: Callable[[], float] = time.monotonic,
+        self, ontology: Subsumption = NO_ONTOLOGY, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Start with an empty library."""
         names = Names(ontology)
@@ -162,10 +154,7 @@ class Planner:
         return _charges(self._library, demand, list(live), exclude, wishes)
 
     def bindings(
-        self,
-        demand: Demand,
-        live: Iterable[TaggedStream] = (),
-        budget: float = BUDGET,
+        self, demand: Demand, live: Iterable[TaggedStream] = (), budget: float = BUDGET
     ) -> Tuple[List[Bindings], bool]:
         """Find all that the variables of a demand can stand for.
 
@@ -229,10 +218,7 @@ def _charges(
     suppliers: List[Set[str]] = []
     for pattern in bounds.users:
         facts = [head for head, _ in request.facts(pattern)]
-        actions = {
-            *request.makers(pattern),
-            *[head.action for head in facts],
-        } - request.live
+        actions = {*request.makers(pattern), *[head.action for head in facts]} - request.live
         for action in actions:
             for head in action.heads:
                 tags.setdefault(action.label, set()).update(read_tags(head.texts))

@@ -11,16 +11,7 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import (
-    Dict,
-    FrozenSet,
-    Iterable,
-    Iterator,
-    Mapping,
-    NamedTuple,
-    Tuple,
-    Union,
-)
+from typing import Dict, FrozenSet, Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
 
 from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand, write_missing
@@ -260,10 +251,7 @@ NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
 
 
 def meets(
-    tags: Iterable[Term],
-    datatype: str,
-    demand: Demand,
-    ontology: Subsumption = NO_ONTOLOGY,
+    tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
 ) -> bool:
     """Return whether a stream of these tags and type is what is demanded."""
     return next(ways_to_meet(tags, datatype, demand, ontology), None) is not None

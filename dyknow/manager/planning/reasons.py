@@ -11,18 +11,7 @@ without a rate, without a ROS type. The fewest of these that stand in the way ar
 from __future__ import annotations
 
 import itertools
-from typing import (
-    Dict,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from dyknow.manager.planning.library import Head, Operator
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types

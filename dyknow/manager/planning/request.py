@@ -37,6 +37,7 @@ from dyknow.manager.planning.library import (
     OperatorIndex,
     bucketed,
     candidates,
+    matching,
     microseconds,
 )
 from dyknow.manager.planning.patterns import (
@@ -45,17 +46,10 @@ from dyknow.manager.planning.patterns import (
     Pattern,
     Theta,
     atoms_of,
-    matcher,
     pattern_of,
     solutions,
 )
-from dyknow.manager.planning.problem import (
-    NO_FREE,
-    NO_LABELS,
-    Demand,
-    Live,
-    TaggedStream,
-)
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, Live, TaggedStream
 from dyknow.manager.specifications.tags import Bindings, Term
 
 #: Out-ports that are looked at to explain why one demand is not met.
@@ -216,19 +210,19 @@ class Request:
         return found if found is None else min([found, *self._floors.values()])
 
     def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Head, Theta]]:
-        """Yield what supplies a pattern and needs nothing, the cheapest first."""
-        match = matcher(pattern, known, self.names)
+        """Return what supplies a pattern and needs nothing, the cheapest first."""
         heads: Iterable[Head] = candidates(self.library.facts, pattern, known, self.names)
         if self._local:
             local = candidates(self._local, pattern, known, self.names, is_local=True)
             others = (head for head in heads if head.action not in self._floors)
             heads = heapq.merge(local, others, key=lambda head: head.cost)
-        for head in heads:
-            if head.action in self._barred or not head.goes_with(pattern.datatype):
-                continue
-            if self._is_fast(pattern, head.action, head):
-                for theta in match(head.atoms):
-                    yield head, theta
+        if self._barred or pattern.slow is not None:
+            heads = (
+                head
+                for head in heads
+                if head.action not in self._barred and self._is_fast(pattern, head.action, head)
+            )
+        return matching(heads, pattern, known, self.names)
 
     def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
         """Return the cheapest supplier of a pattern that needs nothing."""

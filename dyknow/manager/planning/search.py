@@ -18,17 +18,8 @@ is the end of its cheapest tree.
 from __future__ import annotations
 
 import heapq
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from functools import lru_cache
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.library import Head, Offer, Operator
@@ -37,6 +28,8 @@ from dyknow.manager.planning.request import Need, Request
 
 #: Steps of a budget that one entry of the search's queue takes.
 _EFFORT = 200
+#: Orders of in-ports that are remembered.
+_REMEMBERED = 1_000
 
 
 class Instance:
@@ -114,6 +107,24 @@ class _Join(NamedTuple):
     bounds: Known
     value: int
     nodes: Tuple[Need, ...]
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _ordered(shares: Tuple[Tuple[int, ...], ...], known: Tuple[int, ...]) -> Sequence[int]:
+    """Order in-ports by their variables, of which some are known."""
+    bound = set(known)
+    left = list(range(len(shares)))
+    order: List[int] = []
+
+    def rank(port: int) -> Tuple[bool, int, int]:
+        free = sum([each not in bound for each in shares[port]])
+        return 0 < free == len(shares[port]), free, port
+
+    while left:
+        order.append(min(left, key=rank))
+        left.remove(order[-1])
+        bound.update(shares[order[-1]])
+    return order
 
 
 class Search:
@@ -271,12 +282,7 @@ class Search:
                 self._push_fact(subgoal, *more)
 
     def _list_uses(self, subgoal: Subgoal) -> None:
-        request, least, users, combine = (
-            self._request,
-            self._least,
-            self._users,
-            self._combine,
-        )
+        request, least, users, combine = (self._request, self._least, self._users, self._combine)
         for action, offer in request.offers(subgoal.pattern, subgoal.known):
             floors = [least.get(each, -1 if each in users else 0) for each in action.inputs]
             if -1 not in floors:
@@ -340,22 +346,10 @@ class Search:
 
     def order(self, action: Operator, bounds: Known) -> Sequence[int]:
         """Return the order of an action's in-ports: each time the one of which most is known."""
-        left = list(range(len(action.shares)))
-        if len(left) < 2:
-            return left
-        order: List[int] = []
-        bound = {at for at, each in enumerate(bounds) if self._is_one(each)}
-
-        def rank(port: int) -> Tuple[bool, int, int]:
-            free = sum([each not in bound for each in action.shares[port]])
-            is_open = 0 < free == len(action.shares[port])
-            return is_open, free, port
-
-        while left:
-            order.append(min(left, key=rank))
-            left.remove(order[-1])
-            bound.update(action.shares[order[-1]])
-        return order
+        if len(action.shares) < 2:
+            return range(len(action.shares))
+        known = tuple([at for at, each in enumerate(bounds) if self._is_one(each)])
+        return _ordered(action.shares, known)
 
     def _is_one(self, known: Any) -> bool:
         """Whether what is known of a variable leaves one name at most."""
