@@ -46,13 +46,14 @@ class Traffic:
         dropped: refused by a full queue, or published while disconnected.
         busy: seconds that callbacks took.
         longest: seconds that the longest of them took.
+        last: when the last message was published, or its callback began.
     """
 
-    __slots__ = tuple("_before _begin _clock _last busy dropped longest messages".split())
+    __slots__ = tuple("_before _begin busy clock dropped last longest messages".split())
 
     def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._last = 0.0
+        self.clock = clock
+        self.last = 0.0
         #: Number and time of the first message of this stretch and of the one before.
         self._begin = self._before = (0, 0.0)
         self.messages = 0
@@ -60,36 +61,30 @@ class Traffic:
         self.busy = 0.0
         self.longest = 0.0
 
-    def sent(self) -> None:
-        """Count one message that goes out now."""
-        self.messages = number = self.messages + 1
-        self._last = now = self._clock()
-        if number % _STRETCH == 1:
-            self._begin_stretch(number, now)
-
     def received(self, start: float) -> None:
         """Count one message whose callback began at ``start`` and has just returned."""
-        took = self._clock() - start
+        took = self.clock() - start
         self.messages = number = self.messages + 1
-        self._last = start
+        self.last = start
         self.busy += took
         if took > self.longest:
             self.longest = took
         if number % _STRETCH == 1:
-            self._begin_stretch(number, start)
+            self.begin_stretch(number, start)
 
-    def _begin_stretch(self, number: int, now: float) -> None:
+    def begin_stretch(self, number: int, now: float) -> None:
+        """Note the number and the time of the first message of a stretch."""
         self._before = self._begin if number > 1 else (1, now)
         self._begin = (number, now)
 
     def rate(self) -> float:
         """Return Hz over the last messages; 0 for less than two, falling while none come."""
-        number, last, (first, since) = self.messages, self._last, self._before
+        number, last, (first, since) = self.messages, self.last, self._before
         intervals = number - first
         if intervals < 1 or first == 0:
             return 0.0
         span = last - since
-        silence = self._clock() - last
+        silence = self.clock() - last
         # Until one is overdue the rate is that of the stretch; then the silence counts with it.
         if silence > 2 * span / intervals:
             span += silence
@@ -308,11 +303,11 @@ class Publication:
         try:
             if not (self._is_plain or self._admit(message)):
                 return
-            traffic = self.traffic  # as sent(), without its call
+            traffic = self.traffic  # counted here: a call would cost as much again
             traffic.messages = number = traffic.messages + 1
-            traffic._last = now = traffic._clock()
+            traffic.last = now = traffic.clock()
             if number % _STRETCH == 1:
-                traffic._begin_stretch(number, now)
+                traffic.begin_stretch(number, now)
             for connection in self._route:  # type: ignore[union-attr] # there is one, if admitted
                 connection.push_locked(message)
             outside = self._outside

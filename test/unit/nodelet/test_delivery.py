@@ -233,19 +233,20 @@ class TestTraffic:
 
     def test_rate_follows_and_falls_in_silence(self):
         clock = FakeClock()
-        traffic = Traffic(clock)
+        publisher = World(clock=clock).publisher("/t")
+        traffic = publisher.publication.traffic
         assert traffic.rate() == 0.0
-        traffic.sent()
+        publisher.publish(0)
         assert traffic.rate() == 0.0
         for _ in range(200):
             clock.seconds += 0.1
-            traffic.sent()
+            publisher.publish(0)
         assert traffic.rate() == pytest.approx(10.0)
         clock.seconds += 63.0
         assert traffic.rate() < 1.0
         for _ in range(100):
             clock.seconds += 0.01
-            traffic.sent()
+            publisher.publish(0)
         assert traffic.rate() == pytest.approx(100.0)
 
 
