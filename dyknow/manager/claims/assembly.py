@@ -130,13 +130,12 @@ class PlanContext:
         self.spawned = spawned
         #: Nodelets for the steps of the plan; grows.
         self.made: Dict[Instance, str] = {}
-
-    def outputs(self, instance: Instance) -> List[str]:
-        """Out-ports of a nodelet that the plan uses."""
-        plan = self._request.plan
-        used = {source for step in plan.steps for _, source in step.inputs} | {plan.goal}
-        new = [each for each in used if isinstance(each, New)]
-        return sorted({each.port for each in new if instance_of(each) == instance})
+        #: Out-ports that the plan uses, by instance.
+        self.outputs: Dict[Instance, Set[str]] = {}
+        plan = request.plan
+        for source in (*(source for step in plan.steps for _, source in step.inputs), plan.goal):
+            if isinstance(source, New):
+                self.outputs.setdefault(instance_of(source), set()).add(source.port)
 
     def name_of(self, source: Source) -> str:
         """Name of a supplier's nodelet; empty for a topic of ordinary nodes."""
@@ -372,7 +371,7 @@ class Assembly:
             given = filling(transformation, dict(step.bindings))
             types = {port: self._plan.type_of(source) for port, source in step.inputs}
             typed = {port: (topic, types[port]) for port, topic in inputs.items()}
-            name = self._spawn(transformation, typed, self._plan.outputs(instance), given)
+            name = self._spawn(transformation, typed, sorted(self._plan.outputs[instance]), given)
             self._plan.check_types(self._world().get(name), step)
         self._plan.made[instance] = name
         self._connect(name, self._inputs(step))

@@ -27,7 +27,7 @@ from typing import (
 
 from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
 from dyknow.manager.claims.ends import ends_of
-from dyknow.manager.claims.world import Config, World, WorldReader
+from dyknow.manager.claims.world import Config, WorldReader
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of, with_ports
 from dyknow.manager.steps import ReversibleStep, take_back
@@ -51,15 +51,13 @@ class Connector:
         self._manager = manager
         self._graph = manager.graph
         self._worlds = worlds
+        #: Returns the world of this moment.
+        self.world = worlds.now
         self._clock = clock
         #: Topics that a port was sent to without an answer, and until when it may arrive there.
         self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
         self._unknown: Dict[str, float] = {}
-
-    def world(self) -> World:
-        """Return the world of this moment."""
-        return self._worlds.now()
 
     def remember(self) -> None:
         """Store the bindings of nodelets with variables."""
@@ -238,7 +236,7 @@ class Transaction:
         Raises:
             DyKnowError: the nodelet refused, or did not answer.
         """
-        record = self._manager.graph.get(name)
+        record = self._connector.world().get(name)
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and self._connector.is_known(name):
             return

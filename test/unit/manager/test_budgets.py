@@ -12,6 +12,7 @@ from typing import Any, Counter, List, Set
 
 import pytest
 
+from dyknow.locks import CheckedLock
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.state_file import StateFile
 from dyknow.model.streams import StreamRequest
@@ -73,8 +74,9 @@ def test_a_chain_is_spawned_connected(length: int, monkeypatch: pytest.MonkeyPat
         assert topics["in"] == f"/step_{number - 1}_1/out"
 
 
-def test_an_acquire_takes_few_calls() -> None:
+def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     client = client_with_chain(4)
+    locks = counted(monkeypatch, CheckedLock, "acquire")
     calls: Counter[str] = collections.Counter()
     functions: Set[object] = set()
 
@@ -88,9 +90,10 @@ def test_an_acquire_takes_few_calls() -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 3_300
-    assert len(functions) <= 480
-    assert len(calls) <= 50
+    assert sum(calls.values()) <= 2_700
+    assert len(functions) <= 460
+    assert len(calls) <= 42
+    assert 0 < len(locks) <= 100
 
 
 def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
