@@ -25,8 +25,7 @@ from dyknow.locks import state_lock, turn_lock
 from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.bonding.bond_table import Announcement
-from dyknow.ros.bonding.bonds import status_message
-from dyknow.ros.bonding.claim_bonds import TOPIC
+from dyknow.ros.bonding.bonds import TOPIC, status_message
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.messages import event_from
 

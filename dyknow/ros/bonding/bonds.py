@@ -40,6 +40,8 @@ STOCK_TIMINGS = BondTimings(
 )
 """What bondcpp and bondpy use."""
 
+#: Name of the topic of bonds below a manager of either kind.
+TOPIC = "bond"
 #: Heartbeats of many bonds at once; they are small, and a sister that reads none is given up.
 _QUEUE_SIZE = 1000
 

@@ -18,9 +18,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.claim import Claim
-from dyknow.ros.bonding.bonds import Bonds
-
-TOPIC = "bond"
+from dyknow.ros.bonding.bonds import TOPIC, Bonds
 
 
 class ClaimBonds:
