@@ -394,14 +394,17 @@ class OrdinaryHandleTest(BusTest):
 
     def test_an_ordinary_subscriber_outlives_many_publishers_of_the_bus(self):
         call("/n", "make_subscriber", "rospy_subscriber", "rospy", "/a")
-        # More than Python's limit of nested calls.
-        call("/n", "make_and_remove_publishers", 1200, "bus", "/a")
-        call("/n", "make_publisher", "bus_publisher", "bus", "/a")
-        call("/n", "make_subscriber", "second", "rospy", "/a")
-        self.settle(["rospy_subscriber", "second"])
-        call("/n", "publish", "bus_publisher", [1, 2])
-        for label in ("rospy_subscriber", "second"):
-            self.wait_for(label, [1, 2])
+        call("/n", "limit_nested_calls", 300)  # of Python, by default 1,000
+        try:
+            call("/n", "make_and_remove_publishers", 360, "bus", "/a")
+            call("/n", "make_publisher", "bus_publisher", "bus", "/a")
+            call("/n", "make_subscriber", "second", "rospy", "/a")
+            self.settle(["rospy_subscriber", "second"])
+            call("/n", "publish", "bus_publisher", [1, 2])
+            for label in ("rospy_subscriber", "second"):
+                self.wait_for(label, [1, 2])
+        finally:
+            call("/n", "limit_nested_calls", 1000)
 
     def test_latched_by_an_ordinary_publisher_for_the_bus(self):
         call("/n", "make_publisher", "publisher", "rospy", "/a", True)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 
 import rospy
 from std_msgs.msg import Header
@@ -34,6 +35,9 @@ class Ordinary(Puppet):
         self.handles[label] = self.makers[kind].Publisher(
             topic, Header, queue_size=10, latch=latch
         )
+
+    def limit_nested_calls(self, limit):
+        sys.setrecursionlimit(limit)
 
     def make_and_remove_publishers(self, count, kind, topic):
         for _ in range(count):
