@@ -111,7 +111,8 @@ class ClaimPlanner:
         self._world = context.connector.world
         self._monitor = context.monitor
         self._ontology = ontology
-        self._planner = KeptPlanner(ontology)
+        self._planner = Planner(ontology)
+        self._planned_with: Mapping[str, Transformation] = {}
         self._known: Mapping[str, Transformation] = {}
         #: Transformations, streams and nodelets that exist.
         self.inputs = PlanInputs(context, ontology)
@@ -148,7 +149,9 @@ class ClaimPlanner:
         exclude = frozenset(claim.request.exclude)
         streams = self.inputs.streams(exclude)
         demand = demand_of(self._table.together(claim))
-        charges = self._planner.at(self._known).charges(demand, streams, exclude, wishes_of(claim))
+        charges = self._planner_for(self._known).charges(
+            demand, streams, exclude, wishes_of(claim)
+        )
         return saved + sum(
             charges.get(label, 0) for label in self.inputs.labels(claim.nodelets, claim.sources)
         )
@@ -265,15 +268,16 @@ class ClaimPlanner:
         with self._planning(self._known) as (planner, _):
             return planner.bindings(demand, streams)
 
-    def with_own(self, plan: Plan, own: Sequence[OwnNodelet]) -> Plan:
-        """Return a plan in which nodelets that exist cost nothing, and the others their price."""
-        return self._with_own(plan, own, self._known)
-
     # Inside
 
-    def _with_own(
-        self, plan: Plan, own: Sequence[OwnNodelet], known: Mapping[str, Transformation]
+    def with_own(
+        self,
+        plan: Plan,
+        own: Sequence[OwnNodelet],
+        known: Optional[Mapping[str, Transformation]] = None,
     ) -> Plan:
+        """Return a plan in which nodelets that exist cost nothing, and new ones their price."""
+        known = self._known if known is None else known
         used = self.assigned(plan, own)
         steps = tuple(
             step._replace(
@@ -357,7 +361,7 @@ class ClaimPlanner:
         Returns:
             What to plan with, and whether rounds may pass.
         """
-        planner = self._planner.at(known)
+        planner = self._planner_for(known)
         with self._lock.pause() as is_aside:
             yield planner, is_aside
 
@@ -384,7 +388,7 @@ class ClaimPlanner:
                     return answer
                 divided = self._divided(answer, situation)
                 if not divided:
-                    return self._with_own(answer, situation.own, situation.known)
+                    return self.with_own(answer, situation.own, situation.known)
                 paused |= divided
                 free = {label: free[label] for label in free.keys() - divided}
 
@@ -410,6 +414,20 @@ class ClaimPlanner:
                     return Plan(demand, stream, (), 0, 0, bindings, latency=stream.latency)
         return None
 
+    def _planner_for(self, present: Mapping[str, Transformation]) -> Planner:
+        """Return a planner for these transformations, by label; any thread may use it.
+
+        Each of its plans is made with the library of its time.
+        """
+        known = self._planned_with
+        if known is not present:
+            gone = [label for label in known if label not in present]
+            if gone:
+                self._planner.remove(*gone)
+            self._planner.add(each for each in present.values() if known.get(each.label) != each)
+            self._planned_with = present
+        return self._planner
+
     def _update(self) -> None:
         """Read the transformations that plans may have steps of."""
         self._known = self.inputs.transformations()
@@ -419,25 +437,3 @@ def _cost(step: PlanStep, known: Mapping[str, Transformation]) -> int:
     """Return the price of a new nodelet; the library may have changed since it was planned."""
     found = known.get(step.action.label)
     return step.action.cost if found is None else found.cost
-
-
-class KeptPlanner:
-    """A planner that follows the library; used under the lock of the claims.
-
-    Its planners may be used by any thread: each plan is made with the library of its time.
-    """
-
-    def __init__(self, ontology: Subsumption) -> None:
-        self._planner = Planner(ontology)
-        self._known: Mapping[str, Transformation] = {}
-
-    def at(self, present: Mapping[str, Transformation]) -> Planner:
-        """Return a planner for these transformations, by label."""
-        known = self._known
-        if known is not present:
-            gone = [label for label in known if label not in present]
-            if gone:
-                self._planner.remove(*gone)
-            self._planner.add(each for each in present.values() if known.get(each.label) != each)
-            self._known = present
-        return self._planner

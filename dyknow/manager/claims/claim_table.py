@@ -181,13 +181,9 @@ class ClaimTable:
         if running < self._pardon_until:
             return
         for claim in self.living():
-            if claim.deadline is not None and now >= claim.deadline:
-                self._expire_if_late(claim.claim_id, now)
-
-    def _expire_if_late(self, claim_id: str, now: float) -> None:
-        claim = self.find(claim_id)
-        if claim is not None and claim.deadline is not None and now >= claim.deadline:
-            self.end(claim_id, ClaimState.EXPIRED, "its lease ended")
+            present = self.find(claim.claim_id)  # a renewal may have come meanwhile
+            if present is not None and present.deadline is not None and now >= present.deadline:
+                self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended")
 
     def _stored(self) -> Dict[str, Claim]:
         now = Moment.now(self._clock)

@@ -279,12 +279,9 @@ class StreamMonitor:
         self.quality.restart(claim.claim_id, rewired)
         return self._first_messages.expect(claim, goal, topic)
 
-    def report_first_messages(self) -> None:
-        """Change the claims whose first message has come, by the latest counts."""
+    def report(self) -> None:
+        """Change the claims whose first message has come, or whose messages' age is unknown."""
         self._first_messages.report()
-
-    def report_unknown_ages(self) -> None:
-        """Say in the details of claims where the age of their messages is unknown."""
         for claim in self._table.living():
             if claim.request.max_age and claim.state is ClaimState.ACTIVE:
                 is_unknown = self.quality.is_age_unknown(claim)

@@ -320,8 +320,7 @@ class StreamReconciler:
             self._collector.clear_topics()
             self._collector.collect()
             self._cheaper_plans.report()
-            self._monitor.report_first_messages()
-            self._monitor.report_unknown_ages()
+            self._monitor.report()
 
     def end(self) -> None:
         """End every claim, since the manager is stopped on purpose; nothing is repaired later."""

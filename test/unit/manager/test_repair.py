@@ -239,7 +239,7 @@ def test_a_pending_claim_costs_no_planning_while_nothing_changes(field: Field) -
     with pytest.raises(NoPlanFound):
         field.acquire("Ghost(field)")
     field.settle()
-    planner = field.reconciler._planner._planner._planner
+    planner = field.reconciler._planner._planner
     plans = []
     planning = planner.plan
     planner.plan = lambda *args, **kwds: plans.append(args) or planning(*args, **kwds)  # type: ignore
