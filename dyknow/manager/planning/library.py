@@ -47,14 +47,6 @@ _Arguments = Tuple[Tuple[str, ...], Tuple[str, ...]]
 """Those of a term, and their types."""
 
 
-class Premise(NamedTuple):
-    """What a tagged in-port demands."""
-
-    port: str
-    terms: Tuple[Term, ...]
-    datatype: str
-
-
 @dataclass(eq=False)
 class Head:
     """A tagged out-port of an action; compared by identity.
@@ -101,7 +93,7 @@ class Operator:
         label: of the transformation, or the name of what is live.
         cost: what a nodelet of it costs.
         heads: the tagged out-ports.
-        premises: of the tagged in-ports, in the order written.
+        ports: its tagged in-ports, in the order written.
         inputs: their patterns.
         needs: the same, each once.
         variables: the names of its variables.
@@ -118,7 +110,7 @@ class Operator:
         "inputs",
         "label",
         "needs",
-        "premises",
+        "ports",
         "shares",
         "slow",
         "types",
@@ -127,7 +119,7 @@ class Operator:
     label: str
     cost: int
     heads: List[Head]
-    premises: Tuple[Premise, ...]
+    ports: Tuple[Port, ...]
     inputs: Tuple[Pattern, ...]
     needs: Tuple[Pattern, ...]
     variables: Tuple[str, ...]
@@ -410,37 +402,37 @@ class Reader:
     def __init__(self, names: Names) -> None:
         self._names = names
         self._patterns: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
-        self._by_text: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
+        self._by_text: Dict[Any, Pattern] = {}
 
-    def read(self, transformation: Transformation) -> Operator:
-        """Read a transformation."""
+    def read(self, transformations: Iterable[Transformation]) -> List[Operator]:
+        """Read transformations."""
+        found = [self._read(each) for each in transformations]
+        self._by_text = {}  # patterns that no operator has are forgotten
+        return found
+
+    def _read(self, transformation: Transformation) -> Operator:
         tagged = [port for port in transformation.ports if port.tags]
-        premises, texts = [], []
-        for port in tagged:
-            terms = read_tags(port.tags) if port.direction == IN else ()
-            if terms:
-                premises.append(Premise(port.name, terms, port.datatype))
-                texts.append(port.tags)
+        ports = [each for each in tagged if each.direction == IN and read_tags(each.tags)]
         variables: Tuple[str, ...] = ()
         types: Tuple[Types, ...] = ()
-        shares: Tuple[Tuple[int, ...], ...] = ((),) * len(premises)
-        has_bindings = "?" in "".join([text for each in texts for text in each])
+        shares: Tuple[Tuple[int, ...], ...] = ((),) * len(ports)
+        has_bindings = "?" in "".join([text for port in ports for text in port.tags])
         if has_bindings:
             out = [t for port in tagged if port.direction == OUT for t in read_tags(port.tags)]
             written = [each.text for each in transformation.parameters]
             variables, of_names, shares = _variables(
-                tuple([tuple([term[1:] for term in each.terms]) for each in premises]),
+                tuple([tuple([term[1:] for term in read_tags(port.tags)]) for port in ports]),
                 tuple([term[1:] for term in out]),
                 tuple([each for text in written for each in variables_of(text)]),
             )
             canonical = self._names.canonical
             types = tuple([frozenset(map(canonical, each)) for each in of_names])
-        inputs = [self._pattern(*each, variables, types) for each in zip(texts, premises)]
+        inputs = [self._pattern(port.tags, port.datatype, variables, types) for port in ports]
         action = Operator(
             transformation.label,
             transformation.cost,
             [],
-            tuple(premises),
+            tuple(ports),
             tuple(inputs),
             tuple(dict.fromkeys(inputs)) if len(inputs) > 1 else tuple(inputs),
             variables,
@@ -454,19 +446,17 @@ class Reader:
 
     def _pattern(
         self,
-        texts: Tuple[str, ...],
-        premise: Premise,
+        tags: Tuple[str, ...],
+        datatype: str,
         variables: Tuple[str, ...],
         types: Tuple[Types, ...],
     ) -> Pattern:
-        key = texts, premise.datatype, variables, types
+        key = tags, datatype, variables, types
         found = self._by_text.get(key)
         if found is None:
-            _, terms, datatype = premise
-            found = pattern_of(terms, datatype, self._names, variables, types)
-            found = self._patterns.setdefault(found.key, found)
+            found = pattern_of(read_tags(tags), datatype, self._names, variables, types)
+            found = self._by_text[key] = self._patterns.setdefault(found.key, found)
             found.is_kept = True
-            self._by_text[key] = found
         return found
 
     def _head(self, action: Operator, port: Port) -> Head:

@@ -92,7 +92,7 @@ class Planner:
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
         added = list(transformations)
-        actions = [self._reader.read(each) for each in added if each.type != TOPIC]
+        actions = self._reader.read([each for each in added if each.type != TOPIC])
         self._library = self._library.changed([each.label for each in added], actions)
 
     def remove(self, *labels: str) -> None:
@@ -274,13 +274,13 @@ class _Writer:
         key = action.slow or action, instance.theta
         sources = [self.source(node) for node in instance.needs]
         self._begun[key] = max([latency for _, _, latency in sources], default=0)
-        inputs = tuple([(e.port, source[0]) for e, source in zip(action.premises, sources)])
+        inputs = tuple([(port.name, each[0]) for port, each in zip(action.ports, sources)])
         if not action.has_bindings:
             return PlanStep(part, inputs)
         joined = dict(zip(action.variables, instance.theta))
         bindings: Dict[str, str] = {}
-        for premise, (source, texts, _) in zip(action.premises, sources):
-            bindings = {**self.way(source, texts, premise.terms, joined), **bindings}
+        for port, (source, texts, _) in zip(action.ports, sources):
+            bindings = {**self.way(source, texts, read_tags(port.tags), joined), **bindings}
         self._bindings[key] = tuple(sorted(bindings.items()))
         return PlanStep(part, inputs, self._bindings[key])
 

@@ -18,7 +18,7 @@ from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
 from dyknow.manager.planning.problem import Demand, Live, NoPlan, Obstacle
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
-from dyknow.manager.specifications.tags import Term, types_of
+from dyknow.manager.specifications.tags import Term, read_tags, types_of
 
 #: Answers of one in-port with which the next one is looked at, and obstacles that are named.
 _MOST_NAMED = 10
@@ -89,15 +89,19 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
 
     def opened(port: int, bounds: Known) -> _Open:
         known = tuple([bounds[each] for each in action.shares[port]])
-        _, terms, datatype = action.premises[port]
         known_of = {
             variable: _joined(each, types, request.names)
             for variable, each, types in zip(action.variables, bounds, action.types)
         }
-        shown, rest = _shown(terms, known_of, request.names)
+        shown, rest = _shown(read_tags(action.ports[port].tags), known_of, request.names)
         pattern = action.inputs[port]
         rate = 0.0 if pattern.slow is None else request.demand.min_rate
-        return _Open(pattern, known, Demand(frozenset(shown), datatype, rate), tuple(rest))
+        return _Open(
+            pattern,
+            known,
+            Demand(frozenset(shown), action.ports[port].datatype, rate),
+            tuple(rest),
+        )
 
     never = [opened(at, bounds) for at, e in enumerate(action.inputs) if not search.can_be(e)]
     if never:

@@ -38,7 +38,7 @@ def made(label: str, needs: str, supplied: str, cost: int = 1) -> Transformation
 
 def indexed(large: PlanningLibrary) -> OperatorIndex:
     names = Names(NO_ONTOLOGY)
-    actions = list(map(Reader(names).read, large.transformations))
+    actions = Reader(names).read(large.transformations)
     return OperatorIndex(names, {}, {}, {}).changed((), actions)
 
 
