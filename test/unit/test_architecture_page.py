@@ -1,15 +1,25 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The page on the architecture is true: its modules exist, its rooms are those of the imports."""
+"""The page on the architecture is true: its modules, its rooms, and each hop of its ways."""
 
 from __future__ import annotations
 
 import re
+import sys
+import threading
 from pathlib import Path
-from typing import List
+from types import FrameType
+from typing import Any, Callable, List, Set
 
 import pytest
+from clocks import HandClock
+from std_msgs.msg import Int32
+
+import dyknow
+from dyknow.model.streams import StreamRequest
+from dyknow.simulated import SimulatedManagerClient
+from dyknow.testing import NodeletHarness
 
 try:
     import tomllib
@@ -47,3 +57,81 @@ def test_each_room_is_described():
     for package in (ROOT / "dyknow").iterdir():
         if (package / "__init__.py").is_file():
             assert f"dyknow.{package.name}" in PAGE
+
+
+class Relay(dyknow.Nodelet):
+    def on_init(self):
+        nh = dyknow.NodeHandle(self.node_handle)
+        self.out = nh.Publisher("out", Int32, queue_size=1)
+        self.sub = nh.Subscriber("in", Int32, self.out.publish, queue_size=1)
+
+
+LIBRARY = """<transformations>
+  <transformation><label>left</label><source>pkg/Left</source>
+    <ports><port type="out">out</port></ports><tags><tag port="out">Image(room)</tag></tags>
+  </transformation>
+  <transformation cost="2"><label>right</label><source>pkg/Right</source>
+    <ports><port type="out">out</port></ports><tags><tag port="out">Image(room)</tag></tags>
+  </transformation>
+</transformations>"""
+
+
+def message() -> None:
+    with NodeletHarness() as harness:
+        harness.load(Relay, "/relay", {"in": "/a", "out": "/b"})
+        heard = harness.listen("/b")
+        harness.publish("/a", Int32(1))
+        harness.drain()
+        assert heard == [Int32(1)]
+
+
+def spawn() -> None:
+    client = SimulatedManagerClient()
+    client.add_transformation(LIBRARY)
+    client.spawn("left", "/left", {"out": "/images"})
+    with NodeletHarness() as harness:
+        harness.load(Relay, "/relay")
+
+
+def switch() -> None:
+    with NodeletHarness() as harness:
+        relay = harness.load(Relay, "/relay", {"in": "/a"})
+        harness.connect(relay, {"in": "/b"})
+
+
+def repair() -> None:
+    clock = HandClock()
+    client = SimulatedManagerClient(clock=clock)
+    client.add_transformation(LIBRARY)
+    claim = client.acquire_stream(StreamRequest("Image(room)"))
+    assert client.list_streams()[0].nodelets == ("/left_1",)
+    client.remove_transformation("left")
+    client.settle()
+    assert client.list_streams()[0].nodelets == ("/right_1",)
+    client.release_stream(claim.claim_id)
+    client.settle()
+    clock.time += 60.0
+    client.settle()
+    assert client.get_graph().nodelets == ()
+
+
+@pytest.mark.parametrize("way", [message, spawn, switch, repair])
+def test_each_hop_of_a_way_is_taken(way: Callable[[], None]) -> None:
+    """Except for those within ROS, which the rostest suites take."""
+    text = PAGE.split(f"The way of a {way.__name__}\n")[1].split(".. code-block:: text")[1]
+    drawing = re.split(r"\n(?=\S)", text)[0]
+    hops = {each for each in re.findall(r"\bdyknow(?:\.[a-z_]+)+", drawing) if ".ros" not in each}
+    taken: Set[str] = set()
+
+    def note(frame: FrameType, event: str, _: Any) -> None:
+        if event == "call":
+            taken.add(frame.f_globals.get("__name__", ""))
+
+    sys.setprofile(note)
+    threading.setprofile(note)
+    try:
+        way()
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)  # type: ignore[arg-type]
+    assert hops and hops <= taken
