@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The cheapest way to a stream, from what can run and what does run.
+"""The cheapest way to a stream, from the library and the running nodelets.
 
 From the bottom: `problem` has the values that go in and out, `patterns` are tags with numbered
-variables, and a `library` has transformations as actions, indexed by what they supply. It is a
-value that any thread may search while the next one replaces it. A `request` adds what runs at
-the moment, and what everything costs this client.
+variables, and a `library` has transformations as actions, indexed by their supplies. It is a
+value that any thread may search while the next one replaces it. A `request` adds the running
+nodelets, and every cost for this client.
 
 The way of a request through `planner`::
 
-    bounds       what the goal can reach, and what that costs at least, without bindings
+    bounds       the reach of the goal, and its least costs, without bindings
       │
     search       the cheapest tree of instances, begun at the goal: names that are bound are
       │          passed on to the next in-port

@@ -26,9 +26,9 @@ class Draft(NamedTuple):
     """A way to the goal.
 
     Attributes:
-        chosen: what supplies each node.
+        chosen: the supplier of each node.
         order: the instances, suppliers first.
-        cost: what they cost.
+        cost: their cost.
     """
 
     chosen: Dict[Need, Instance]
@@ -53,7 +53,7 @@ def drafted(request: Request, chosen: Dict[Need, Instance]) -> Draft:
 
 
 def unfree(request: Request, instances: Iterable[Instance]) -> int:
-    """Return what instances cost because only one nodelet of an action is free."""
+    """Return the costs of instances where only one nodelet of an action is free."""
     if not request.kept:
         return 0
     keys = {(each.action.slow or each.action, each.theta) for each in instances}
@@ -66,7 +66,7 @@ class AndOrGraph:
 
     Attributes:
         costs: of each action.
-        needs: nodes that each action needs; what is there at no cost is left out.
+        needs: nodes that each action needs; nodes without cost are left out.
         makes: nodes that each action supplies.
         users: actions that need each node.
         offers: actions that supply each node.
@@ -75,7 +75,7 @@ class AndOrGraph:
     """
 
     def __init__(self, request: Request, search: Search) -> None:
-        """Take from a search what it found."""
+        """Take the results of a search."""
         self._request = request
         self.limit = request.limit
         goal = Need(request.goal, ())
@@ -120,17 +120,17 @@ class AndOrGraph:
         self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
 
     def _latency(self, instance: Instance, node: Need) -> int:
-        """Return what an instance adds to the latency of a node, if there is a limit."""
+        """Return the contribution of an instance to the latency of a node, if there is a limit."""
         if self.limit is None:
             return 0
         return self._request.source(instance.action, instance.theta, node).latency
 
     def numbers(self, draft: Draft) -> List[int]:
-        """Return the numbers here of a draft's instances; what is not worthwhile is left out."""
+        """Return the numbers here of a draft's instances; useless ones are left out."""
         return [self._numbers[each.key] for each in draft.order if each.key in self._numbers]
 
     def cost(self, actions: Collection[int]) -> int:
-        """Sum up what actions cost."""
+        """Sum up the costs of actions."""
         total = sum([self.costs[each] for each in actions])
         if self._request.kept:
             total += unfree(self._request, [self._instances[each] for each in actions])
@@ -146,7 +146,7 @@ class AndOrGraph:
         return self.limit is not None and done > self.limit
 
     def derive(self, actions: AbstractSet[int]) -> Dict[int, int]:
-        """Supply what can be supplied with some actions alone.
+        """Supply all nodes that some actions alone can supply.
 
         Returns:
             For each node that is reached its supplier, without a cycle; if there is a limit,

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Lower bounds for what demands cost, found without bindings.
+"""Lower bounds for the costs of demands, found without bindings.
 
 A pattern counts as supplied here if it can be supplied under any bindings, and only the cheapest
 fact that supplies it is looked at. So the work is proportional to the part of the library that
-the goal reaches, whatever individuals there are. If no variable is shared, the bounds are exact.
+the goal reaches, for any individuals. If no variable is shared, the bounds are exact.
 
 D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing Letters 6(1), 1977.
 """
@@ -25,7 +25,7 @@ _RANK = (1 << _BITS) - 1
 
 
 class _Supplier(NamedTuple):
-    """An action, or many that were not looked at: what it costs, needs and supplies."""
+    """An action, or many that were not looked at: its cost, needs and supplies."""
 
     action: Optional[Operator]
     cost: int
@@ -34,7 +34,7 @@ class _Supplier(NamedTuple):
 
 
 class Bounds:
-    """What the goal can reach, and what that costs at least.
+    """The reach of the goal, and its least costs.
 
     Attributes:
         users: for each pattern that is reached, the places of the suppliers that need it.
@@ -42,11 +42,11 @@ class Bounds:
     """
 
     def __init__(self, request: Request, is_whole: bool = False) -> None:
-        """Collect what the goal can reach.
+        """Collect the reach of the goal.
 
         Args:
             request: the problem.
-            is_whole: also what supplies a demand that is met at no cost.
+            is_whole: also the suppliers of a demand that is met at no cost.
         """
         self._goal = request.goal
         self.is_simple = not request.goal.wanted
@@ -104,18 +104,18 @@ class Bounds:
     def least(
         self, use_sum: bool = True, below: Optional[int] = None
     ) -> Tuple[Dict[Pattern, int], Dict[Pattern, Operator]]:
-        """Return what demands cost at least, and the action that supplies each so.
+        """Return the least costs of demands, and the action that supplies each so.
 
         Args:
             use_sum: use the sum over the inputs, the cost of a tree, in which shared parts are
                 paid again; else the maximum over the inputs, which no plan is below.
-            below: leave out what costs as much; None for no bound.
+            below: leave out actions that cost as much; None for no bound.
 
         Returns:
             Both by pattern, without those that cannot be supplied.
         """
         suppliers = [*self._suppliers, *self._facts.values(), *self._crowds]
-        # Labels decide between equal costs, where it matters what supplies a demand.
+        # Labels decide between equal costs, where the supplier of a demand matters.
         by_rank = list(range(len(suppliers)))
         if self.is_simple and use_sum:
             actions = [each.action for each in suppliers]
@@ -154,14 +154,14 @@ class Bounds:
         return value, chosen
 
     def above(self, least: Dict[Pattern, int], below: int) -> Tuple[Dict[Pattern, int], int]:
-        """Return what a plan costs at least besides a demand, if it costs less than a bound.
+        """Return the least cost of a plan besides a demand, if it costs less than a bound.
 
         Args:
             least: what no plan for each demand is below.
             below: demands that only dearer plans need are left out.
 
         Returns:
-            That, and what it costs besides a demand of which nothing is known.
+            That, and its cost besides a demand of which nothing is known.
         """
         found: Dict[Pattern, int] = {}
         suppliers: Dict[Pattern, List[Tuple[int, _Supplier]]] = {}

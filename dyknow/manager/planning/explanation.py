@@ -48,7 +48,7 @@ class Entry(NamedTuple):
 
 
 def as_tree(answer: Answer) -> str:
-    """Write a plan, or what is missing for one, for people."""
+    """Write a plan, or the missing demands, for people."""
     if isinstance(answer, NoPlan):
         reasons = [f"nothing supplies {each}" for each in answer.missing]
         reasons += map(str, answer.obstacles)

@@ -51,7 +51,7 @@ class Budget:
         """Start.
 
         Args:
-            seconds: what the improvement may take.
+            seconds: the budget of the improvement.
             clock: steady time, in seconds.
         """
         self._clock = clock
@@ -70,7 +70,7 @@ class Budget:
 
 
 class Improved(NamedTuple):
-    """A draft, and what is known about its cost.
+    """A draft, and the bounds of its cost.
 
     Attributes:
         draft: the best one.
@@ -91,7 +91,7 @@ def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool
 
     Args:
         request: the problem.
-        bounds: what the goal can reach.
+        bounds: the reach of the goal.
         draft: the cheapest tree, which is too late.
     """
     least, _ = bounds.least(False)
@@ -119,9 +119,9 @@ def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> I
 
     Args:
         request: the problem.
-        bounds: what the goal can reach.
+        bounds: the reach of the goal.
         draft: the cheapest tree, or one that is in time.
-        budget: what the improvement may take.
+        budget: the budget of the improvement.
     """
     if not draft.cost or not budget.spend(_BOUNDED * len(bounds)):
         return Improved(draft, 0)
@@ -160,7 +160,7 @@ class _Improvement:
         """Improve a draft that costs more than a bound."""
         graph, budget = self._graph, self._budget
         cuts, rest = self._cuts()
-        # What was left out because the search was too large could be cheaper than these cuts.
+        # Parts that a large search left out could be cheaper than these cuts.
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
         best = graph.numbers(draft)
         way = graph.derive(set(best))
@@ -200,7 +200,7 @@ class _Improvement:
         return sorted(kept)
 
     def _is_alone(self, action: int, kept: Set[int]) -> bool:
-        """Whether an action is the only one to supply a node that others need."""
+        """Whether an action is the only one to supply a node that other actions need."""
         graph = self._graph
         return any(
             len(kept.intersection(graph.offers[node])) == 1
@@ -211,13 +211,13 @@ class _Improvement:
     # Landmark cuts
 
     def _cuts(self) -> Tuple[int, List[int]]:
-        """Return a bound that no plan is below, and what is left of the cost of each action.
+        """Return a bound that no plan is below, and the remaining cost of each action.
 
         M. Helmert and C. Domshlak, "Landmarks, critical paths and abstractions: what's the
         difference anyway?", ICAPS 2009. Every plan has an action of each cut that separates the
-        goal from what is there. A part of its cheapest action is paid, and all actions of the cut
-        become cheaper by as much, until the goal costs nothing: in the terms of linear
-        programming, dual ascent. A plan costs at least the bound and what is left.
+        goal from the existing parts. A part of its cheapest action is paid, and all actions of the
+        cut become cheaper by as much, until the goal costs nothing: in the terms of linear
+        programming, dual ascent. A plan costs at least the bound and the remaining costs.
         """
         rest = list(self._graph.costs)
         bound = 0
@@ -232,7 +232,7 @@ class _Improvement:
         return bound, rest
 
     def _cut(self, rest: List[int]) -> List[int]:
-        """Return the actions that lead from what is there to where the goal costs no more."""
+        """Return the actions that lead from the existing parts to where the goal costs no more."""
         graph = self._graph
         _, dearest, price = graph.cheapest(rest, use_sum=False)
         if not price:
@@ -267,12 +267,12 @@ class _Improvement:
     ) -> Tuple[List[int], bool]:
         """Search all plans that may cost less than a known one.
 
-        A plan that has some actions and lacks others needs one more of those that supply a node
+        A plan that has some actions, but not others, needs one more of those that supply a node
         which is still open: it has the first, or lacks the first and has the second, and so on.
 
         Args:
             bound: a bound for the cost of every plan.
-            rest: what the actions of a plan cost at least besides.
+            rest: least costs of the actions of a plan besides.
             below: cost of the known plan.
             left: steps that the search leaves over.
 
@@ -318,7 +318,7 @@ class _Improvement:
         way = graph.derive(has)
         if 0 in way:
             return None
-        # Some need each other in a circle: another supplier of what they need breaks it. Where
+        # Some need each other in a circle: another supplier of their needs breaks it. Where
         # some are too late, another supplier of anything that they need may be sooner.
         circular = needed - way.keys() if graph.limit is None else needed
         others = {action for node in circular for action in graph.offers[node]}

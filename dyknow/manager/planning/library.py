@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The library as actions: transformations with numbered variables, indexed by what they supply.
+"""The library as actions: transformations with numbered variables, indexed by their supplies.
 
 A library is a value that any thread may search: a change makes another one, which shares the
-parts that did not change. Actions without tagged in-ports are *facts*, the others *makers*.
+parts that did not change. Actions without tagged in-ports are *facts*, the rest *makers*.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Head:
     """A tagged out-port of an action; compared by identity.
 
     Attributes:
-        cost: what the action costs, as a fact.
-        source: what it is in a plan, without bindings.
+        cost: the action's cost, as a fact.
+        source: its source in a plan, without bindings.
         action: whose it is.
         texts: its tags as they are written.
         atoms: those that can supply something, with the variables numbered as the action's.
@@ -90,8 +90,8 @@ class Operator:
     that several in-ports share, or that out-ports or parameters expose.
 
     Attributes:
-        label: of the transformation, or the name of what is live.
-        cost: what a nodelet of it costs.
+        label: of the transformation, or the name of the live nodelet.
+        cost: the cost of a nodelet of it.
         heads: the tagged out-ports.
         ports: its tagged in-ports, in the order written.
         inputs: their patterns.
@@ -134,8 +134,8 @@ class Offer(NamedTuple):
 
     Attributes:
         head: the out-port.
-        types: what the pattern demands of the maker's variables besides their own types.
-        places: what the wanted variables of the pattern stand for, by the variables of the maker;
+        types: the pattern's types for the maker's variables, besides their own.
+        places: values of the pattern's wanted variables, by the variables of the maker;
             None if it is known only when these are bound.
     """
 
@@ -145,7 +145,7 @@ class Offer(NamedTuple):
 
 
 def _by_order(head: Head) -> Tuple[int, str, str]:
-    """Sort by cost, then by what tells heads apart."""
+    """Sort by cost, then by the attributes that distinguish heads."""
     return head.cost, head.source[0], head.source[1]
 
 
@@ -221,7 +221,7 @@ def microseconds(seconds: float) -> int:
 
 
 class OperatorIndex:
-    """What can be planned with."""
+    """The actions of a library."""
 
     def __init__(
         self, names: Names, actions: Dict[str, Operator], facts: Buckets, makers: Buckets
@@ -230,7 +230,7 @@ class OperatorIndex:
         self.actions = actions
         self.facts = facts
         self.makers = makers
-        # What was found out about the patterns of in-ports; it does not matter by which thread.
+        # Results about the patterns of in-ports; it does not matter by which thread.
         self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
         self._makers: Dict[Pattern, Tuple[Operator, ...]] = {}
         self._cheapest: Dict[Pattern, Optional[Head]] = {}
@@ -272,8 +272,8 @@ class OperatorIndex:
         return found
 
     def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
-        """Yield how makers can supply a pattern; with what is known, some of them cannot."""
-        # What follows for an action follows for all whose out-ports look the same.
+        """Yield how makers can supply a pattern; known names rule some of them out."""
+        # A result for an action holds for all whose out-ports look the same.
         seen: Dict[Tuple[object, ...], Optional[Tuple[Types, ...]]] = {}
         args = pattern.atoms[0].args
         wanted = [args.index(each) for each in pattern.wanted] if pattern.is_plain else []
@@ -293,7 +293,7 @@ class OperatorIndex:
                     yield Offer(head, types, None)
 
     def crowd(self, pattern: Pattern) -> Optional[int]:
-        """Return what the cheapest one costs of very many makers that may supply a pattern."""
+        """Return the least cost of very many makers that may supply a pattern."""
         if pattern in self._crowds:
             return self._crowds[pattern]
         atom = pattern.atoms[0]
@@ -327,7 +327,7 @@ def bucketed(heads: Iterable[Head]) -> Buckets:
 
 
 def _edited(old: Buckets, gone: List[Operator], come: List[Operator]) -> Buckets:
-    """Return buckets without the heads of some actions, and with those of others."""
+    """Return buckets without the heads of some actions, and with those of other actions."""
     left = set(gone)
     new = dict(old)
     more = bucketed([head for action in come for head in action.heads])
@@ -350,7 +350,7 @@ def candidates(
 
     Args:
         buckets: where they are.
-        pattern: what is demanded.
+        pattern: the demand.
         known: of its wanted variables.
         names: how names are related.
         is_local: whether their names are not entered.
@@ -387,7 +387,7 @@ def candidates(
 def matching(
     heads: Iterable[Head], pattern: Pattern, known: Known, names: Names
 ) -> Iterator[Tuple[Head, Theta]]:
-    """Yield the out-ports without variables that supply a pattern, and what is wanted of it."""
+    """Yield the out-ports without variables that supply a pattern, with its wanted variables."""
     match = None
     for head in heads:
         if head.goes_with(pattern.datatype):

@@ -4,7 +4,7 @@
 """Patterns: demands and supplies with canonical names and numbered variables.
 
 Two demands that differ only in the names of their variables have one pattern. A name in a demand
-acts as a type: it subsumes what is supplied in its place.
+acts as a type: it subsumes the supplied name in its place.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Pattern:
     Attributes:
         atoms: the tags, all of which one stream has to have.
         datatype: ROS type; empty for any.
-        types: for each variable, what has to subsume its name.
+        types: for each variable, the concepts that have to subsume its name.
         wanted: variables whose names matter to the consumer; of streams that differ only in
             others, the cheapest will do.
         is_plain: whether it has one atom, in which no variable occurs twice.
@@ -95,7 +95,7 @@ class Pattern:
 
 
 class Names:
-    """Names as the ontology relates them; the ontology is asked once for each name.
+    """Names as the ontology relates them; the ontology is queried once for each name.
 
     Any thread may read while one thread enters names. The ontology does not change, so it does
     not matter which thread fills a cache.
@@ -176,7 +176,7 @@ class Names:
         return fewest if len(types) == 1 else [each for each in fewest if self.fits(each, types)]
 
     def known(self, types: Types) -> Union[None, str, Types]:
-        """Return what types say of a variable: without an ontology a type is the name.
+        """Return the constraint of types on a variable: without an ontology a type is the name.
 
         The empty text stands for a contradiction.
         """
@@ -187,7 +187,7 @@ class Names:
     def both(
         self, one: Union[None, str, Types], other: Union[None, str, Types]
     ) -> Union[None, str, Types]:
-        """Combine what is known of a variable; the empty text stands for a contradiction."""
+        """Combine two constraints of a variable; the empty text stands for a contradiction."""
         if one is None or one == other:
             return other
         if other is None:
@@ -199,7 +199,7 @@ class Names:
         return "" if self.is_plain else self.narrowed(one | other)
 
     def agrees(self, theta: Iterable[str], known: Known) -> bool:
-        """Whether names are as what is known of them."""
+        """Whether names fit the constraints on them."""
         for name, each in zip(theta, known):
             if isinstance(each, str):
                 if each != name:
@@ -249,7 +249,7 @@ def pattern_of(
 
 
 def can_match(supplied: Atom, demanded: Atom, types: Sequence[Types], names: Names) -> bool:
-    """Whether an atom may be what is demanded, whatever its variables stand for."""
+    """Whether an atom can meet the demand, for some values of its variables."""
     if len(supplied.args) != len(demanded.args):
         return False
     if not names.subsumes(demanded.functor, supplied.functor):
@@ -289,7 +289,7 @@ def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[
 
 
 def known_args(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
-    """Return what is known of the arguments of an atom of a pattern."""
+    """Return the known arguments of an atom of a pattern."""
     if names.is_plain and not pattern.types:
         return atom.args  # type: ignore[return-value]
     by_variable = dict(zip(pattern.wanted, known))
@@ -305,7 +305,7 @@ def known_args(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Know
 def matcher(
     pattern: Pattern, known: Known, names: Names
 ) -> Callable[[Sequence[Atom]], Sequence[Theta]]:
-    """Return what matches ground atoms with a pattern, fast where many are to be matched.
+    """Return a function that matches ground atoms with a pattern, fast for many of them.
 
     The atoms are such that each of the pattern has one among them of the same number of
     arguments, whose functor it subsumes.
@@ -346,14 +346,14 @@ def pushed(
 
     Args:
         supplied: the atoms.
-        pattern: what is demanded.
+        pattern: the demand.
         own: the types of the variables of the out-port's action.
         names: how names are related.
 
     Returns:
-        For each variable of the action, what the pattern demands of it besides; None if the
-        out-port cannot supply the pattern. What holds of a variable only after others are bound
-        is left out, so instances are matched again.
+        For each variable of the action, the pattern's further types for it; None if the
+        out-port cannot supply the pattern. Constraints that need other bindings are left out, so
+        instances are matched again.
     """
     more = [NO_TYPES] * len(own)
     for demanded in pattern.atoms:

@@ -121,8 +121,8 @@ class Planner:
             paused: labels of which no new nodelet is to be made; live streams may be used.
             budget: seconds that the improvement may take. It counts steps, so equal problems
                 have equal plans; the clock ends it only where a step takes long.
-            wishes: what is to be used rather than other things.
-            feeders: labels of what feeds the live streams, by their nodelets.
+            wishes: preferred and avoided parts.
+            feeders: labels of the feeders of live streams, by their nodelets.
         """
         library, streams = self._library, list(live)
         charges = _charges(library, demand, streams, exclude, wishes)
@@ -150,7 +150,7 @@ class Planner:
         exclude: AbstractSet[str],
         wishes: Wishes,
     ) -> Dict[str, int]:
-        """Return what the parts of a plan are charged besides their costs, by label."""
+        """Return the charges of the parts of a plan besides their costs, by label."""
         return _charges(self._library, demand, list(live), exclude, wishes)
 
     def bindings(
@@ -178,7 +178,7 @@ class Planner:
 
 
 def _choices(request: Request, actions: Dict[Pattern, Operator]) -> Dict[Need, Instance]:
-    """Return what supplies the nodes where no name is bound."""
+    """Return the suppliers of the nodes where no name is bound."""
     found: Dict[Need, Instance] = {}
     made: Dict[Operator, Instance] = {}
     waiting = [request.goal]
@@ -200,11 +200,11 @@ def _charges(
     exclude: AbstractSet[str],
     wishes: Wishes,
 ) -> Dict[str, int]:
-    """Return what the parts that may help to meet a demand are charged, by label.
+    """Return the charges of the parts that may help to meet a demand, by label.
 
-    A part that the client avoids is charged `AVOIDED`. A part that supplies what a preferred one
-    could supply as well is charged `NOT_PREFERRED`, unless it is preferred itself. Both hold for
-    running parts too, which cost nothing else, and for what feeds them.
+    A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
+    preferred one could supply as well is charged `NOT_PREFERRED`, unless it is preferred itself.
+    Both hold for running parts too, which cost nothing else, and for their feeders.
     """
     if wishes == NO_WISHES:
         return {}
@@ -258,7 +258,7 @@ class _Writer:
         self._begun: Dict[Tuple[Operator, Theta], int] = {}
 
     def source(self, node: Need) -> Tuple[Source, Tuple[str, ...], int]:
-        """Return what supplies a node, its tags, and its latency in microseconds."""
+        """Return the supplier of a node, its tags, and its latency in microseconds."""
         chosen = self._chosen[node]
         key = chosen.action.slow or chosen.action, chosen.theta
         head = self._request.source(chosen.action, chosen.theta, node)

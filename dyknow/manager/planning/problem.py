@@ -26,12 +26,12 @@ from dyknow.manager.specifications.tags import (
 
 
 class Demand(NamedTuple):
-    """What an in-port, or a client, asks of one stream.
+    """The demand of an in-port, or a client, on one stream.
 
     Attributes:
         tags: all of them.
         datatype: ROS type; empty for any.
-        min_rate: Hz; what is stated to be slower does not meet the demand. 0 for any.
+        min_rate: Hz; streams that state a lower rate do not meet the demand. 0 for any.
         max_age: seconds; plans whose stated latency is higher do not meet it. 0 for any.
     """
 
@@ -64,7 +64,7 @@ class Live(NamedTuple):
         nodelet: its publisher, empty for topics of ordinary nodes.
         label: the transformation behind it.
         datatype: ROS type.
-        rate: Hz that its out-port states, or what feeds its nodelet; 0 if they state none.
+        rate: Hz that its out-port states, or its feeders state; 0 if they state none.
         latency: seconds that its nodelet and all that feeds it state.
     """
 
@@ -87,7 +87,7 @@ class New(NamedTuple):
     Attributes:
         label: the transformation.
         port: its out-port.
-        bindings: of all variables of the transformation, which tell its nodelets apart.
+        bindings: of all variables of the transformation, which distinguish its nodelets.
     """
 
     label: str
@@ -104,7 +104,7 @@ class Action(NamedTuple):
     Attributes:
         label: its name.
         cost: of a nodelet of it; 0 if there is one that can be connected elsewhere.
-        charge: what it is charged besides, since the client would rather have others.
+        charge: its charge besides the cost, since the client would rather have other parts.
     """
 
     label: str
@@ -113,7 +113,7 @@ class Action(NamedTuple):
 
 
 class Charge(NamedTuple):
-    """What a running nodelet, or a topic of ordinary nodes, is charged."""
+    """The charges of a running nodelet, or a topic of ordinary nodes."""
 
     name: str
     charge: int
@@ -123,7 +123,7 @@ class PlanStep(NamedTuple):
     """A nodelet to be made of a transformation, and where its inputs come from.
 
     Attributes:
-        action: what is made.
+        action: the new nodelet.
         inputs: in-ports, each with its supplier.
         bindings: of all variables of the transformation.
     """
@@ -137,16 +137,16 @@ class Plan(NamedTuple):
     """How to get a stream.
 
     Attributes:
-        demand: what was asked for.
+        demand: the requested demand.
         goal: where it comes from.
-        steps: what is to be made, suppliers before consumers.
+        steps: the nodelets to make, suppliers before consumers.
         cost: sum over the steps and the charges.
         least_cost: no plan costs less; if it is the cost, that is proven least.
-        bindings: of the variables in what was asked for.
+        bindings: of the variables in the demand.
         is_cut_short: whether the clock ended the improvement, so that the same problem may have
             another plan at another time.
         charges: of the streams that are used as they are.
-        latency: what is stated along the longest path, in s.
+        latency: the stated latencies along the longest path, in s.
     """
 
     demand: Demand
@@ -161,7 +161,7 @@ class Plan(NamedTuple):
 
     @property
     def total(self) -> int:
-        """What the steps cost, and all charges."""
+        """The costs of the steps, and all charges."""
         steps = sum([step.action.cost + step.action.charge for step in self.steps])
         return steps + sum([charge for _, charge in self.charges])
 
@@ -177,8 +177,8 @@ class Obstacle(NamedTuple):
     """A demand that something would supply, but for a cause.
 
     Attributes:
-        demand: what is not supplied.
-        causes: what is in the way, as sentences.
+        demand: the unsupplied demand.
+        causes: the obstacles, as sentences.
     """
 
     demand: Demand
@@ -193,11 +193,11 @@ class NoPlan(NamedTuple):
     """Why there is none.
 
     Attributes:
-        demand: what was asked for.
+        demand: the requested demand.
         missing: demands that nothing supplies, sorted by their text.
         circular: whether nothing is missing, but everything that supplies it needs it first.
         latency: of the soonest plan, in s, if all are too late; else 0.
-        obstacles: demands that would be met but for a type, a rate, or what may not be used.
+        obstacles: demands that would be met but for a type, a rate, or an exclusion.
         is_cut_short: whether the search reached its limit, so that there may be a plan.
     """
 
@@ -210,7 +210,7 @@ class NoPlan(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Tell why there is no plan, besides what is missing."""
+        """Explain why there is no plan, besides the missing demands."""
         if self.obstacles:
             return "; ".join(map(str, self.obstacles))
         if self.is_cut_short:
@@ -220,20 +220,20 @@ class NoPlan(NamedTuple):
         return "everything that supplies it needs it first"
 
     def __str__(self) -> str:
-        """Name what is missing."""
+        """Name the missing demands."""
         if self.missing:
             text = write_missing(str(self.demand), map(str, self.missing))
             return "; ".join([text, *map(str, self.obstacles)])
         return f"no plan for {self.demand}: {self.reason}"
 
 
-#: What a part is charged besides its cost.
+#: The charge of a part besides its cost.
 AVOIDED = 1000
 NOT_PREFERRED = 100
 
 
 class Wishes(NamedTuple):
-    """What is preferred, and what is avoided: labels, and concepts of tags of out-ports."""
+    """Preferred and avoided parts: labels, and concepts of tags of out-ports."""
 
     prefer: Tuple[str, ...] = ()
     avoid: Tuple[str, ...] = ()
@@ -253,7 +253,7 @@ NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
 def meets(
     tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
 ) -> bool:
-    """Return whether a stream of these tags and type is what is demanded."""
+    """Return whether a stream of these tags and type meets a demand."""
     return next(ways_to_meet(tags, datatype, demand, ontology), None) is not None
 
 
@@ -264,14 +264,14 @@ def ways_to_meet(
     ontology: Subsumption = NO_ONTOLOGY,
     bindings: Mapping[str, str] = NO_BINDINGS,
 ) -> Iterator[Dict[str, str]]:
-    """Yield the bindings of each way in which a stream is what is demanded.
+    """Yield the bindings of each way in which a stream meets a demand.
 
     Args:
         tags: of the stream; those with variables supply nothing.
         datatype: of the stream.
-        demand: what is asked for.
-        ontology: what is a kind of what.
-        bindings: what variables stand for already.
+        demand: the requested demand.
+        ontology: subsumption of names.
+        bindings: values of bound variables.
     """
     if types_fit(datatype, demand.datatype):
         yield from unify_all(tags, sorted(demand.tags), ontology, bindings)

@@ -4,7 +4,7 @@
 """Why there is no plan: the demands that nothing meets, each with the cause that holds.
 
 From the goal on, the subgoals are followed that were not supplied. One that no action can supply
-is looked at again with less demanded: without what is excluded, without types of its variables,
+is looked at again with fewer constraints: without exclusions, without types of its variables,
 without a rate, without a ROS type. The fewest of these that stand in the way are the cause.
 """
 
@@ -32,7 +32,7 @@ class _Open(NamedTuple):
 
     Attributes:
         pattern: its pattern.
-        known: what is known of its names.
+        known: constraints on its names.
         demand: it, as people write it.
         rest: what cannot be written so, as sentences.
     """
@@ -85,7 +85,7 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
 
 
 def _unmet(request: Request, search: Search, action: Operator, bounds: Known) -> List[_Open]:
-    """Return what the in-ports of an action lack."""
+    """Return the unmet demands of an action's in-ports."""
 
     def opened(port: int, bounds: Known) -> _Open:
         known = tuple([bounds[each] for each in action.shares[port]])
@@ -125,7 +125,7 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
 
 
 def _joined(known: Union[None, str, Types], types: Types, names: Names) -> Union[str, Types]:
-    """Return what is known of a variable together with its types."""
+    """Return the constraint of a variable together with its type."""
     if isinstance(known, frozenset):
         if len(known) == 1 and known.issuperset(names.below(known)):
             return next(iter(known))  # nothing else is that
@@ -136,10 +136,10 @@ def _joined(known: Union[None, str, Types], types: Types, names: Names) -> Union
 def _shown(
     terms: Sequence[Term], known: Mapping[str, Union[str, Types]], names: Names
 ) -> Tuple[List[Term], List[str]]:
-    """Write what is known of variables into terms, as people write it.
+    """Write constraints of variables into terms, as people write it.
 
     Returns:
-        The terms, and what they have no place for.
+        The terms, and the constraints that have no place in them.
     """
     bound = {each: names.written(name) for each, name in known.items() if isinstance(name, str)}
     own = types_of(terms)

@@ -72,10 +72,10 @@ class Request:
     """The problem of one request.
 
     Attributes:
-        goal: what is asked for.
+        goal: the requested demand.
         limit: its age at most, in microseconds; None for any.
         kept: actions of which a nodelet is free, each with the names that it has to keep.
-        charges: what actions are charged besides their costs.
+        charges: charges of actions besides their costs.
         live: the actions of live streams.
     """
 
@@ -94,14 +94,14 @@ class Request:
         """Set it up.
 
         Args:
-            library: what can be made.
-            demand: what is asked for.
-            streams: what is live.
+            library: the actions.
+            demand: the requested demand.
+            streams: live streams.
             exclude: labels that must not be used, live or new.
             paused: labels of which no new nodelet is made.
             free: nodelets that cost nothing: label and bindings that they keep.
-            charges: what has to be paid besides the costs, by label.
-            feeders: labels of what feeds a nodelet, by its name.
+            charges: charges besides the costs, by label.
+            feeders: labels of a nodelet's feeders, by its name.
             wanted: variables of the demand of which every name matters.
         """
         self.library = library
@@ -122,7 +122,7 @@ class Request:
             if label in actions
         }
         self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
-        #: What actions cost at least where that is not what they state.
+        #: Least costs of actions where these differ from the stated ones.
         self._floors: Dict[Operator, int] = {}
         heads: List[Head] = []
         for action in (*self.kept, *self.charges):
@@ -148,11 +148,11 @@ class Request:
     # Actions
 
     def floor(self, action: Operator) -> int:
-        """Return what an action costs at least."""
+        """Return the least cost of an action."""
         return self._floors.get(action.slow or action, action.cost)
 
     def cost(self, action: Operator, theta: Theta) -> int:
-        """Return what an action costs under bindings, if it may use the nodelet that is free."""
+        """Return the cost of an action under bindings, if it may use the nodelet that is free."""
         base = action.slow or action
         if self.is_free(base, theta):
             return self._floors[base]
@@ -189,7 +189,7 @@ class Request:
         return [each for each in found if each not in self._barred] if self._barred else found
 
     def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Operator, Offer]]:
-        """Yield how makers can supply a pattern; with what is known, some of them cannot."""
+        """Yield how makers can supply a pattern; known names rule some of them out."""
         slow, min_rate = pattern.slow or pattern, self.demand.min_rate
         if any(known) and self.crowd(pattern) is not None:
             found: Iterable[Offer] = self.library.look_up(slow, known)
@@ -210,7 +210,7 @@ class Request:
         return found if found is None else min([found, *self._floors.values()])
 
     def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Head, Theta]]:
-        """Return what supplies a pattern and needs nothing, the cheapest first."""
+        """Return the facts that supply a pattern, the cheapest first."""
         heads: Iterable[Head] = candidates(self.library.facts, pattern, known, self.names)
         if self._local:
             local = candidates(self._local, pattern, known, self.names, is_local=True)
@@ -237,7 +237,7 @@ class Request:
         return not head.cost and (self.limit is None or not head.latency)
 
     def alike(self, pattern: Pattern) -> Iterator[Head]:
-        """Yield what may supply a pattern if less were demanded, excluded or not; some may not."""
+        """Yield out-ports that might supply a pattern with fewer constraints, excluded or not."""
         names, library = self.names, self.library
         loose = Pattern(pattern.atoms, "", (NO_TYPES,) * len(pattern.types), pattern.wanted)
         found = itertools.chain(

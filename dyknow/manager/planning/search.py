@@ -3,16 +3,16 @@
 
 """The search over ground instances, which begins at the goal and passes bound names on.
 
-A *node* is a pattern under bindings of what is wanted of it; a *subgoal* is a pattern of which
+A *node* is a pattern under bindings of its wanted variables; a *subgoal* is a pattern of which
 some of these names are known. A subgoal begins all actions that can supply it. Each asks for its
 in-ports one after the other, and the names that supply one of them are known to the next: so a
 subgoal is about those individuals alone that the goal can use (F. Bancilhon et al., "Magic sets
 and other strange ways to implement logic programs", PODS 1986).
 
-All steps are taken in the order of what a plan with them costs at least: what its way up to the
-goal costs, what is known of its inputs, and a lower bound for the rest (P. F. Felzenszwalb and
-D. McAllester, "The generalized A* architecture", JAIR 29, 2007). So the first that supplies a node
-is the end of its cheapest tree.
+All steps are taken in the order of the least cost of a plan with them: the cost of the way up to
+the goal, the known costs of its inputs, and a lower bound for the rest (P. F. Felzenszwalb and D.
+McAllester, "The generalized A* architecture", JAIR 29, 2007). So the first that supplies a node is
+the end of its cheapest tree.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class Instance:
     """An action under bindings; a search has one of each.
 
     Attributes:
-        action: what is bound.
+        action: the bound action.
         theta: names of its variables.
-        cost: what it costs.
-        needs: what its in-ports need, in the order written.
+        cost: its cost.
+        needs: the needs of its in-ports, in the order written.
     """
 
     __slots__ = ("action", "cost", "needs", "theta")
@@ -60,12 +60,12 @@ class Subgoal:
     """A pattern of which some names are known.
 
     Attributes:
-        above: what a plan with it costs at least besides.
+        above: least cost of a plan with it, besides its own.
         is_bound: whether it has one node alone.
         is_done: whether nothing more is to be found for it.
         answers: the nodes that were supplied, with their values.
         waiting: the joins that go on with each of them.
-        facts: what supplies it and needs nothing.
+        facts: its suppliers without needs.
         uses: the actions that may supply it, the cheapest last: least cost of a plan, label,
             place, action, and how.
     """
@@ -86,11 +86,11 @@ class _Use(NamedTuple):
     """An action that is to supply a subgoal.
 
     Attributes:
-        subgoal: what it is to supply.
+        subgoal: the subgoal to supply.
         action: which one.
         offer: how.
-        order: the in-ports in the order in which they are asked for.
-        rest: what the in-ports from each place of that order on cost at least.
+        order: the in-ports in the order of the search.
+        rest: for each place of that order, what the in-ports from there on cost at least.
     """
 
     subgoal: Subgoal
@@ -101,7 +101,7 @@ class _Use(NamedTuple):
 
 
 class _Join(NamedTuple):
-    """An action whose first in-ports are supplied: with what names, cost and nodes."""
+    """An action whose first in-ports are supplied: with names, cost and nodes."""
 
     use: _Use
     bounds: Known
@@ -132,11 +132,11 @@ class Search:
 
     Attributes:
         goal: the subgoal of the goal.
-        value: what each node costs.
-        chosen: what supplies it so.
+        value: the cost of each node.
+        chosen: its supplier at that cost.
         offers: all that supplies it, if that is collected.
         is_complete: whether the search came to its end, and not to its limit.
-        reached: no plan with what was not found costs less.
+        reached: no plan with parts that were not found costs less.
     """
 
     def __init__(
@@ -151,8 +151,8 @@ class Search:
 
         Args:
             request: the problem.
-            bounds: what the goal can reach.
-            least: what the patterns cost at least that it reaches; others cannot be supplied.
+            bounds: the reach of the goal.
+            least: least costs of the reached patterns; others cannot be supplied.
             use_sum: use the sum over the inputs; else the maximum, which no plan is below.
             below: collect all that a plan which costs less can have.
         """
@@ -162,7 +162,7 @@ class Search:
         self._combine: Callable[[List[int]], int] = sum if use_sum else max
         self._users = bounds.users
         self._below = below
-        #: What a plan costs at least besides each pattern, and others; by default that is found.
+        #: Least cost of a plan besides each pattern, and others; by default that is found.
         self._above: Optional[Dict[Pattern, int]] = None
         self._above_others = 0
         if below is not None:
@@ -186,7 +186,7 @@ class Search:
         """Search.
 
         Args:
-            steps: what it may take.
+            steps: its budget.
             is_all: go on when the goal is supplied.
 
         Returns:
@@ -221,7 +221,7 @@ class Search:
         go_on: Callable[..., None],
         *details: Any,
     ) -> None:
-        """Put off a step for a subgoal until its turn: what a plan with it costs at least."""
+        """Put off a step for a subgoal until its turn: the least cost of a plan with it."""
         if self._below is None or key < self._below:
             self._pushed += 1
             entry = (key, subgoal.above, label, theta, self._pushed, go_on, details)
@@ -234,8 +234,8 @@ class Search:
 
         Args:
             pattern: the demand.
-            known: what is known of its names.
-            key: what a plan that needs it costs at least.
+            known: constraints on its names.
+            key: least cost of a plan that needs it.
         """
         found = self._subgoals.get((pattern, known))
         if found is not None:
@@ -311,7 +311,7 @@ class Search:
             self._go_on(_Join(_Use(subgoal, action, offer, order, rest), bounds, 0, ()), key)
 
     def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Optional[Known]:
-        """Return what is known of the variables of an action that supplies a subgoal.
+        """Return the constraints on the variables of an action that supplies a subgoal.
 
         Returns:
             That, or None if the action cannot supply it.
@@ -352,7 +352,7 @@ class Search:
         return _ordered(action.shares, known)
 
     def _is_one(self, known: Any) -> bool:
-        """Whether what is known of a variable leaves one name at most."""
+        """Whether the constraint of a variable leaves one name at most."""
         if isinstance(known, frozenset):
             return len(self._names.below(known)) < 2
         return known is not None
