@@ -13,9 +13,9 @@ int main(int argc, char** argv)
 {
   ros::init(argc, argv, "manager");
   const ros::NodeHandle node;
-  if (dyknow::areHooksReached())  // otherwise the log says what is wrong, and the nodelets run all the same
+  if (dyknow::areHooksReached())  // otherwise the log names the fault, and the nodelets run all the same
   {
-    dyknow::offerProcessServices();  // first: whoever finds the loader's services knows what this process is
+    dyknow::offerProcessServices();  // first: clients of the loader's services know its kind
   }
   const nodelet::Loader loader;
   ros::spin();

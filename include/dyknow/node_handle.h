@@ -25,7 +25,7 @@ using PortTopics = std::map<std::string, std::string>;
 /// Called with the in-ports and the out-ports after they were connected elsewhere.
 using ReconfigureCallback = std::function<void(const PortTopics& inputs, const PortTopics& outputs)>;
 
-/// A ros::NodeHandle; what it advertises and subscribes to are the ports of its node or nodelet.
+/// A ros::NodeHandle; its publishers and subscribers are the ports of its node or nodelet.
 class NodeHandle : public ros::NodeHandle
 {
 public:
@@ -42,7 +42,7 @@ public:
   /// where they are.
   ///
   /// @param callback an empty one: nothing is called any more
-  /// @return whether there is somebody who can connect the ports elsewhere
+  /// @return whether the ports can be connected elsewhere
   bool setReconfigureCallback(ReconfigureCallback callback)
   {
     // Looked up, so that nothing has to be linked with, and without the library nothing is missing.

@@ -37,7 +37,7 @@ struct QueuedMessage
 ///
 /// roscpp has a queue of messages for each topic, and clears it when the subscription ends. Here all messages
 /// go into one queue of the port's subscription, which outlives its connections: what came from the old topic
-/// is delivered before what comes from the new one. A connection is also the callback that is queued for each
+/// is delivered before the messages of the new one. A connection is also the callback that is queued for each
 /// of its messages.
 class Connection final : public ros::SubscriptionCallbackHelper,
                          public ros::CallbackQueueInterface,
@@ -54,7 +54,7 @@ public:
   };
 
   /// @param subscription lets go of the connection when it is closed, otherwise each would keep the other
-  /// @param number tells which one of the subscription's connections was made first
+  /// @param number index of this one among the subscription's connections was made first
   Connection(std::shared_ptr<PortSubscription> subscription, const ros::SubscribeOptions& options,
              std::string topic, std::uint32_t number, State state);
 

@@ -12,10 +12,10 @@
 namespace dyknow
 {
 
-/// What the standard library's waits take for a deadline.
+/// The argument of the standard library's waits for a deadline.
 ///
 /// The thread sanitizer of this compiler does not know the functions of the C library that a steady clock leads
-/// to (pthread_mutex_clocklock, pthread_cond_clockwait), and takes the lock for one that nobody holds. Where it
+/// to (pthread_mutex_clocklock, pthread_cond_clockwait), and takes the lock for a free one. Where it
 /// is used, the clock that can be set has to do.
 inline auto forWaiting(Clock::time_point deadline)
 {

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file Hooks of libnodeletlib's functions, which tell whose handle it is.
+/// @file Hooks of libnodeletlib's functions, which identify the owner of a handle.
 ///
 /// The library is not linked with it: with LD_PRELOAD it comes into nodes that have no nodelets.
 #include <nodelet/detail/callback_queue.h>

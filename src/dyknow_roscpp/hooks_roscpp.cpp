@@ -43,8 +43,8 @@ using PublishMethod = void (ros::TopicManager::*)(const std::string&,
 /// What roscpp publishes of the messages that come: from under its own locks, whoever's message it is.
 constexpr char STATISTICS[] = "rosgraph_msgs/TopicStatistics";
 
-/// Whether a handle's topic is a port. What belongs to the process rather than to the code in it is none, nor is
-/// what roscpp refuses.
+/// Whether a handle's topic is a port. Topics of the process rather than of its code are not, nor are those
+/// that roscpp refuses.
 template <class Options>
 bool isPort(const ros::NodeHandle& handle, const Options& options)
 {
@@ -58,7 +58,7 @@ bool isPort(const ros::NodeHandle& handle, const Options& options)
   return topic != "/rosout" && topic != "/clock";
 }
 
-/// Makes what is behind a handle, and the handle with it: `make` gets the options with the key as topic.
+/// Makes the object behind a handle, and the handle with it: `make` gets the options with the key as topic.
 template <class End, class Options, class Make>
 auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direction, Make make)
 {

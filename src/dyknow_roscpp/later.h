@@ -12,7 +12,7 @@
 namespace dyknow
 {
 
-/// Runs `work` on the thread for later work when it is due; what is due earlier goes first.
+/// Runs `work` on the thread for later work when it is due; earlier work goes first.
 ///
 /// The work may take locks and talk to the master, but never wait for a callback. It is dropped when ROS
 /// shuts down.

@@ -66,7 +66,7 @@ public:
   Socket& operator=(const Socket&) = delete;
   ~Socket() { close(descriptor_); }
 
-  /// 0 once it is connected, ETIMEDOUT without an answer of the host, else what the host answered.
+  /// 0 once it is connected, ETIMEDOUT without an answer of the host, else the answer of the host.
   int connectTo(const addrinfo& address) const
   {
     if (connect(descriptor_, address.ai_addr, address.ai_addrlen) == 0)

@@ -19,7 +19,7 @@ namespace dyknow
 class Leases
 {
 public:
-  using Producers = std::map<std::string, std::string>;  ///< by topic of a claim, who publishes there
+  using Producers = std::map<std::string, std::string>;  ///< by topic of a claim, its publisher
 
   static Leases& instance();
 

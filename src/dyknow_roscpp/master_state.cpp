@@ -77,7 +77,7 @@ std::string MasterState::subscribedType(const std::string& node, const std::stri
 {
   if (node == ros::this_node::getName())
   {
-    return "";  // the ports of this process say themselves what they carry
+    return "";  // the ports of this process report their own types
   }
   auto uri = askMaster("lookupNode", node, deadline_);
   if (!uri.valid())

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file What the ROS master knows of the topics outside this process.
+/// @file The ROS master's knowledge of the topics outside this process.
 #ifndef DYKNOW_ROSCPP_MASTER_STATE_H
 #define DYKNOW_ROSCPP_MASTER_STATE_H
 
@@ -27,7 +27,7 @@ public:
   /// Type of a topic that has a publisher or subscriber, else empty.
   ///
   /// The master's types outlive the publishers that they come from, so they count only while there is a
-  /// publisher; without one the subscribers are asked.
+  /// publisher; without one the subscribers are queried.
   std::string datatypeOf(const std::string& topic) const;
 
 private:
@@ -35,7 +35,7 @@ private:
   std::string subscribedType(const std::string& node, const std::string& topic) const;
 
   const Clock::time_point deadline_;
-  mutable XmlRpc::XmlRpcValue state_;  ///< not valid before it was asked for
+  mutable XmlRpc::XmlRpcValue state_;  ///< not valid before it was requested
 };
 
 }  // namespace dyknow

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file Names: what is a topic, and how ports are called.
+/// @file Names of topics and of ports.
 #ifndef DYKNOW_ROSCPP_NAMES_H
 #define DYKNOW_ROSCPP_NAMES_H
 
@@ -23,12 +23,12 @@ bool isBelow(const std::string& name, const std::string& space);
 /// Whether a topic is one that a manager remaps ports of a node to so that they begin disconnected.
 bool isDisconnected(const std::string& topic, const std::string& node);
 
-/// Makes what a user wrote the global name of a topic. Raises Refusal if it is none.
+/// Makes the global name of a topic from a user's text. Raises Refusal if it is none.
 ///
-/// @param node what a leading `~` stands for; relative names begin in its namespace.
+/// @param node the meaning of a leading `~`; relative names begin in its namespace.
 std::string topicOf(const std::string& text, const std::string& node);
 
-/// Takes remappings back: what a global name was called before `remappings` (global to global) applied to it,
+/// Takes remappings back: the name of a topic before `remappings` (global to global) applied to it,
 /// or to a namespace that it is in.
 std::string beforeRemapping(const std::string& name, const std::map<std::string, std::string>& remappings);
 

@@ -304,7 +304,7 @@ std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
   {
     return nullptr;
   }
-  // Of which direction it will be is not known; what is lazy is the subscription, as a rule.
+  // Of which direction it will be is not known; usually the subscription is lazy.
   const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
   return std::make_shared<Port>(name, port_name, Direction::IN, topicAtStart(remapping->second), true);
 }
@@ -322,7 +322,7 @@ void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, co
   {
     return;
   }
-  // What is known of a topic: what lives there, or the first port to come.
+  // The type of a topic: of its live ports, or of the first port to come.
   if (types.count(topic) == 0 && topic != port.port->topic())
   {
     const std::string here = Registry::instance().datatypeOf(topic);
@@ -398,7 +398,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
   };
   while (Clock::now() < deadline && !std::all_of(prepared.begin(), prepared.end(), is_ready))
   {
-    std::this_thread::sleep_for(STEP);  // a poll: roscpp tells of a subscriber, but not of all of them
+    std::this_thread::sleep_for(STEP);  // a poll: roscpp reports a subscriber, but not of all of them
   }
   {
     std::lock_guard<std::mutex> lock(state_lock_);

@@ -25,7 +25,8 @@ class MasterState;
 /// A change is checked as a whole, then applied as a whole. Every method is safe from any thread.
 ///
 /// Locks: `turn_lock_` is held over a reconfiguration, which waits for the ROS master at most 1 s, for peers
-/// at most 0.5 s, and for no callback; `state_lock_` guards the tables of ports and remappings. Neither is held by who opens or closes an end.
+/// at most 0.5 s, and for no callback; `state_lock_` guards the tables of ports and remappings. Neither lock
+/// is held while an end is opened or closed.
 class NodeletProxy
 {
 public:
@@ -38,7 +39,7 @@ public:
   using Config = std::vector<std::pair<std::string, std::string>>;
 
   /// @param remappings of the load request or the process, global to global. A source of them may be the topic
-  ///        of a port to come: a lazy nodelet subscribes once somebody listens to it
+  ///        of a port to come: a lazy nodelet subscribes once it has a subscriber
   /// @param on_change called after every change of a port, on the thread that made it
   NodeletProxy(std::string name, std::map<std::string, std::string> remappings,
                std::function<void(const std::string&)> on_change);

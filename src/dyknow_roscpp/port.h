@@ -23,7 +23,7 @@ enum class Direction
   OUT
 };
 
-/// What a handle of roscpp (ros::Publisher, ros::Subscriber) has behind it: it moves with its port.
+/// The object behind a handle of roscpp (ros::Publisher, ros::Subscriber), which moves with its port.
 ///
 /// A move is prepared, then either committed or cancelled. One thread moves an end at a time; its node may
 /// close it meanwhile, and it then does nothing any more.
@@ -35,10 +35,11 @@ public:
   /// Registers on a topic (empty: on none) beside the present one. Raises an exception if that fails.
   virtual void prepare(const std::string& topic, Clock::time_point deadline) = 0;
 
-  /// Whether the peers that the master knows are connected to what was prepared.
+  /// Whether the peers that the master knows are connected to the prepared end.
   virtual bool isReady() const = 0;
 
-  /// @param announce called when the node may be told: at the switch, before the first new message is queued
+  /// @param announce called when the node may be notified: at the switch, before the first new message
+  ///   is queued
   /// @return whether it is, or will be called
   virtual bool commit(const Announcement& announce) = 0;
   virtual void cancel() = 0;
@@ -56,7 +57,7 @@ public:
 /// How a port is called.
 struct PortName
 {
-  std::string label;   ///< without what tells it from a port of the other direction
+  std::string label;   ///< without the suffix that distinguishes the directions
   std::string origin;  ///< global name of the topic before any remapping
   std::string image;   ///< label of the image that image_transport put it beside or below; empty: none
 };
@@ -65,7 +66,7 @@ struct PortName
 std::string topicBeside(const PortName& name, const std::string& image);
 
 /// A port lives as long as its nodelet, while handles on it come and go (lazy nodelets unsubscribe while
-/// nobody listens to them): a handle that is made later has the same connection. Every method is safe from
+/// they have no subscribers): a handle that is made later has the same connection. Every method is safe from
 /// any thread.
 class Port
 {
@@ -76,7 +77,7 @@ public:
   const PortName name;
   const Direction direction;
   const bool is_to_come;  ///< no handle has been made on it yet
-  /// An out-port keeps a message for whoever connects later.
+  /// An out-port keeps a message for subscribers that connect later.
   std::atomic<bool> latched{false};
 
   std::string topic() const;

@@ -18,8 +18,8 @@ namespace dyknow
 /// which is taken back.
 PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic);
 
-/// Notes that the code of `owner` has let roscpp resolve a name. What advertises the resolved name later, as
-/// image_transport does, is a port of the name that was asked for.
+/// Notes that the code of `owner` has let roscpp resolve a name. A handle that advertises the resolved name
+/// later, as image_transport does, is a port of the requested name.
 void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
                   const std::string& resolved);
 

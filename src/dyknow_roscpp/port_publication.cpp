@@ -17,7 +17,7 @@ namespace dyknow
 namespace
 {
 
-/// How long an old registration stays that is heard outside: what was published reaches the network first.
+/// How long an old registration stays with subscribers outside: published messages reach the network first.
 constexpr std::chrono::milliseconds LINGER(200);
 
 /// Topics to which publications are about to move.
@@ -221,7 +221,7 @@ bool PortPublication::commit(const Announcement&)
       withdrawLater(old);
     }
   }
-  return false;  // what the node publishes goes to the new topic already
+  return false;  // the node's messages go to the new topic already
 }
 
 void PortPublication::cancel()

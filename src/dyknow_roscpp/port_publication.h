@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file What a ros::Publisher has behind it.
+/// @file The object behind a ros::Publisher.
 #ifndef DYKNOW_ROSCPP_PORT_PUBLICATION_H
 #define DYKNOW_ROSCPP_PORT_PUBLICATION_H
 
@@ -28,7 +28,7 @@ public:
   Registration(std::string topic, ros::SubscriberCallbacksPtr node);
 
   const std::string topic;
-  /// What roscpp calls; it calls what the node wants to be called.
+  /// The callbacks of roscpp, which call those of the node.
   const ros::SubscriberCallbacksPtr callbacks;
 
   /// Advertises. Raises Refusal if roscpp does not take it.
@@ -40,13 +40,13 @@ public:
   void incrementSequence();
 
   /// Calls the node's disconnect callback for each link: roscpp does not when a publisher unadvertises, and a
-  /// lazy nodelet would go on working for nobody.
+  /// lazy nodelet would go on working for no subscriber.
   void disconnectAll();
 
   /// Whether as many subscribers are connected as the master knew when it was advertised.
   bool isHeardByAll() const;
 
-  /// Whether there is a link to another process, which is still to be sent what was published.
+  /// Whether there is a link to another process, which still has to receive published messages.
   bool isHeardOutside() const;
 
 private:
@@ -105,8 +105,8 @@ public:
 private:
   /// Whether it has not been moved away meanwhile.
   bool isActive(const RegistrationPtr& registration) const;
-  /// Under `message_lock_`: the node's queue, which is told of lost subscribers, is there until close() has
-  /// it.
+  /// Under `message_lock_`: the node's queue, which is notified of lost subscribers, is there until
+  /// close() has it.
   void withdrawLater(const RegistrationPtr& old);
 
   // What every message touches, side by side: it is seldom in the processor's caches any more.

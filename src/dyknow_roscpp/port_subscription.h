@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file What a ros::Subscriber has behind it.
+/// @file The object behind a ros::Subscriber.
 #ifndef DYKNOW_ROSCPP_PORT_SUBSCRIPTION_H
 #define DYKNOW_ROSCPP_PORT_SUBSCRIPTION_H
 
@@ -70,13 +70,13 @@ private:
   /// Whether it has not been moved away meanwhile.
   bool isActive(const ConnectionPtr& connection) const;
   ConnectionPtr makeConnectionLocked(const std::string& topic, Connection::State state);
-  /// Whether roscpp took it; false as well if the node has let go of what it tracks.
+  /// Whether roscpp took it; false as well if the node has released its tracked object.
   bool registerConnection(const topics::WiringLock& lock, const ConnectionPtr& connection);
   /// Queues callbacks for messages of a connection.
   void queueCallbacks(const ConnectionPtr& connection, std::uint32_t count);
   std::uint64_t callbackId() const { return reinterpret_cast<std::uint64_t>(this); }
   bool isRunningElsewhereLocked() const;
-  /// Delivers from `next` (null: from nothing) after what is queued.
+  /// Delivers from `next` (null: from nothing) after the queued messages.
   void switchLocked(ConnectionPtr next);
   void switchIfDue(const ConnectionPtr& next, Clock::time_point committed);
   static void withdraw(const ConnectionPtr& connection);
@@ -91,7 +91,7 @@ private:
   Traffic traffic_;
 
   const std::shared_ptr<Port> port_;
-  std::condition_variable callback_ended_;  ///< told when it is not open any more
+  std::condition_variable callback_ended_;  ///< notified when it is closed
   ros::SubscribeOptions options_;
   std::uint32_t shutdowns_ = 0;  ///< of roscpp, before it was opened
   ros::VoidConstWPtr tracked_;  // held weakly: the node's object must be able to die
@@ -100,7 +100,7 @@ private:
   ConnectionPtr waiting_;
   ConnectionPtr prepared_;
   bool is_prepared_ = false;
-  bool stays_ = false;     ///< what is prepared is to stay on the topic of `active_`
+  bool stays_ = false;     ///< the prepared end is to stay on the topic of `active_`
   Announcement announce_;  ///< called at the next switch
 };
 

@@ -35,10 +35,10 @@ namespace
 {
 
 constexpr int THREADS = 4;
-/// In which changes that follow one that was told are collected.
+/// In which changes that follow an announced one are collected.
 constexpr std::chrono::milliseconds WINDOW(20);
 constexpr int QUEUE_SIZE = 1000;
-/// Where a node with live ports tells its name; a nodelet manager is found otherwise.
+/// Where a node with live ports announces its name; a nodelet manager is found otherwise.
 constexpr char NODES[] = "/dyknow/rewirable_nodes";
 /// Characters of one text in the log.
 constexpr std::size_t LONGEST_LOG = 4096;
@@ -193,7 +193,7 @@ std::string changesTopic()
   return names::join(ros::this_node::getName(), "changes");
 }
 
-/// What this process offers; leaked on purpose, see later.cpp.
+/// The services of this process; leaked on purpose, see later.cpp.
 ///
 /// Without any ros::NodeHandle: a node ends with its last one, which must not be ours. The next one may start
 /// roscpp again, and nothing is offered then that was before.
@@ -228,7 +228,7 @@ public:
         }
       }
     }
-    tell();  // what was to be told when roscpp was shut down
+    tell();  // announcements that were pending when roscpp was shut down
   }
 
   void withdraw(NodeletProxy& proxy)
@@ -279,7 +279,7 @@ private:
                                   { return getStatistics(*proxy, event); });
     if (proxy->name == ros::this_node::getName())
     {
-      advertise(NODES, &Services::tellName);  // last: who hears of it asks at once
+      advertise(NODES, &Services::tellName);  // last: subscribers query immediately
     }
   }
 
@@ -291,7 +291,7 @@ private:
     }
   }
 
-  /// Publishes a topic unless it is; `greet` is called with everybody who begins to listen.
+  /// Publishes a topic unless it is; `greet` is called with every new subscriber.
   void advertise(const std::string& topic, const ros::SubscriberStatusCallback& greet)
   {
     if (!topics::isUp() || topics::publication(topic))

@@ -16,14 +16,14 @@
 namespace dyknow
 {
 
-/// Offers get_config, set_config and get_statistics in the name of a nodelet, and tells of it on `~changes`;
+/// Offers get_config, set_config and get_statistics in the name of a nodelet, and announces it on `~changes`;
 /// once is enough, however often roscpp is shut down and started again.
 void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 
-/// Withdraws them, and tells of it.
+/// Withdraws them, and announces it.
 void withdrawServices(NodeletProxy& proxy);
 
-/// Offers what the process offers, the service `~get_counts` and the topic `~changes`, and again what
+/// Offers the services of the process, `~get_counts` and the topic `~changes`, and again what
 /// `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after each start.
 void offerProcessServices();
 

@@ -28,7 +28,7 @@ namespace
 {
 
 /// Calls at once. roscpp waits for callbacks in a queue when it removes them, and it does so under the wiring
-/// lock: it must not wait for the node's code. What is called here only passes the call on to the node's
+/// lock: it must not wait for the node's code. The callback only passes the call on to the node's
 /// queue.
 class DirectQueue : public ros::CallbackQueueInterface
 {
@@ -180,7 +180,7 @@ void Registration::disconnected(const ros::SubscriberLinkPtr& link)
     const auto found = std::find(links_.begin(), links_.end(), link);
     if (found == links_.end())
     {
-      return;  // the node was told when the port moved away
+      return;  // the node was notified when the port moved away
     }
     links_.erase(found);
   }

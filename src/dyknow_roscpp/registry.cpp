@@ -18,7 +18,7 @@ namespace
 
 thread_local const ros::CallbackQueueInterface* t_running = nullptr;
 
-/// What makes a topic the key of a handle, with a number behind it.
+/// The suffix that makes a topic the key of a handle, with a number behind it.
 constexpr char MARK[] = "/__dyknow";
 
 /// The number of a key; 0 if it is none.
@@ -33,7 +33,7 @@ std::uint64_t numberOf(const std::string& key)
   return number;
 }
 
-/// What a table has for a key; null if nothing.
+/// The entry of a table for a key; null if none.
 template <class End>
 std::shared_ptr<End> find(const boost::container::flat_map<std::uint64_t, std::shared_ptr<End>>& table,
                           const std::string& key)

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file Whose is a handle, and what is behind it.
+/// @file The owners of handles, and the objects behind them.
 #ifndef DYKNOW_ROSCPP_REGISTRY_H
 #define DYKNOW_ROSCPP_REGISTRY_H
 
@@ -24,7 +24,7 @@ namespace dyknow
 
 /// The tables of this process. Every method is safe from any thread.
 ///
-/// The name of a topic cannot tell two nodelets on one topic apart. So the hooks put a key of its own into
+/// The name of a topic does not distinguish two nodelets on one topic. So the hooks put a key of its own into
 /// the options of each handle, which roscpp then passes in every later call in place of the topic.
 ///
 /// A handle belongs to the nodelet whose callback queue it uses; if it uses none, to the nodelet that this
@@ -37,7 +37,7 @@ public:
   // Owners
 
   /// A nodelet begins; its handles use these queues. A standalone one has the name of its node, and the node's
-  /// proxy: what its constructor made before is among its ports.
+  /// proxy: handles of its constructor are among its ports.
   std::shared_ptr<NodeletProxy> enter(const std::string& nodelet,
                                       const std::map<std::string, std::string>& remappings,
                                       const std::vector<ros::CallbackQueueInterface*>& queues);
@@ -56,7 +56,7 @@ public:
 
   std::string makeKey(const std::string& topic);
   static bool isKey(const std::string& text);
-  /// What a key was made for; of other texts, the text itself.
+  /// The topic that a key was made for; of other texts, the text itself.
   static std::string topicOf(const std::string& key);
   void add(const std::string& key, std::shared_ptr<PortSubscription> subscription);
   void add(const std::string& key, std::shared_ptr<PortPublication> publication);

@@ -17,7 +17,7 @@ namespace
 
 thread_local Probe* t_probe = nullptr;
 
-/// Set once, before anybody reads it.
+/// Set once, before it is read.
 std::vector<std::string>& problems()
 {
   static auto& found = *new std::vector<std::string>;  // leaked, see later.cpp

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file What a thread is doing, for hooks that are reached from there.
+/// @file The activity of a thread, for hooks that are reached from there.
 #ifndef DYKNOW_ROSCPP_SETTING_H
 #define DYKNOW_ROSCPP_SETTING_H
 

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file The look-up of what comes behind us.
+/// @file The look-up of functions in the libraries behind this one.
 ///
 /// Functions of libroscpp are called through the procedure linkage table, so a library that comes first in
 /// the look-up order takes their place: an executable that is linked with it first, or one that is started

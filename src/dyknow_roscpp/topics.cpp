@@ -87,7 +87,7 @@ void noteStart()
 
 void noteShutdown()
 {
-  const WiringLock lock;  // what is being registered now is withdrawn by roscpp
+  const WiringLock lock;  // a registration in progress is withdrawn by roscpp
   g_is_shut_down = true;
   ++g_shutdowns;
 }
@@ -153,7 +153,7 @@ void unadvertise(const WiringLock&, const std::string& topic, const ros::Subscri
   static const auto next = behind(&ros::TopicManager::unadvertise);
   using Unregister = bool (*)(ros::TopicManager*, const std::string&);
   static const auto unregister = reinterpret_cast<Unregister>(requireBehind(unregisterPublisherHook()));
-  // roscpp asks the master while it holds the lock that every publish needs: it is asked after that.
+  // roscpp asks the master while it holds the lock that every publish needs: it is queried after that.
   std::vector<std::string> unregistered;
   {
     const Setting<std::vector<std::string>*> noting(t_unregistered, &unregistered);
@@ -208,7 +208,7 @@ void publish(ros::Publication& publication, const boost::function<ros::Serialize
     publication.incrementSequence();
     return;
   }
-  // Subscribers of this process that take the same type get the pointer, all others bytes.
+  // Subscribers of this process that take the same type get the pointer, all other receivers bytes.
   bool is_shared = false;
   bool is_serialised = message.type_info == nullptr || !message.message;
   if (!is_serialised)
@@ -230,7 +230,7 @@ void publish(ros::Publication& publication, const boost::function<ros::Serialize
   publication.publish(message);
   if (is_serialised)
   {
-    ros::PollManager::instance()->getPollSet().signal();  // roscpp's thread sends what is queued
+    ros::PollManager::instance()->getPollSet().signal();  // roscpp's thread sends the queued messages
   }
 }
 

@@ -51,14 +51,14 @@ private:
 /// roscpp starts, for the first time or again.
 void noteStart();
 
-/// roscpp is about to shut down and to withdraw what is registered: nothing is registered from now on, or it
+/// roscpp is about to shut down and to withdraw all registrations: nothing is registered from now on, or it
 /// would be left at the master.
 void noteShutdown();
 
-/// Whether roscpp may be asked for anything: when it is shut down, it may be destroyed any moment.
+/// Whether roscpp may be called: when it is shut down, it may be destroyed any moment.
 bool isUp();
 
-/// How often roscpp was shut down. What was registered before a shutdown has no registration any more, and its
+/// How often roscpp was shut down. Topics registered before a shutdown have no registration any more, and its
 /// callback queue may be gone.
 std::uint32_t shutdowns();
 
@@ -74,7 +74,7 @@ void unsubscribe(const WiringLock&, const std::string& topic,
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
                const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known = nullptr);
 
-/// What the master answered: the one to `advertise` of this thread has the subscribers.
+/// The master's answers: the one to `advertise` of this thread has the subscribers.
 void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer);
 
 /// Whether a publisher of this process is on a topic.
@@ -85,7 +85,7 @@ void unadvertise(const WiringLock&, const std::string& topic, const ros::Subscri
 /// Address of the hook of TopicManager::unregisterPublisher, which is private.
 void* unregisterPublisherHook();
 
-/// Puts off what `unadvertise` of this thread has to tell the master; false if it is not in there.
+/// Puts off what `unadvertise` of this thread has to pass to the master; false if it is not in there.
 bool putOffUnregistration(const std::string& topic);
 
 /// What roscpp has for a topic that a publisher of this process is on; null if none is.
