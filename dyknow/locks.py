@@ -39,6 +39,7 @@ TURNS: Tuple[str, ...] = (
     "records of children",
     "parts of model messages",
     "bonds of claims",
+    "grants to processes",
     "reconfiguration",
     "listening to nodelet managers",
     "messages of bonds",

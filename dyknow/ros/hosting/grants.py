@@ -20,7 +20,6 @@ from dyknow_msgs.srv import RenewLease
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.locks import state_lock
 from dyknow.manager.host import ProcessState
 from dyknow.periodic import STEADY, Clock, PeriodicWorker
 from dyknow.ros.master import Master
@@ -182,13 +181,13 @@ class Guarding:
 
     With them go the names of the nodelets that only this DyKnow manager may unload
     (``dyknow.ros.nodelets.guard_parameters``). Guards that are missing, or were changed by another
-    program, are handed over again. Stock nodelet managers enforce nothing, and get none.
+    program, are handed over again. Stock nodelet managers enforce nothing, and get none. Every
+    hand-over is within the host's turn.
     """
 
     def __init__(self, context: PeerContext, name: str) -> None:
         self._context = context
         self._name = name
-        self._state_lock = state_lock("handover of guards")
         #: Incarnation that has the guards, and the nodelets named to it.
         self._done: object = None
         self._seen = 0.0
@@ -204,25 +203,22 @@ class Guarding:
             return
         now = self._context.clock.now()
         protected = tuple(sorted(self._context.protected.get(self._name, ())))
-        with self._state_lock:
-            is_known = self._done == (state.incarnation, protected)
-            if is_known and now - self._seen < GUARDS_PERIOD:
-                return
-            self._seen = now
+        is_known = self._done == (state.incarnation, protected)
+        if is_known and now - self._seen < GUARDS_PERIOD:
+            return
+        self._seen = now
         parameter = to_parameter(self._context.guards, protected)
         try:
             if is_known and self._present() == parameter:
                 return
             self._context.master.ask("setParam", self._key, parameter)
         except (PeerTimeout, LookupError) as error:
-            with self._state_lock:
-                is_news, self._trouble = not self._trouble, str(error)
+            is_news, self._trouble = not self._trouble, str(error)
             if is_news:
                 _log.warning("%s cannot be given the guards yet: %s", self._name, error)
             return
-        with self._state_lock:
-            self._done = (state.incarnation, protected)
-            had_failed, self._trouble = bool(self._trouble), ""
+        self._done = (state.incarnation, protected)
+        had_failed, self._trouble = bool(self._trouble), ""
         if had_failed:
             _log.info("%s has the guards now", self._name)
         elif is_known:

@@ -14,6 +14,7 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Any,
+    Callable,
     Collection,
     Dict,
     FrozenSet,
@@ -30,6 +31,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken, PeerTimeout, Refused
+from dyknow.locks import turn_lock
 from dyknow.manager.host import Count, Host, HostReport, Listening, LoadRequest, ProcessState
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
@@ -83,6 +85,8 @@ class RosHost(Host):
         self._children = children
         self._external = Externals(context, external, lambda name: children.find(name) is not None)
         self._types = NodeletTypes()
+        #: Older guards or producers must not replace newer ones.
+        self._grants_turn = turn_lock("grants to processes")
         self._counter = MessageCounter(registrar)
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
 
@@ -137,33 +141,37 @@ class RosHost(Host):
         """Start a child if need be; a node is one as soon as it is loaded."""
         return isolated_for if kind.is_node else self._children.ensure(kind, isolated_for)
 
-    def hand_over(self, protected: Mapping[str, Sequence[str]]) -> None:
+    def hand_over(self, protected: Callable[[], Mapping[str, Sequence[str]]]) -> None:
         """Hand the guards to all processes that do not have them as they are now.
 
         Args:
-            protected: by process, the nodelets that it unloads for us alone. Stock nodelet
-                managers do not enforce it.
+            protected: returns, by process, the nodelets that it unloads for us alone. Stock
+                nodelet managers do not enforce it.
         """
-        self._context.protected = protected
-        for peer in self._peers():
-            peer.hand_over()
+        with self._grants_turn:
+            self._context.protected = protected()
+            for peer in self._peers():
+                peer.hand_over()
 
     def retire(self, manager: str) -> None:
         """End a child."""
         self._children.end(manager)
 
-    def grant(self, producers: Mapping[str, str], managers: Collection[str]) -> None:
+    def grant(self, granted: Callable[[], Tuple[Mapping[str, str], Collection[str]]]) -> None:
         """Let these nodelets alone publish on topics of claims.
 
         Args:
-            producers: by topic, the nodelet that publishes there; empty for none at present.
-            managers: processes that run these nodelets; their leases are renewed from now on.
+            granted: returns, by topic, the nodelet that publishes there, empty for none at
+                present; and the processes that run these nodelets, whose leases are renewed from
+                now on.
         """
-        is_new, self._context.producers = self._context.producers != producers, producers
-        for peer in self._peers():
-            is_granted = peer.lease.is_granted
-            if (is_granted and is_new) or (not is_granted and peer.name in managers):
-                peer.lease.grant()
+        with self._grants_turn:
+            producers, managers = granted()
+            is_new, self._context.producers = self._context.producers != producers, producers
+            for peer in self._peers():
+                is_granted = peer.lease.is_granted
+                if (is_granted and is_new) or (not is_granted and peer.name in managers):
+                    peer.lease.grant()
 
     def may_publish(self, manager: str) -> bool:
         """Whether it may hold a lease; one that has ended publishes no more."""
@@ -183,7 +191,8 @@ class RosHost(Host):
             return
         self._children.await_up(manager, timeout)
         peer = self._known(manager)
-        peer.hand_over()
+        with self._grants_turn:
+            peer.hand_over()
         peer.check_guards()
         # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
@@ -375,7 +384,8 @@ class RosHost(Host):
         command = (path, *program.arguments, *remappings)
         self._children.start_node(request.kind, request.name, command, timeout)
         peer = self._known(request.name)
-        peer.hand_over()
+        with self._grants_turn:
+            peer.hand_over()
         peer.check_guards()
 
     def _call(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from typing import TYPE_CHECKING, Any, Dict, List, Sequence, Set
+from typing import TYPE_CHECKING, Any, Collection, Dict, List, Mapping, Sequence, Set, Tuple
 
 import rosgraph.names
 import rospy
@@ -251,12 +251,12 @@ class ManagerNode(Closable):
 
     def _after_change(self) -> None:
         self._fixed.follow()
-        self._grant()
-        self._host.hand_over(self._protected())
+        self._host.grant(self._granted)
+        self._host.hand_over(self._protected)
         self._listener.follow(self._announcers())
 
-    def _grant(self) -> None:
-        """Let the producers of claims publish, and no other nodelet on these topics."""
+    def _granted(self) -> Tuple[Mapping[str, str], Collection[str]]:
+        """Return the producers of claims by topic, and the processes that run them."""
         producers: Dict[str, str] = {}
         managers: Set[str] = set()
         for claim in self._reconciler.claims():
@@ -267,7 +267,7 @@ class ManagerNode(Closable):
             if record is not None and record.state is State.RUNNING and claim.state in _RELIED_ON:
                 producers[claim.topic] = record.name
                 managers.add(record.manager)
-        self._host.grant(producers, managers)
+        return producers, managers
 
     def _after_look(self) -> None:
         self._after_change()

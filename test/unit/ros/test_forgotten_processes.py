@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Processes that come and go leave nothing with the manager: no entry, no connection, no file."""
+"""Processes that come and go leave nothing with the manager; guards are handed over in order."""
 
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Iterator, cast
@@ -45,7 +46,7 @@ def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
     report = host.poll()
     assert report.processes["/n"].kind is NodeletKind.NODE
     assert report.nodelets == {"/n": frozenset(["/n"])}
-    host.grant({"/topic": "/n"}, ["/n"])
+    host.grant(lambda: ({"/topic": "/n"}, ["/n"]))
     host.note_detail("/n", "/n", "a callback has been running for 12 s")
     assert host.counts({"/n": ["/n"]}) == {"/n": None}
     assert host.detail("/n") and host.may_publish("/n")
@@ -59,6 +60,32 @@ def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
     for worker in workers:
         worker.close(30.0)
         assert not worker.running
+
+
+@pytest.mark.parametrize("kind", ["guards", "producers"])
+def test_an_older_state_never_replaces_a_newer_one(host: RosHost, kind: str) -> None:
+    """Or a nodelet would be unprotected, or a producer silent, until the next look."""
+    has_read, may_go_on = threading.Event(), threading.Event()
+
+    def older() -> Any:
+        has_read.set()
+        assert may_go_on.wait(30.0)
+        return {} if kind == "guards" else ({}, [])
+
+    def newer() -> Any:
+        return {"/n": ["/n"]} if kind == "guards" else ({"/topic": "/n"}, ["/n"])
+
+    hand_over: Any = host.hand_over if kind == "guards" else host.grant
+    threads = [threading.Thread(target=hand_over, args=(each,)) for each in (older, newer)]
+    threads[0].start()
+    assert has_read.wait(30.0)
+    threads[1].start()
+    threads[1].join(0.2)  # it would be done, were it not for the other one
+    may_go_on.set()
+    for thread in threads:
+        thread.join(30.0)
+    context = host._context
+    assert context.protected == {"/n": ["/n"]} or context.producers == {"/topic": "/n"}
 
 
 def test_old_accusations_are_forgotten() -> None:
