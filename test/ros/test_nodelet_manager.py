@@ -331,6 +331,7 @@ class ClientTest(RobotCase):
                     graph.topics_of_ports("/robot/relay"), {"in": "/robot/a", "out": "/b"}
                 )
                 self.assertEqual(rospy.get_param("/robot/relay/size"), 3)
+                let_the_bond_form(f"{self.manager.name}/bond")
                 process.stop()
                 self.assertEqual(process.exit_code(20.0), 0, process.output)
 
@@ -338,6 +339,8 @@ class ClientTest(RobotCase):
         for client in CLIENTS:
             with self.subTest(client):
                 process = self.load(client)
+                # The stock client handles signals once the nodelet is loaded, not before.
+                let_the_bond_form(f"{self.manager.name}/bond")
                 process.stop(signal.SIGINT)
                 self.assertEqual(process.exit_code(20.0), 0, process.output)
                 eventually(lambda: self.manager.list() == [], 2.0, "it is unloaded")
