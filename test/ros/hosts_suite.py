@@ -180,6 +180,12 @@ class ClaimOverHosts(HostsCase):
         request = StreamRequest("Filtered(ball)", max_silence=max_silence)
         self.claim_id = self.manager.client.acquire_stream(request).claim_id
         self.assertIn("/far_camera", self.claim(self.manager, self.claim_id).nodelets)
+        # A fault before that may be noticed in two steps, a nodelet and then its host.
+        eventually(
+            lambda: not self.claim(self.manager, self.claim_id).detail,
+            20.0,
+            "its message has come",
+        )
         self.heard_before = len(self.heard.all)
         self.fast = self.spawn_time(self.manager)
 
@@ -204,7 +210,7 @@ class ClaimOverHosts(HostsCase):
         """It is replaced once, other claims stay, and the returning nodelet is removed."""
         with fault:
             eventually(lambda: self.is_met() and not self.on_far(), NOTICED, "it is replaced")
-            eventually(lambda: self.mended() == 1, NOTICED, "it is told that it was mended")
+            eventually(lambda: self.mended() == 1, NOTICED, "it is told once", self.reasons)
             states = [each.partition(":")[0] for each in self.reasons()]
             self.assertEqual(states, ["RECOVERING", "ACTIVE"], self.reasons())
             changes = len(states)
