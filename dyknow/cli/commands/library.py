@@ -158,14 +158,7 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 
 def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser,
-        "files",
-        "FILE",
-        f"specifications; {STDIN} for standard input",
-        completion.files,
-        nargs="+",
-    )
+    _files(parser)
     argument(
         parser,
         "--ontology",
