@@ -29,7 +29,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from tqdm import tqdm
 
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: Seconds for something to come up on a machine that is busy.
 START_PATIENCE = 120.0

@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type
 
 from dyknow.errors import DyKnowError, PeerTimeout
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: Names of the nodes that the demonstrations start.
 NAMESPACE = "/dyknow_demo"

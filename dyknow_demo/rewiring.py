@@ -25,8 +25,8 @@ from std_srvs.srv import Trigger
 from dyknow import names
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 from dyknow_demo.accounting import Account, Arrival, FrameName, Published, Switch, account, gaps
 from dyknow_demo.images import SHARED_FRAMES, image_files
 from dyknow_demo.processes import (

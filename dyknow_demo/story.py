@@ -27,7 +27,7 @@ from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.messages import model_from
+from dyknow.ros.wire.messages import model_from
 from dyknow_demo.processes import (
     MANAGER,
     START_TIMEOUT,

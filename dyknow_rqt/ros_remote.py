@@ -19,9 +19,9 @@ from dyknow import names
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
-from dyknow.ros.messages import event_from, model_from
-from dyknow.ros.topic_reader import TopicFollower
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import event_from, model_from
+from dyknow.ros.wire.topic_reader import TopicFollower
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
 

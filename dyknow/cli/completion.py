@@ -26,7 +26,7 @@ from dyknow.wiring.ports import topics_of
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
     from dyknow.model.transformation import Transformation
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
 #: Seconds to wait for each answer.
 _TIMEOUT = 0.2
@@ -84,7 +84,7 @@ def autocomplete(parser: argparse.ArgumentParser) -> None:
 
 def connect(manager_node: str) -> ShellClient:
     """Make a client that answers quickly or not at all."""
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
     return ShellClient(manager_node, _TIMEOUT)
 

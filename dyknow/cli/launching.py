@@ -31,7 +31,7 @@ from dyknow import names
 from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node
 from dyknow.cli.rewirable import NO_LIBRARY, find_in_workspaces, find_library, obstacle
 from dyknow.errors import CannotLaunch, CannotRun
-from dyknow.ros.programs import interpreter
+from dyknow.ros.process.programs import interpreter
 
 #: Nodes that are left alone unless `--only` names them, and why.
 LEFT_ALONE = (

@@ -30,7 +30,7 @@ from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
 
 #: Arguments that roslaunch adds for every node; a command ignores them.
@@ -247,7 +247,7 @@ def _run(words: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else FAILED
 
     def connect() -> ShellClient:
-        from dyknow.ros.shell_client import ShellClient
+        from dyknow.ros.shell.shell_client import ShellClient
 
         return ShellClient(arguments.manager_node, arguments.timeout)
 

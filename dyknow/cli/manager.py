@@ -9,7 +9,7 @@ import sys
 from typing import Optional, Sequence
 
 from dyknow.cli.node_help import MANAGER, asks_for_help
-from dyknow.ros.signals import DONE, FAILED
+from dyknow.ros.process.signals import DONE, FAILED
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:

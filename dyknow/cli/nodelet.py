@@ -19,7 +19,7 @@ from typing import Dict, Sequence, Tuple
 
 from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
 from dyknow.errors import CannotRun
-from dyknow.ros.signals import DONE, FAILED, INTERRUPTED
+from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED
 
 #: The nodelet that runs scripts.
 SCRIPT_TYPE = "dyknow/Script"
@@ -190,7 +190,7 @@ def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
 def _become_script(command: NodeletCommand, argv: Sequence[str]) -> int:
     """Become a script; return the exit code only if that fails."""
     from dyknow.cli.rewirable import become_script
-    from dyknow.ros.programs import find_script
+    from dyknow.ros.process.programs import find_script
 
     remappings = [word for word in argv if ":=" in word]
     try:

@@ -18,7 +18,7 @@ import sys
 from typing import Dict, List, NoReturn, Optional, Sequence
 
 from dyknow.errors import CannotRun
-from dyknow.ros.programs import ELF, first_line, interpreter
+from dyknow.ros.process.programs import ELF, first_line, interpreter
 
 #: The library in front of libroscpp.
 LIBRARY = "libdyknow_roscpp.so"

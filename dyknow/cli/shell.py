@@ -15,7 +15,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
 
 DONE = 0

@@ -3,8 +3,9 @@
 
 """Every line of DyKnow that knows rospy or a message.
 
-In packages of their own: ``transport`` (the bus over rospy), ``bonding`` (bonds), ``scripts``
-(code that knows nothing of DyKnow), ``nodelets`` (the nodelet manager as a node), ``hosting`` (how
-the DyKnow manager reaches nodelet managers) and ``manager`` (the DyKnow manager as a node). The
-modules here ask the DyKnow manager from outside, or serve all of those.
+Programs of users import ``acquiring``, ``client`` and ``parameters``. In folders: ``wire`` (calls
+and messages), ``process`` (processes of this machine), ``transport`` (the bus over rospy),
+``bonding`` (bonds), ``scripts`` (code that knows nothing of DyKnow), ``nodelets`` (the nodelet
+manager as a node), ``hosting`` (how the DyKnow manager reaches nodelet managers), ``manager`` (the
+DyKnow manager as a node) and ``shell`` (the command line's client, and the doctor).
 """

@@ -25,8 +25,8 @@ from dyknow.model.graph import Model, PortState, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added
-from dyknow.ros.master import Master
-from dyknow.ros.messages import (
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import (
     acquire_message,
     acquisition_from,
     config_message,
@@ -37,7 +37,7 @@ from dyknow.ros.messages import (
     statistics_from,
     stream_from,
 )
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.service_client import ServiceClient
 
 #: Seconds for calls that only ask.
 ASK_TIMEOUT = 5.0

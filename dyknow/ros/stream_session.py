@@ -27,7 +27,7 @@ from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.bonding.bond_table import Announcement
 from dyknow.ros.bonding.bonds import TOPIC, status_message
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.messages import event_from
+from dyknow.ros.wire.messages import event_from
 
 #: A lease is renewed when this fraction of it has passed.
 _RENEWED_AFTER = 1 / 3

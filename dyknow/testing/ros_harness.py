@@ -24,7 +24,7 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.ros.client import ProxyClient
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 from dyknow.testing.harness import Harness, check_ports, remappings_of_ports
 
 #: Seconds that anything may take on a busy machine.

@@ -22,7 +22,7 @@ from stream_suite import GOAL, StreamCase
 from dyknow.errors import Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamEvent, StreamRequest
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: The manager notices within this many seconds that a host is unreachable, or back.
 NOTICED = 5.0

@@ -29,9 +29,9 @@ from std_msgs.msg import Header
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.streams import StreamStatus
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
-from dyknow.ros.os_process import ProcessId
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"

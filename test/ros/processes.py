@@ -21,7 +21,7 @@ import rosgraph
 from roslib.packages import find_node
 
 from dyknow.errors import PeerTimeout
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]

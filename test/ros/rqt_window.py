@@ -26,7 +26,7 @@ from roslib.packages import find_node
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.wiring import connect, connect_topic

@@ -18,7 +18,7 @@ from std_msgs.msg import Header, String
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
-from dyknow.ros.messages import event_from
+from dyknow.ros.wire.messages import event_from
 
 
 def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:

@@ -33,7 +33,7 @@ from dyknow.model.graph import NodeletStatus, State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import Parameter
 from dyknow.ros.hosting import child_records
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 LIBRARY = (
     (

@@ -21,8 +21,8 @@ from processes import eventually
 from std_msgs.msg import Header
 
 from dyknow.ros.hosting.counts import CountClient, MessageCounter, counts_of
-from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.master import Master
 
 
 def ask(manager: Manager, *nodelets: str):

@@ -26,9 +26,9 @@ from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
 from std_srvs.srv import Trigger
 
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.announcements import NODES_TOPIC
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 PROGRAM = ("dyknow", "dyknow_cpp_test_habits")
 #: Moves of each node with statistics; more in the long run.

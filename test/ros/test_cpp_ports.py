@@ -33,9 +33,9 @@ from std_msgs.msg import Float64, Header, String
 from dyknow import errors
 from dyknow.errors import HostError
 from dyknow.guards import Guards
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 RATE = 1000
 #: Messages of one test; many in the long run.

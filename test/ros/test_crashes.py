@@ -33,7 +33,7 @@ from stream_suite import CAMERA, GOAL, SPARE_FILTER, TRACKER, StreamCase, transf
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.os_process import ProcessId
 
 NEIGHBOURS = ("/counter", "/relay")
 

@@ -21,10 +21,10 @@ from std_msgs.msg import String
 from test_dyknow_command import Done
 
 from dyknow.model.transformation import Parameter
-from dyknow.ros.doctor import Doctor
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key
-from dyknow.ros.shell_client import ShellClient
+from dyknow.ros.shell.doctor import Doctor
+from dyknow.ros.shell.shell_client import ShellClient
+from dyknow.ros.wire.master import Master
 
 MOODY = "dyknow_manager_test/Moody"
 

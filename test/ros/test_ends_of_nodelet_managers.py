@@ -22,7 +22,7 @@ from processes import NODELET, STOCK_NODELET, Running
 from std_msgs.msg import String
 
 from dyknow.model.graph import State
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.os_process import ProcessId
 
 PEER = "/peer"
 CPP = "/dyknow_cpp_nodelet_manager"

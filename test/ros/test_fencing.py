@@ -24,7 +24,7 @@ from std_msgs.msg import Header
 from stream_suite import CAMERA, LIBRARY
 
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 CPP_CAMERA = (
     "<transformation><label>cpp camera</label><source>dyknow_cpp_test/Source</source>"

@@ -23,7 +23,7 @@ from stream_suite import LIBRARY as STREAMS
 from dyknow.errors import Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 CLIENT = [*PEER, "claim"]
 

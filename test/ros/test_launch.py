@@ -24,7 +24,7 @@ from processes import DYKNOW, TellingCase, eventually, free_port
 from rospy.exceptions import ROSException
 from std_msgs.msg import String
 
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 FILES = Path(__file__).resolve().parent.parent / "launch"
 LAUNCH = (*DYKNOW, "launch")

@@ -28,7 +28,7 @@ from rosservice import get_service_class_by_name
 from dyknow import __version__
 from dyknow.model.graph import State
 from dyknow.model.streams import StreamRequest
-from dyknow.ros.signals import FAILED
+from dyknow.ros.process.signals import FAILED
 
 SOURCE = """<transformation><label>numbers</label><source>dyknow_manager_test/Counter</source>
 <ports><port type="out">out</port></ports><tags><tag port="out">Numbers(test)</tag></tags>

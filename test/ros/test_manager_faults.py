@@ -33,7 +33,7 @@ from test_boot import BootTest
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.model.graph import State
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.os_process import ProcessId
 
 
 class NodeletManagerFaultsTest(ManagerCase):

@@ -43,8 +43,8 @@ from roslib.packages import find_node
 from std_msgs.msg import Header
 
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
 

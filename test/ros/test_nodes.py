@@ -22,7 +22,7 @@ from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.os_process import ProcessId
 
 LIBRARY = """
 <transformations>

@@ -23,7 +23,7 @@ from stream_suite import GOAL, LIBRARY, StreamCase
 from dyknow.errors import DyKnowError
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 CLIENT = [*PEER, "claim"]
 

@@ -23,7 +23,7 @@ from dyknow.model.streams import StreamRequest
 
 if TYPE_CHECKING:
     from dyknow.model.streams import Acquisition, StreamEvent, StreamStatus
-    from dyknow.ros.shell_client import EventReader
+    from dyknow.ros.shell.shell_client import EventReader
 
 
 def demand_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic
 
 if TYPE_CHECKING:
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
 
 @dataclass(frozen=True)

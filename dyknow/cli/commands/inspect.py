@@ -302,7 +302,7 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    from dyknow.ros.doctor import Doctor, Finding  # rospy takes its time to import
+    from dyknow.ros.shell.doctor import Doctor, Finding  # rospy takes its time to import
 
     shell.client.managers()  # without a ROS master there is nothing to examine
     found: Dict[str, List[Finding]] = {}

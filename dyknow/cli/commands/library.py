@@ -231,7 +231,7 @@ def _report(
 ) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
     from dyknow.manager.specifications.specification import parse, parse_file
-    from dyknow.ros.installed import missing_here
+    from dyknow.ros.hosting.installed import missing_here
 
     try:
         if file == STDIN:

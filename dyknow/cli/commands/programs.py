@@ -25,11 +25,11 @@ from dyknow.cli.shell import Command, Shell
 from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
-from dyknow.ros.programs import find_program
+from dyknow.ros.process.programs import find_program
 
 if TYPE_CHECKING:
-    from dyknow.ros.master import Master
-    from dyknow.ros.os_process import ProcessId
+    from dyknow.ros.process.os_process import ProcessId
+    from dyknow.ros.wire.master import Master
 
 
 def program_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,8 +85,8 @@ def _probe_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
-    from dyknow.ros.master import Master
-    from dyknow.ros.programs import find_program
+    from dyknow.ros.process.programs import find_program
+    from dyknow.ros.wire.master import Master
 
     path = find_program(arguments.package, arguments.executable)
     name = f"/dyknow_probe_{os.getpid()}/{_base(arguments.executable)}"
@@ -133,7 +133,7 @@ def _base(executable: str) -> str:
 
 
 def _start(path: str, words: Sequence[str], name: str, output: str) -> ProcessId:
-    from dyknow.ros import os_process
+    from dyknow.ros.process import os_process
 
     own = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
     command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *words, *own)

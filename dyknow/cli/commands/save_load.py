@@ -21,7 +21,7 @@ from dyknow.wiring.plan import LoadPlan, plan_load
 from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_of
 
 if TYPE_CHECKING:
-    from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.shell.shell_client import ShellClient
 
 STDIO = "-"
 

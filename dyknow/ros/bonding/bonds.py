@@ -29,7 +29,7 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
 from dyknow.periodic import RETRY, attempt, in_background
 from dyknow.ros.bonding.bond_table import Announcement, BondTable, BondTimings, Effects, OnBroken
-from dyknow.ros.service_client import call_within
+from dyknow.ros.wire.service_client import call_within
 
 STOCK_TIMINGS = BondTimings(
     connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Dict, Iterable, List, Optional
 
 from dyknow.model.graph import NodeletKind
-from dyknow.ros import os_process
-from dyknow.ros.os_process import ProcessId, only_for_owner
+from dyknow.ros.process import os_process
+from dyknow.ros.process.os_process import ProcessId, only_for_owner
 
 #: Variable in the environment of each of these processes.
 TAG = "DYKNOW_CHILD"

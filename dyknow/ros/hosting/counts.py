@@ -24,11 +24,11 @@ from dyknow.locks import state_lock
 from dyknow.manager.host import Count, Listening
 from dyknow.model.transformation import OUT
 from dyknow.periodic import PeriodicWorker, Workers
-from dyknow.ros.ages import age_of_serialised
 from dyknow.ros.client import ProxyClient
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.ages import age_of_serialised
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 #: Service of our nodelet managers, and of re-wirable nodes.
 SERVICE = "get_counts"

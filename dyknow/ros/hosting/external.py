@@ -34,12 +34,12 @@ from dyknow.locks import state_lock
 from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.addresses import host_of
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.peer import LIST_TIMEOUT, ListClient, NodeletPeer
 from dyknow.ros.nodelets.announcements import NODES_TOPIC
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.wire.addresses import host_of
+from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 #: Seconds for a new connection and the first answer over it, on a slow link.
 FIND_TIMEOUT = 3.0

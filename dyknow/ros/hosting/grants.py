@@ -22,10 +22,10 @@ from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import ProcessState
 from dyknow.periodic import STEADY, Clock, PeriodicWorker
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.lease_service import SERVICE
-from dyknow.ros.service_client import ServiceClient, ServiceLost
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient, ServiceLost
 
 #: Seconds that a lease holds.
 DURATION = 2.0

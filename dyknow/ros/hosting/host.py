@@ -36,7 +36,6 @@ from dyknow.manager.host import Count, Host, HostReport, Listening, LoadRequest,
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
-from dyknow.ros import ages, programs
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.counts import MessageCounter, counts_of
@@ -44,8 +43,10 @@ from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.nodelet_types import NodeletTypes
 from dyknow.ros.hosting.peer import LoadFailure, NodeletPeer, host_errors
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire import ages
+from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 _log = logging.getLogger("rosout.dyknow")
 

@@ -26,17 +26,17 @@ from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet import crash_record
 from dyknow.periodic import in_background
-from dyknow.ros import os_process
-from dyknow.ros.addresses import is_here
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.external import may_be_there
-from dyknow.ros.logs import LogTail
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process import os_process
+from dyknow.ros.process.logs import LogTail
+from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.wire.addresses import is_here
+from dyknow.ros.wire.master import Master
 
 _ANSWER_TIMEOUT = 1.0
 #: Signals that mean a fault of the process itself.

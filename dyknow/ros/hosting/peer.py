@@ -23,8 +23,8 @@ from dyknow.manager.host import ProcessState
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.counts import CountClient
 from dyknow.ros.hosting.grants import Guarding, Lease, PeerContext
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 #: Seconds for the list of a process, over a connection that is there.
 LIST_TIMEOUT = 1.0

@@ -19,7 +19,7 @@ from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.model.graph import Model
 from dyknow.periodic import PAUSE, STEADY, Clock, PeriodicWorker
-from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.wire.model_messages import ModelMessages
 
 #: Seconds between two looks, and between two rounds over the claims, when nothing happens.
 PERIOD = 0.5

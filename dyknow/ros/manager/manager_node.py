@@ -36,21 +36,21 @@ from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
+from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.installed import missing_here
 from dyknow.ros.manager.loops import ModelPublisher, Watch
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.services import ManagerServices
 from dyknow.ros.manager.stream_node import StreamNode
 from dyknow.ros.manager.tenure import VARIABLE, Tenure
-from dyknow.ros.master import Master
-from dyknow.ros.model_messages import ModelMessages
-from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
-from dyknow.ros.signals import FAILED
+from dyknow.ros.process.node_process import NodeProcess
+from dyknow.ros.process.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.model_messages import ModelMessages
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology

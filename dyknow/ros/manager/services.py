@@ -19,9 +19,10 @@ from dyknow.manager.specifications.given import undeclared
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import StreamRequest
-from dyknow.ros.installed import missing_here
-from dyknow.ros.logs import for_log
-from dyknow.ros.messages import (
+from dyknow.ros.hosting.installed import missing_here
+from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.process.logs import for_log
+from dyknow.ros.wire.messages import (
     acquire_from,
     acquisition_message,
     config_pairs,
@@ -30,8 +31,7 @@ from dyknow.ros.messages import (
     replanned_message,
     stream_message,
 )
-from dyknow.ros.model_messages import ModelMessages
-from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.wire.model_messages import ModelMessages
 
 _log = logging.getLogger("rosout.dyknow")
 

@@ -22,7 +22,7 @@ from dyknow.periodic import in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.loops import ReconcileLoop
 from dyknow.ros.manager.services import StreamServices
-from dyknow.ros.messages import event_message
+from dyknow.ros.wire.messages import event_message
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000

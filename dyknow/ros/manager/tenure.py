@@ -30,7 +30,7 @@ from typing import Any, Callable, Mapping, NamedTuple, Optional
 from dyknow import names
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: Private parameter of the manager.
 PARAMETER = "tenure"

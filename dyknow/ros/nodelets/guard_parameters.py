@@ -19,7 +19,7 @@ from rospy.impl.paramserver import ParamServerCache, get_param_server_cache
 
 from dyknow.errors import Denied, PeerTimeout, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, Guards, together
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: Environment variable of programs that a DyKnow manager starts: its guards bind them from their
 #: start. What people launch begins where they say, and is bound when it is connected elsewhere.

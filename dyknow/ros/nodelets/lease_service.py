@@ -25,9 +25,9 @@ from dyknow.nodelet.bus import Bus
 from dyknow.nodelet.leases import Leases, Sight
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.addresses import connect
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.master import Master
 
 SERVICE = "renew_lease"
 #: Seconds between two checks of the leases.

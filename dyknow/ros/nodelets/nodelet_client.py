@@ -28,8 +28,8 @@ from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.service_client import call_within
-from dyknow.ros.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.wire.service_client import call_within
 
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5

@@ -34,18 +34,18 @@ from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros import descriptors, programs
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.logs import for_log
-from dyknow.ros.messages import counts_message
-from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
 from dyknow.ros.nodelets.lease_service import LeaseService, end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.proxy_services import ProxyServices
+from dyknow.ros.process import descriptors, programs
+from dyknow.ros.process.logs import for_log
+from dyknow.ros.process.node_process import NodeProcess
 from dyknow.ros.transport.middleware import rospy_middleware
 from dyknow.ros.transport.registrar import guard_topics, hide_topics
+from dyknow.ros.wire.messages import counts_message
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5

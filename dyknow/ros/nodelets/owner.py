@@ -25,7 +25,7 @@ from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
 from dyknow.periodic import PeriodicWorker, in_background
-from dyknow.ros.os_process import ProcessId, only_for_owner
+from dyknow.ros.process.os_process import ProcessId, only_for_owner
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0

@@ -15,9 +15,9 @@ from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
-from dyknow.ros.logs import for_log
-from dyknow.ros.messages import config_pairs, port_message, statistics_message
 from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.process.logs import for_log
+from dyknow.ros.wire.messages import config_pairs, port_message, statistics_message
 
 
 class Proxy(Protocol):

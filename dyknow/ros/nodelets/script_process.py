@@ -30,10 +30,10 @@ from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
+from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
 from dyknow.ros.scripts.script_ports import ScriptHandle
-from dyknow.ros.signals import on_signals
 
 #: Python's own, with which a lone script runs as ever.
 _SETTINGS = Settings(num_worker_threads=2, switch_interval=0.005)

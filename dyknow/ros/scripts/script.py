@@ -18,7 +18,7 @@ from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.module_files import script_file
 from dyknow.periodic import in_background
-from dyknow.ros.programs import find_script
+from dyknow.ros.process.programs import find_script
 from dyknow.ros.scripts.modules import script_importer
 from dyknow.ros.scripts.sandbox import HOOKS_PATIENCE, Sandbox
 from dyknow.ros.scripts.script_ports import ScriptHandle

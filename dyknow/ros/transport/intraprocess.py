@@ -37,7 +37,6 @@ from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
-from dyknow.ros.master import Master
 from dyknow.ros.transport.conversions import (
     TypedReceiver,
     connection_header,
@@ -45,6 +44,7 @@ from dyknow.ros.transport.conversions import (
     serialised,
 )
 from dyknow.ros.transport.late_subscribers import Backlog
+from dyknow.ros.wire.master import Master
 
 Callback = Tuple[Callable[..., Any], Any]
 

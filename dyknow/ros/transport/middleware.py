@@ -25,13 +25,13 @@ from dyknow.nodelet.middleware import (
     Transport,
 )
 from dyknow.nodelet.scheduler import Executor
-from dyknow.ros import ages
-from dyknow.ros.master import Master
 from dyknow.ros.transport.conversions import serialised
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
+from dyknow.ros.wire import ages
+from dyknow.ros.wire.master import Master
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")

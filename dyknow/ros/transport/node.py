@@ -20,7 +20,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError, HandleClosed
 from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import Node, Ticker
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 #: Seconds of a wait between two looks whether the nodelet is still there.
 _SLICE = 1.0

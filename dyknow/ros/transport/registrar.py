@@ -31,8 +31,8 @@ from rospy.impl.registration import (
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.master import Master
 from dyknow.ros.transport.late_subscribers import Reminders
+from dyknow.ros.wire.master import Master
 
 #: Seconds between two attempts while the master is down.
 _AGAIN = 0.5

@@ -20,10 +20,10 @@ import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
-from dyknow.ros.master import Master
 from dyknow.ros.transport.conversions import TypedReceiver
 from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.master import Master
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100

@@ -12,7 +12,7 @@ from typing import Iterator, Tuple
 import pytest
 from clocks import HandClock
 
-from dyknow.ros.addresses import FRESH, Addresses
+from dyknow.ros.wire.addresses import FRESH, Addresses
 
 LONG = 30.0
 

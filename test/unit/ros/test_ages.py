@@ -15,7 +15,7 @@ from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header, String
 
-from dyknow.ros.ages import age_of, age_of_serialised, is_stamped
+from dyknow.ros.wire.ages import age_of, age_of_serialised, is_stamped
 
 NOW = 1000.25
 

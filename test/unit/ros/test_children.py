@@ -20,8 +20,8 @@ from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.master import Master
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.wire.master import Master
 
 PATIENCE = 10.0
 CONTEXT = PeerContext(Master("/manager"))

@@ -21,9 +21,9 @@ from dyknow.ros.hosting.child import Child
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.external import External
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.master import Master
-from dyknow.ros.os_process import ProcessId
-from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 

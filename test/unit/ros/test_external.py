@@ -19,7 +19,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting import external
 from dyknow.ros.hosting.external import External, Externals
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 LONG = 30.0
 FAR = "/far"

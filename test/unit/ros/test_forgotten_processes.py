@@ -24,9 +24,9 @@ from dyknow.ros.hosting.external import External
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.logs import LogTail
-from dyknow.ros.master import Master
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process.logs import LogTail
+from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.wire.master import Master
 
 
 @pytest.fixture

@@ -20,8 +20,8 @@ from dyknow.model.graph import NodeletKind
 from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting import grants
 from dyknow.ros.hosting.grants import DURATION, GUARDS_PERIOD, Guarding, Lease, PeerContext
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceLost
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceLost
 
 LONG = 30.0
 

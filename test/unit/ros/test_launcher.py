@@ -14,7 +14,7 @@ from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.ros.hosting import launcher
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 NAME = "/dyknow_nodelet_manager"
 

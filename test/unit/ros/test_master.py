@@ -10,7 +10,7 @@ from typing import Iterator
 import pytest
 import rosmaster.master
 
-from dyknow.ros.master import Master
+from dyknow.ros.wire.master import Master
 
 URI = "http://localhost:9/"
 

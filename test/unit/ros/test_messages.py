@@ -37,8 +37,8 @@ from dyknow.model.streams import (
     StreamStatus,
 )
 from dyknow.model.transformation import IN, NODE, OUT, Parameter, Port, Transformation
-from dyknow.ros import messages
-from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.wire import messages
+from dyknow.ros.wire.model_messages import ModelMessages
 
 PARAMETERS = (Parameter("größe", "double", "0.5"), Parameter("~x", "yaml", "[1, '']"))
 PORT = PortState("in", IN, "std_msgs/Header", "/t", ("A(b)", "C"))

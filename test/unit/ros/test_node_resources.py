@@ -20,7 +20,7 @@ from rospy.impl import tcpros_base
 from std_msgs.msg import Header
 
 from dyknow.errors import LimitExceeded
-from dyknow.ros import descriptors
+from dyknow.ros.process import descriptors
 
 #: In the kernel's struct tcp_info: of a socket that listens this is the length of its queue.
 _QUEUE_AT = 28
@@ -152,7 +152,7 @@ def test_a_peer_that_connects_when_no_descriptor_is_left_waits(
 CODE = """
 import threading
 from dyknow.nodelet.memory import return_free_memory
-from dyknow.ros.node_process import NodeProcess
+from dyknow.ros.process.node_process import NodeProcess
 
 def resident():
     with open("/proc/self/statm") as file:

@@ -20,13 +20,13 @@ import pytest
 
 from dyknow.errors import StoreError
 from dyknow.model.graph import NodeletKind
-from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.logs import LogTail
 from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.process import os_process
+from dyknow.ros.process.logs import LogTail
+from dyknow.ros.process.os_process import ProcessId
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
 STUBBORN = (
@@ -48,7 +48,7 @@ FORKS = (
 #: Its forked process is told to end first, then it is itself.
 HANDLES = """
 import os, queue, signal, threading, time
-from dyknow.ros.signals import on_signals
+from dyknow.ros.process.signals import on_signals
 told = queue.SimpleQueue()
 on_signals([signal.SIGTERM], lambda: told.put("to end"))
 readable, writable = os.pipe()

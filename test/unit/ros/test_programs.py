@@ -12,7 +12,7 @@ import pytest
 from roslib.packages import find_node
 
 from dyknow.errors import CannotRun
-from dyknow.ros import programs
+from dyknow.ros.process import programs
 
 MANIFEST = """<package format="2"><name>{name}</name><version>0.0.0</version>
 <description>none</description><maintainer email="a@example.org">a</maintainer>

@@ -12,9 +12,9 @@ import xmlrpc.server
 import pytest
 from clocks import eventually
 
-from dyknow.ros.master import Master
 from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.master import Master
 
 
 class Server(socketserver.ThreadingMixIn, xmlrpc.server.SimpleXMLRPCServer):

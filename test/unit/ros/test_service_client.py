@@ -18,9 +18,14 @@ from nodelet.srv import NodeletList
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import PeerTimeout
-from dyknow.ros import service_client
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost, TcprosConnection
+from dyknow.ros.wire import service_client
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import (
+    ServiceClient,
+    ServiceFailed,
+    ServiceLost,
+    TcprosConnection,
+)
 
 LONG = 30.0
 SOON = 0.05

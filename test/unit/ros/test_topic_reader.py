@@ -17,8 +17,8 @@ import rosgraph.network
 from std_msgs.msg import String
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
-from dyknow.ros.master import Master
-from dyknow.ros.topic_reader import TopicFollower
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.topic_reader import TopicFollower
 
 LONG = 30.0
 

@@ -31,13 +31,13 @@ from dyknow.manager.specifications.given import undeclared
 from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow.model.streams import ClaimState
 from dyknow.ros.hosting import child_records
-from dyknow.ros.installed import missing_here
+from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.manager.manager_settings import state_path, unknown_parameters
-from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.nodelets.owner import is_taken
-from dyknow.ros.service_client import ServiceClient
-from dyknow.ros.shell_client import ShellClient
+from dyknow.ros.shell.shell_client import ShellClient
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient
 
 #: Seconds for each answer of a node.
 PATIENCE = 2.0

@@ -26,8 +26,8 @@ import rosgraph.network
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
 from dyknow.periodic import in_background
-from dyknow.ros.addresses import connect
-from dyknow.ros.master import Master
+from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.master import Master
 
 T = TypeVar("T")
 

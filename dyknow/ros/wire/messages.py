@@ -168,7 +168,7 @@ def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
 def model_from(message: msg.Model) -> Model:
     """Read a model, as ``get_model`` answers or the topic ``~model`` carries it.
 
-    Its message is put together in ``dyknow.ros.model_messages``.
+    Its message is put together in ``dyknow.ros.wire.model_messages``.
     """
     return Model(
         message.revision,

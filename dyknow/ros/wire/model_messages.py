@@ -21,7 +21,7 @@ from dyknow_msgs.srv import GetModelResponse
 from dyknow.locks import turn_lock
 from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.transformation import Transformation
-from dyknow.ros.messages import nodelet_message, transformation_message
+from dyknow.ros.wire.messages import nodelet_message, transformation_message
 
 T = TypeVar("T")
 

@@ -26,10 +26,10 @@ from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.master import TIMEOUT, Master
-from dyknow.ros.messages import event_from, model_from
-from dyknow.ros.service_client import ServiceFailed, ServiceLost
-from dyknow.ros.topic_reader import TopicReader
+from dyknow.ros.wire.master import TIMEOUT, Master
+from dyknow.ros.wire.messages import event_from, model_from
+from dyknow.ros.wire.service_client import ServiceFailed, ServiceLost
+from dyknow.ros.wire.topic_reader import TopicReader
 
 T = TypeVar("T")
 _UNSET = object()

@@ -13,8 +13,8 @@ from typing import Dict, Iterable, Iterator, Sequence, Set
 
 from dyknow.errors import HostError, Problem
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
-from dyknow.ros import programs
 from dyknow.ros.hosting.nodelet_types import NodeletTypes
+from dyknow.ros.process import programs
 from dyknow.similar import did_you_mean
 
 

@@ -18,8 +18,8 @@ from typing import Any, Callable, Optional
 
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import attempt, in_background
-from dyknow.ros.master import Master
-from dyknow.ros.service_client import ConnectionRefused, TcprosConnection
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ConnectionRefused, TcprosConnection
 
 #: Seconds for a connection to be there.
 _CONNECTING = 5.0

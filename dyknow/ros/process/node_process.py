@@ -28,8 +28,8 @@ from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
-from dyknow.ros import descriptors
-from dyknow.ros.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.process import descriptors
+from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
 
 #: Seconds for a start that is going on to be complete, so that it can be closed.
 _START_PATIENCE = 2.0

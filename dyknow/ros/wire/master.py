@@ -14,7 +14,7 @@ from typing import Any, List, Set, Tuple
 from dyknow import names
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
-from dyknow.ros.addresses import connect
+from dyknow.ros.wire.addresses import connect
 
 #: Seconds that the master may take to answer.
 TIMEOUT = 3.0
