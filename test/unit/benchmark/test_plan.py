@@ -20,12 +20,11 @@ def test_every_library_is_planned_over_for_every_sort_of_demand(tmp_path, capsys
     assert int(rows["dense", "ground"]["steps"]) > 92
     assert int(rows["rules, three variables", "variable"]["steps"]) > 9
     assert int(rows["individuals with an ontology", "class"]["steps"]) > 9
-    assert "dense: plan, ground, median" in capsys.readouterr().out
+    assert "400 transformations: slowest demand" in capsys.readouterr().out
 
 
 def test_a_library_may_have_any_size(tmp_path):
-    for count in (1, 101):
-        assert main(["plan", "--transformations", str(count)]) == 0
+    assert main(["plan", "--transformations", "1", "101"]) == 0
 
 
 def test_a_target_that_is_not_met_fails_a_check(monkeypatch):
