@@ -26,7 +26,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
-from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
+from dyknow.nodelet.endpoints import NOTHING, Connection, Fence, Publication, Subscription
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
 from dyknow.nodelet.scheduler import Clock
 from dyknow.periodic import in_background
@@ -41,8 +41,6 @@ _DRAIN_PAUSE = 2.0
 _LONGEST_DRAIN_IN = 0.1
 
 Endpoint = Union[Publication, Subscription]
-Registration = Union[OutsidePublisher, OutsideSubscriber]
-Fences = Mapping[str, Callable[[str], bool]]
 
 
 @dataclass
@@ -51,11 +49,7 @@ class _Topic:
 
     datatype: Any
     publications: List[Publication] = field(default_factory=list)
-    connections: List[Connection] = field(default_factory=list)
-
-    @property
-    def route(self) -> Tuple[Connection, ...]:
-        return tuple(self.connections)
+    route: Tuple[Connection, ...] = ()
 
 
 @dataclass(eq=False)
@@ -63,7 +57,7 @@ class _Part:
     """One endpoint's part in a switch, filled in as the steps are taken.
 
     Attributes:
-        endpoint: which moves.
+        endpoint: a publication or a subscription.
         topic: its new topic; empty for none.
         link: the new connection of a subscription.
         registration: on the new topic.
@@ -72,13 +66,17 @@ class _Part:
         old: registration on the topic that the endpoint leaves.
     """
 
-    endpoint: Endpoint
+    endpoint: Any
     topic: str
     link: Optional[Connection] = None
-    registration: Optional[Registration] = None
+    registration: Any = None
     is_late: bool = False
     drained: Optional[Connection] = None
-    old: Optional[Registration] = None
+    old: Any = None
+
+    @property
+    def is_publication(self) -> bool:
+        return isinstance(self.endpoint, Publication)
 
     def check_open(self) -> None:
         if self.endpoint.closed:
@@ -109,7 +107,7 @@ class Bus:
         self._making: List[_Part] = []
         self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
         self._patient_from = clock()
-        self._fences: Fences = {}
+        self._fences: Mapping[str, Fence] = {}
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -124,15 +122,10 @@ class Bus:
         with self._lock:
             present = self._topics.get(topic, _Topic(None))
             publishers = {each.owner for each in present.publications}
-            return sorted(publishers), sorted({each.owner for each in present.connections})
+            return sorted(publishers), sorted({each.subscription.owner for each in present.route})
 
-    def fence(self, fences: Fences) -> None:
-        """Check before each message on these topics whether its nodelet may publish it now.
-
-        Args:
-            fences: by topic, a function of the nodelet's name that must be quick. Other topics
-                are open to all.
-        """
+    def fence(self, fences: Mapping[str, Fence]) -> None:
+        """Set the fences that messages have to pass, by topic; other topics are open to all."""
         with self._lock:
             self._fences = fences
             for name, topic in self._topics.items():
@@ -142,7 +135,7 @@ class Bus:
     def rewire(
         self,
         moves: Sequence[Tuple[Endpoint, str]],
-        on_switch: Optional[Callable[[], None]] = None,
+        on_switch: Callable[[], None] = lambda: None,
         patience: float = 0.0,
     ) -> None:
         """Connect every endpoint to its new topic (empty: to none), all in one switch.
@@ -182,22 +175,19 @@ class Bus:
 
         Messages that they have published are sent first, as far as the network takes them soon.
         """
-        made: List[Optional[Registration]] = []
         with self._lock:
-            made += [part.registration for part in self._making if part.endpoint in endpoints]
+            made = [part.registration for part in self._making if part.endpoint in endpoints]
             made += [old for endpoint, old in self._leaving if endpoint in endpoints]
             self._leaving = [each for each in self._leaving if each[0] not in endpoints]
             for endpoint in endpoints:
+                made.append(endpoint.outside)
                 if isinstance(endpoint, Publication):
-                    made.append(endpoint.outside)
                     self._leave(endpoint)
-                    endpoint.disconnect(closed=True)
+                    endpoint.close()
                 else:
                     endpoint.closed = True
                     connection, endpoint.connection = endpoint.connection, None
-                    if connection is not None:
-                        made.append(connection.outside)
-                        self._unlink(connection, discard=True)
+                    self._unlink(connection, discard=True)
         now = self._clock()
         deadline = now + _RELEASE_DRAIN if now >= self._patient_from else now
         for registration in made:
@@ -216,25 +206,24 @@ class Bus:
                 if not part.topic:
                     continue
                 topic = self._topic(part.topic, part.endpoint.datatype)
-                if isinstance(part.endpoint, Subscription):
-                    part.is_late = bool(topic.publications)
-                    part.link = Connection(part.endpoint, part.topic)
-                    topic.connections.append(part.link)
-                    for publication in topic.publications:
-                        publication.reroute(topic.route, newcomers=(part.link,))
-                else:
-                    part.is_late = bool(topic.connections)
+                if part.is_publication:
+                    part.is_late = bool(topic.route)
+                    continue
+                part.is_late = bool(topic.publications)
+                part.link = Connection(part.endpoint, part.topic)
+                topic.route += (part.link,)
+                for publication in topic.publications:
+                    publication.reroute(topic.route, newcomers=(part.link,))
             self._making += parts
         early = [part for part in parts if part.topic and not part.is_late]
         for part in early:
             self._register(part)
             part.check_open()  # a concurrent release() may have missed this registration
         for part in early:
-            registration, seconds = part.registration, max(0.0, deadline - self._clock())
-            if seconds and isinstance(registration, OutsidePublisher):
-                registration.wait(seconds)
-            elif seconds and isinstance(registration, OutsideSubscriber) and part.link is not None:
-                registration.wait(part.link.arrived, seconds)
+            seconds = max(0.0, deadline - self._clock())
+            if seconds:
+                arguments = () if part.link is None else (part.link.arrived,)
+                part.registration.wait(*arguments, seconds)
 
     def _drain(self, parts: List[_Part], patience: float) -> None:
         """Receive what old publishers outside have sent by now: it goes before the new."""
@@ -242,31 +231,29 @@ class Bus:
             self._check(parts)
         until = self._clock() + min(patience, _LONGEST_DRAIN_IN)
         for part in parts:
-            connection = getattr(part.endpoint, "connection", None)
+            connection = None if part.is_publication else part.endpoint.connection
             if patience and connection is not None and connection.outside is not None:
                 part.drained = connection
                 connection.outside.drain(until - self._clock())
 
-    def _switch(self, parts: List[_Part], on_switch: Optional[Callable[[], None]]) -> None:
+    def _switch(self, parts: List[_Part], on_switch: Callable[[], None]) -> None:
         with self._lock:
             self._check(parts)
             for part in parts:
-                if isinstance(part.endpoint, Publication):
-                    self._move(part, part.endpoint)
+                part.old = part.endpoint.outside
+                if part.is_publication:
+                    self._move(part)
             for part in parts:
-                if isinstance(part.endpoint, Subscription):
+                if not part.is_publication:
                     old, part.endpoint.connection = part.endpoint.connection, part.link
-                    if part.link is not None and isinstance(part.registration, OutsideSubscriber):
+                    if part.link is not None:
                         part.link.outside = part.registration
-                    if old is not None:
-                        part.old = old.outside
-                        self._unlink(old, discard=False)
-            if on_switch is not None:
-                on_switch()
+                    self._unlink(old, discard=False)
+            on_switch()
             for part in parts:
                 if part.link is not None:
                     part.link.open()
-            self._made(parts)
+            self._making = [part for part in self._making if part not in parts]
 
     def _register_late(self, parts: List[_Part]) -> None:
         failures: List[BaseException] = []
@@ -276,23 +263,23 @@ class Bus:
                     self._register(part)
             except BaseException as error:  # further parts are switched too and need theirs
                 failures.append(error)
-            registration, endpoint, owed = part.registration, part.endpoint, NOTHING
+            made, endpoint, owed = part.registration, part.endpoint, NOTHING
+            if made is None:
+                continue
             with self._lock:
-                if isinstance(endpoint, Publication):
-                    current = endpoint.topic == part.topic and not endpoint.closed
-                    if current and isinstance(registration, OutsidePublisher):
-                        owed = endpoint.set_outside(registration)
-                else:
+                if part.link is not None:
                     current = endpoint.connection is part.link
-                    if part.link is not None and isinstance(registration, OutsideSubscriber):
-                        part.link.outside = registration
-            if registration is not None and not current:  # released or moved on meanwhile
-                registration.close()
-            elif isinstance(endpoint, Publication) and isinstance(registration, OutsidePublisher):
-                while owed is not NOTHING:
-                    registration.latch(owed)
-                    # A message published meanwhile may have overtaken it: the last is to stay.
-                    owed = NOTHING if endpoint.latched is owed else endpoint.latched
+                    part.link.outside = made
+                else:
+                    current = endpoint.topic == part.topic and not endpoint.closed
+                    if current:
+                        owed = endpoint.set_outside(made)
+            if not current:  # released or moved on meanwhile
+                made.close()
+            while owed is not NOTHING:
+                made.latch(owed)
+                # A message published meanwhile may have overtaken it: the last is to stay.
+                owed = NOTHING if endpoint.latched is owed else endpoint.latched
         if failures:
             raise failures[0]
 
@@ -322,28 +309,27 @@ class Bus:
 
     def _undo(self, parts: List[_Part]) -> None:
         with self._lock:
-            self._made(parts)
+            self._making = [part for part in self._making if part not in parts]
             for part in parts:
-                if part.link is not None:
-                    self._unlink(part.link, discard=True)
+                self._unlink(part.link, discard=True)
             for part in parts:
                 self._forget(part.topic)
         for part in parts:
             if part.registration is not None:
                 part.registration.close()
             if part.drained is not None:
-                self._subscribe_again(part.endpoint, part.drained)
+                self._subscribe_again(part.drained)
 
-    def _subscribe_again(self, endpoint: Endpoint, connection: Connection) -> None:
+    def _subscribe_again(self, connection: Connection) -> None:
         """Renew the registration of a connection that was drained, but is not left."""
         with self._lock:
             old = connection.outside
-            if endpoint.closed or old is None:
+            if connection.subscription.closed or old is None:
                 return
         old.close()
-        registration = self._subscribe(connection, endpoint)
+        registration = self._subscribe(connection)
         with self._lock:
-            current = not endpoint.closed
+            current = not connection.subscription.closed
             if current:
                 connection.outside = registration
         if not current:
@@ -351,14 +337,15 @@ class Bus:
 
     def _register(self, part: _Part) -> None:
         end = part.endpoint
-        if isinstance(end, Publication):
+        if part.link is not None:
+            part.registration = self._subscribe(part.link)
+        else:
             part.registration = self._transport.advertise(
                 part.topic, end.datatype, end.latch, end.queue_size, end.options
             )
-        elif part.link is not None:
-            part.registration = self._subscribe(part.link, end)
 
-    def _subscribe(self, connection: Connection, end: Endpoint) -> OutsideSubscriber:
+    def _subscribe(self, connection: Connection) -> OutsideSubscriber:
+        end = connection.subscription
         return self._transport.subscribe(
             connection.topic, end.datatype, connection.push, end.options
         )
@@ -370,9 +357,6 @@ class Bus:
             part.check_open()
             if part.topic:
                 self._topic(part.topic, part.endpoint.datatype)
-
-    def _made(self, parts: List[_Part]) -> None:
-        self._making = [part for part in self._making if part not in parts]
 
     def _topic(self, name: str, datatype: Any) -> _Topic:
         topic = self._topics.get(name)
@@ -389,17 +373,19 @@ class Bus:
         topic = self._topics.get(name)
         if topic is None:
             return
-        ends: List[Union[Publication, Connection]] = [*topic.publications, *topic.connections]
-        datatypes = [end.datatype for end in ends]
+        datatypes = [each.datatype for each in topic.publications]
+        datatypes += [each.subscription.datatype for each in topic.route]
         if not datatypes:
             del self._topics[name]
         elif all(each._md5sum == "*" for each in datatypes):
             topic.datatype = datatypes[0]
 
-    def _unlink(self, connection: Connection, discard: bool) -> None:
+    def _unlink(self, connection: Optional[Connection], discard: bool) -> None:
+        if connection is None:
+            return
         topic = self._topics.get(connection.topic)
-        if topic is not None and connection in topic.connections:
-            topic.connections.remove(connection)
+        if topic is not None and connection in topic.route:
+            topic.route = tuple(each for each in topic.route if each is not connection)
             for publication in topic.publications:
                 publication.reroute(topic.route)
             self._forget(connection.topic)
@@ -411,14 +397,13 @@ class Bus:
             topic.publications.remove(publication)
             self._forget(publication.topic)
 
-    def _move(self, part: _Part, publication: Publication) -> None:
-        part.old = publication.outside
+    def _move(self, part: _Part) -> None:
+        publication: Publication = part.endpoint
         self._leave(publication)
-        if not part.topic:
-            publication.disconnect()
-            return
-        topic = self._topic(part.topic, publication.datatype)
-        topic.publications.append(publication)
-        made = part.registration
-        outside = made if isinstance(made, OutsidePublisher) else None
-        publication.connect(part.topic, outside, topic.route, self._fences.get(part.topic))
+        route = None
+        if part.topic:
+            topic = self._topic(part.topic, publication.datatype)
+            topic.publications.append(publication)
+            route = topic.route
+        fence = self._fences.get(part.topic)
+        publication.connect(part.topic, part.registration, route, fence)

@@ -80,7 +80,7 @@ class Runtime:
 
 
 class Context:
-    """One nodelet's share of the runtime."""
+    """One nodelet's share of the runtime; its callbacks wait until ``start``."""
 
     def __init__(
         self,
@@ -89,7 +89,6 @@ class Context:
         remappings: Optional[Mapping[str, str]] = None,
         my_argv: Sequence[str] = (),
     ) -> None:
-        """Prepare a nodelet's share; its callbacks wait until ``start``."""
         self.runtime = runtime
         #: Runs the strands that are made from now on.
         self.executor = runtime.executor
@@ -132,9 +131,7 @@ class Context:
     def new_strand(self, what: str, at_once: bool = False) -> Strand:
         """Make a further strand, for callbacks that may overlap with the nodelet's other ones.
 
-        Args:
-            what: names it in the log.
-            at_once: whether it runs during ``on_init`` too.
+        ``what`` names it in the log; it runs ``at_once``, or after ``on_init``.
         """
         with self._lock:
             held = self._held and not at_once
@@ -178,13 +175,14 @@ class Context:
     ) -> Publication:
         """Make a publication that this nodelet owns, not connected yet."""
         check_message_class(what, datatype)
+        runtime = self.runtime
         publication = Publication(
             datatype,
             latch,
             queue_size,
-            self.runtime.transport,
-            self.runtime.clock,
-            lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
+            runtime.transport,
+            runtime.clock,
+            lambda: runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
             self.name,
         )
@@ -195,7 +193,6 @@ class Context:
         self, what: str, datatype: Any, queue_size: Optional[int], strand: Strand, **options: Any
     ) -> Subscription:
         """Make a subscription that this nodelet owns, without callbacks and not connected yet."""
-        check_message_class(what, datatype)
         failed = functools.partial(self.failed, f"'{what}'")
         subscription = Subscription(datatype, queue_size, strand, failed, options, self.name)
         self._keep(subscription)
@@ -229,9 +226,6 @@ class Context:
         """Take endpoints of this nodelet off the bus for good."""
         with self._lock:
             self._endpoints = [each for each in self._endpoints if each not in endpoints]
-        self._withdraw(endpoints)
-
-    def _withdraw(self, endpoints: Sequence[Endpoint]) -> None:
         self.runtime.bus.release(endpoints)
         for endpoint in endpoints:
             endpoint.let_go()
@@ -288,10 +282,10 @@ class Context:
         self.stop()
         with self._lock:
             self.closed, self.closed_at = True, self.runtime.clock()
-            endpoints, self._endpoints = self._endpoints, []
+            endpoints = list(self._endpoints)
             timers, self._timers = self._timers, []
             closables, self._closables = self._closables, []
-        steps: List[Callable[[], None]] = [lambda: self._withdraw(endpoints)]
+        steps: List[Callable[[], None]] = [lambda: self.release(*endpoints)]
         steps += [timer.shutdown for timer in timers]
         steps += [closable.close for closable in reversed(closables)]
         for step in steps:

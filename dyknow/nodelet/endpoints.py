@@ -23,16 +23,14 @@ from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 
 #: Stands for "no message", since a message may be None.
 NOTHING: Any = object()
-
-Callback = Tuple[Callable[..., Any], Tuple[Any, ...]]
-"""A callback of a user, and its arguments after the message."""
-
 #: A rate is taken over the last one to two stretches of so many messages, so that it follows.
 _STRETCH = 32
+_HELD, _OPEN, _CLOSED = "held", "open", "closed"
 
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
 
-_HELD, _OPEN, _CLOSED = "held", "open", "closed"
+Fence = Callable[[str], bool]
+"""Returns whether a nodelet may publish on a topic now; called for each message."""
 
 
 class Traffic:
@@ -53,13 +51,10 @@ class Traffic:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self.last = 0.0
+        self.messages = self.dropped = 0
+        self.last = self.busy = self.longest = 0.0
         #: Number and time of the first message of this stretch and of the one before.
         self._begin = self._before = (0, 0.0)
-        self.messages = 0
-        self.dropped = 0
-        self.busy = 0.0
-        self.longest = 0.0
 
     def received(self, start: float) -> None:
         """Count one message whose callback began at ``start`` and has just returned."""
@@ -73,7 +68,6 @@ class Traffic:
             self.begin_stretch(number, start)
 
     def begin_stretch(self, number: int, now: float) -> None:
-        """Note the number and the time of the first message of a stretch."""
         self._before = self._begin if number > 1 else (1, now)
         self._begin = (number, now)
 
@@ -98,27 +92,17 @@ class Connection:
     It is itself the task that delivers its oldest message: nothing else is touched on the way.
     """
 
-    __slots__ = tuple("_arrived _limit _queue _state _strand _subscription outside topic".split())
+    __slots__ = tuple("_arrived _limit _queue _state _strand outside subscription topic".split())
 
     def __init__(self, subscription: Subscription, topic: str) -> None:
         self.topic = topic
+        self.subscription = subscription
         self.outside: Optional[OutsideSubscriber] = None
-        self._subscription = subscription
         self._limit = subscription.queue_size or -1
         self._queue: Deque[Any] = collections.deque()
         self._state = _HELD
         self._strand = subscription.strand
         self._arrived: Optional[threading.Event] = None
-
-    @property
-    def datatype(self) -> Any:
-        """Message class of the subscription."""
-        return self._subscription.datatype
-
-    @property
-    def owner(self) -> str:
-        """Name of the nodelet."""
-        return self._subscription.owner
 
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
@@ -126,14 +110,13 @@ class Connection:
             self.push_locked(message)
 
     def push_locked(self, message: Any) -> None:
-        """Same, with the lock held."""
         if self._state is _CLOSED:
             return
         queue = self._queue
         queue.append(message)
         if len(queue) - 1 == self._limit:
             queue.popleft()
-            self._subscription.traffic.dropped += 1
+            self.subscription.traffic.dropped += 1
         elif self._state is _OPEN:
             strand = self._strand
             if strand.alive:  # as post_locked, without its call
@@ -150,7 +133,7 @@ class Connection:
             message = self._queue.popleft()
         except IndexError:
             return
-        subscription = self._subscription
+        subscription = self.subscription
         try:
             subscription.receive(message)
         except BaseException as error:  # the boundary: a callback never takes its neighbours down
@@ -183,10 +166,10 @@ class Connection:
 
 
 class Subscription:
-    """A callback with a queue on a strand, connected to one topic or to none."""
+    """Callbacks with a queue on a strand, connected to one topic or to none."""
 
     __slots__ = tuple(
-        """callbacks closed connection datatype failed options owner queue_size receive strand
+        """_callbacks closed connection datatype failed options owner queue_size receive strand
         traffic""".split()
     )
 
@@ -206,7 +189,8 @@ class Subscription:
         self.failed = failed
         self.options = options
         self.owner = owner
-        self.callbacks: Tuple[Callback, ...] = ()
+        #: With the arguments that follow the message.
+        self._callbacks: Tuple[Tuple[Callable[..., Any], Tuple[Any, ...]], ...] = ()
         #: Called with each message, on the strand.
         self.receive: Receive = _ignore
         self.traffic = Traffic(strand.clock)
@@ -218,17 +202,22 @@ class Subscription:
         """Global name of the connected topic, empty when disconnected."""
         return self.connection.topic if self.connection is not None else ""
 
-    def add(self, callback: Callback, adapt: Callable[[Any, Receive], Receive]) -> int:
+    @property
+    def outside(self) -> Optional[OutsideSubscriber]:
+        return self.connection.outside if self.connection is not None else None
+
+    def add(
+        self, transport: Transport, callback: Callable[..., Any], args: Tuple[Any, ...]
+    ) -> int:
         """Call this back too; returns the number of the callback."""
-        self.callbacks = (*self.callbacks, callback)
-        function, args = callback
-        alone = len(self.callbacks) == 1 and not args
-        self.receive = adapt(self.datatype, function if alone else self._call_all)
-        return len(self.callbacks) - 1
+        self._callbacks = (*self._callbacks, (callback, args))
+        alone = len(self._callbacks) == 1 and not args
+        self.receive = transport.adapt(self.datatype, callback if alone else self._call_all)
+        return len(self._callbacks) - 1
 
     def _call_all(self, message: Any) -> None:
         errors: List[BaseException] = []
-        for callback, args in self.callbacks:
+        for callback, args in self._callbacks:
             try:
                 callback(message, *args)
             except BaseException as error:  # the boundary, for each callback by itself
@@ -238,7 +227,7 @@ class Subscription:
 
     def let_go(self) -> None:
         """Drop the callbacks after the release: they refer to the nodelet, and it to this."""
-        self.receive, self.callbacks = _ignore, ()
+        self.receive, self._callbacks = _ignore, ()
 
 
 class Publication:
@@ -249,8 +238,8 @@ class Publication:
     """
 
     __slots__ = tuple(
-        """_age _age_of _build _fence _is_age_wanted _is_plain _outside _route _watchers closed
-        datatype latch latched options owner queue_size refusal topic traffic""".split()
+        """_age _age_of _build _fence _is_age_wanted _is_plain _route _watchers closed datatype
+        latch latched options outside owner queue_size refusal topic traffic""".split()
     )
 
     def __init__(
@@ -264,7 +253,6 @@ class Publication:
         options: Dict[str, Any],
         owner: str,
     ) -> None:
-        """Describe a publication; ``refusal`` makes the exception of a publish after its end."""
         self.datatype = datatype
         self.latch = latch
         self.queue_size = queue_size
@@ -274,17 +262,17 @@ class Publication:
         self.topic = ""
         self.traffic = Traffic(clock)
         self.latched = NOTHING
-        #: Whether it was withdrawn.
+        #: The registration in ROS.
+        self.outside: Optional[OutsidePublisher] = None
         self.closed = False
         self._build = transport.build
         self._age_of = transport.age_of
         self._age: Optional[float] = None
         self._is_age_wanted = False
-        self._fence: Optional[Callable[[str], bool]] = None
+        self._fence: Optional[Fence] = None
         self._route: Optional[Tuple[Connection, ...]] = None
         #: Whether messages only pass: the one question that a publish asks of all the above.
         self._is_plain = False
-        self._outside: Optional[OutsidePublisher] = None
         self._watchers: Tuple[Callable[[], None], ...] = ()
 
     def publish(self, message: Any = NOTHING, /, *fields: Any, **named: Any) -> None:
@@ -310,7 +298,7 @@ class Publication:
                 traffic.begin_stretch(number, now)
             for connection in self._route:  # type: ignore[union-attr] # there is one, if admitted
                 connection.push_locked(message)
-            outside = self._outside
+            outside = self.outside
             if outside is None or not (self.latch or outside.heard):
                 return
             outside.in_flight += 1
@@ -326,13 +314,13 @@ class Publication:
             if peer is HERE:
                 for connection in self._route or ():
                     connection.push_locked(message)
-            outside = self._outside
+            outside = self.outside
             if outside is None:
                 return
             outside.in_flight += 1
         _hand_over(outside, outside.publish_to, peer, message)
 
-    def set_fence(self, fence: Optional[Callable[[str], bool]]) -> None:
+    def set_fence(self, fence: Optional[Fence]) -> None:
         """Check with ``fence`` at each message whether our nodelet may publish on its topic."""
         with message_lock:
             self._fence = fence
@@ -349,7 +337,7 @@ class Publication:
             self._note_plain()
             return self._age
 
-    def set_outside(self, outside: Optional[OutsidePublisher]) -> Any:
+    def set_outside(self, outside: OutsidePublisher) -> Any:
         """Publish through this registration too; returns the latched message that it is owed."""
         with message_lock:
             self._set_outside(outside)
@@ -361,15 +349,15 @@ class Publication:
         self,
         topic: str,
         outside: Optional[OutsidePublisher],
-        route: Tuple[Connection, ...],
-        fence: Optional[Callable[[str], bool]] = None,
+        route: Optional[Tuple[Connection, ...]],
+        fence: Optional[Fence] = None,
     ) -> None:
-        """Publish on another topic from now on, to all of its connections."""
+        """Publish on another topic from now on; nowhere, if ``route`` is None."""
         with message_lock:
             self._fence = fence
             self.topic = topic
             self._set_outside(outside)
-            self._reroute(route, newcomers=route)
+            self._reroute(route, newcomers=route or ())
         self._changed()
 
     def reroute(
@@ -380,35 +368,21 @@ class Publication:
             self._reroute(route, newcomers)
         self._changed()
 
-    def disconnect(self, closed: bool = False) -> None:
-        """Publish to no topic; for good, if ``closed``."""
-        with message_lock:
-            self.closed = self.closed or closed
-            self._set_outside(None)
-            self.topic = ""
-            self._route = None
-            self._is_plain = False
-        self._changed()
+    def close(self) -> None:
+        """Publish no more, and refuse to."""
+        self.closed = True
+        self.connect("", None, None)
 
     def let_go(self) -> None:
         """Drop the latched message and the watchers, after the release."""
         self.latched, self._watchers = NOTHING, ()
 
-    @property
-    def outside(self) -> Optional[OutsidePublisher]:
-        """The registration in ROS."""
-        return self._outside
-
     def peers(self) -> Tuple[str, Tuple[Any, ...]]:
         """The topic and its subscribers: each outside, and ``HERE`` for all of this process."""
         with message_lock:
-            topic, route, outside = self.topic, self._route, self._outside
+            topic, route, outside = self.topic, self._route, self.outside
         listening = outside.peers() if outside is not None else ()
         return topic, (listening if HERE in listening or not route else (HERE, *listening))
-
-    def get_num_connections(self) -> int:
-        """Count the peers; all of this process are one, as in roscpp."""
-        return len(self.peers()[1])
 
     def watch(self, changed: Callable[[], None]) -> None:
         """Call ``changed``, which must be quick, whenever ``peers`` may have changed."""
@@ -416,7 +390,6 @@ class Publication:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """End the calls that ``watch`` requested."""
         with message_lock:
             self._watchers = tuple(each for each in self._watchers if each != changed)
 
@@ -452,13 +425,15 @@ class Publication:
         )
 
     def _set_outside(self, outside: Optional[OutsidePublisher]) -> None:
-        if self._outside is not None:
-            self._outside.changed = None
-        self._outside = outside
+        if self.outside is not None:
+            self.outside.changed = None
+        self.outside = outside
         if outside is not None:
             outside.changed = self._changed
 
-    def _reroute(self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...]) -> None:
+    def _reroute(
+        self, route: Optional[Tuple[Connection, ...]], newcomers: Tuple[Connection, ...]
+    ) -> None:
         self._route = route
         self._note_plain()
         if self.latched is not NOTHING:

@@ -109,10 +109,9 @@ class PlainNodeHandle:
         tcp_nodelay: bool = False,
     ) -> pubsub.Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
-        strand = self.context.new_strand(name) if self.concurrent else self.context.strand
         options = _given(buff_size=buff_size)
-        return self._subscribe(
-            name, data_class, callback, callback_args, queue_size, strand, **options
+        return self._make_subscriber(
+            name, data_class, callback, callback_args, queue_size, self.concurrent, **options
         )
 
     def wait_for_message(
@@ -125,22 +124,13 @@ class PlainNodeHandle:
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
         inbox = Inbox(self.context)
-        strand = self.context.new_strand(topic, at_once=True)
-        subscriber = self._subscribe(topic, topic_type, inbox.put, None, 1, strand)
+        subscriber = self._make_subscriber(
+            topic, topic_type, inbox.put, None, 1, overlaps=True, at_once=True
+        )
         try:
             return inbox.get(f"a message {self._place} '{topic}'", timeout)
         finally:
             subscriber.unregister()
-
-    def _subscribe(
-        self, name: str, datatype: Any, *args: Any, **options: Any
-    ) -> pubsub.Subscriber:
-        """Make a subscriber; the last of ``args`` is its strand, which goes with it."""
-        try:
-            return self._make_subscriber(name, datatype, *args, **options)
-        except BaseException:
-            self.context.drop_strand(args[-1])
-            raise
 
     # On topics here, and on ports in ``dyknow.proxy``.
 
@@ -234,11 +224,9 @@ class Inbox(Closable):
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def put(self, message: Any) -> None:
-        """Hand a message over."""
         self._queue.put((message,))
 
     def close(self) -> None:
-        """End the wait: the nodelet is unloaded."""
         self._queue.put(None)
 
     def get(self, what: str, timeout: Optional[float]) -> Any:
@@ -271,7 +259,6 @@ class Service(Closable):
         concurrent: bool,
         options: Dict[str, Any],
     ) -> None:
-        """Offer a service under a global name."""
         self.resolved_name = resolved_name
         self.service_class = service_class
         self.handler = handler
@@ -289,7 +276,7 @@ class Service(Closable):
         self.close()
 
     def close(self) -> None:
-        """Withdraw the service, as part of the unload."""
+        """Withdraw the service, and end the waits of its callers."""
         self._offered.close()
         self.handler = _withdrawn  # the handler refers to the nodelet, and that to the service
         for inbox in list(self._waiting):

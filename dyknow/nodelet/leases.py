@@ -30,14 +30,12 @@ from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Iterable, Mapping, Tuple
 
 from dyknow.locks import state_lock
+from dyknow.nodelet.endpoints import Fence
 
 #: Seconds before the end of a lease from which the manager's host is probed.
 PROBE_AHEAD = 1.2
 #: Seconds, from the probe on, by which a lease is extended if no manager is at work.
 EXTENSION = 1.5
-
-Fence = Callable[[str], bool]
-"""Returns whether a nodelet may publish on one topic now."""
 
 
 class Sight(enum.Enum):

@@ -3,8 +3,7 @@
 
 """The seam between the runtime and ROS.
 
-The runtime calls nothing of ROS itself: it is given a ``Middleware``, which is a transport for
-topics, services, a ticker for timers, and a node. The real one is made by
+The runtime calls nothing of ROS itself: it is given a ``Middleware``. The real one is made by
 ``dyknow.ros.transport.middleware.rospy_middleware``, the public fake beside it is
 ``dyknow.nodelet.local``.
 
@@ -28,7 +27,17 @@ Handler = Callable[[Any], Any]
 HERE: Any = object()
 
 
-class OutsidePublisher(ABC):
+class Closable(ABC):
+    """Something that is offered to ROS until it is closed."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw it."""
+
+
+class OutsidePublisher(Closable):
     """The registration of one publication on one topic."""
 
     __slots__ = ("changed", "in_flight")
@@ -67,12 +76,8 @@ class OutsidePublisher(ABC):
     def drain(self, seconds: float) -> bool:
         """Wait until every published message was sent; False when time is up."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Withdraw the registration."""
 
-
-class OutsideSubscriber(ABC):
+class OutsideSubscriber(Closable):
     """The registration of one connection."""
 
     @abstractmethod
@@ -87,26 +92,12 @@ class OutsideSubscriber(ABC):
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Return when messages flow from the outside publishers, or none are there, or time is up.
 
-        Args:
-            arrived: waits at most that many seconds for a first message; whether it came.
-            seconds: for all of it.
+        ``arrived`` waits at most so many seconds for a first message, and returns if it came.
         """
 
     @abstractmethod
     def drain(self, seconds: float) -> None:
         """Drain the sockets, then stop reading; give up after ``seconds``."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Withdraw the registration."""
-
-
-class Closable(ABC):
-    """Something that is offered to ROS until it is closed."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Withdraw it."""
 
 
 class Transport(ABC):
@@ -123,12 +114,8 @@ class Transport(ABC):
     ) -> OutsidePublisher:
         """Register a publisher of a global topic name.
 
-        Args:
-            topic: global name.
-            datatype: message class.
-            latch: whether late subscribers get the last message.
-            queue_size: messages kept for each slow outside subscriber; None for the default.
-            options: further arguments for ``rospy.Publisher``.
+        A queue of ``queue_size`` messages is kept for each slow subscriber (None: the default);
+        ``options`` are further arguments for ``rospy.Publisher``.
         """
 
     @abstractmethod
@@ -146,17 +133,11 @@ class Transport(ABC):
         """Make a message of the arguments of ``publish``, with rospy's rules and errors."""
 
     def age_of(self, message: Any) -> Optional[float]:
-        """Return the seconds since the time stamp of a message; None if it has none.
-
-        It is called while a message is published: it does not wait, and raises nothing.
-        """
+        """Seconds since the time stamp of a message, None without one; quick, raises nothing."""
         return None
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Wrap ``receive`` so that it can be called with any message of this process.
-
-        The same function comes back unless ``datatype`` stands for "any type".
-        """
+        """Wrap ``receive`` so that it takes any message, if ``datatype`` stands for "any type"."""
         return receive
 
 
@@ -192,13 +173,10 @@ class Ticker(ABC):
 
     @abstractmethod
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make the event that a timer callback gets.
+        """Make the event for a timer callback.
 
-        Args:
-            last: the event before, None at the first.
-            expected: when the callback was due, on the scale of ``now``.
-            real: when it is called.
-            duration: seconds that the callback before took, None at the first.
+        ``last`` is the event before and ``duration`` the seconds that its callback took, both None
+        at the first; the callback was due at ``expected`` and is called at ``real``.
         """
 
 

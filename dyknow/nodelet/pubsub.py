@@ -13,12 +13,9 @@ from __future__ import annotations
 import functools
 from typing import Any, Callable, Dict, Optional, Tuple
 
-from dyknow.nodelet.context import Context
+from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.middleware import Closable
-from dyknow.nodelet.scheduler import Strand
-
-Callback = Callable[..., Any]
 
 
 class Publisher:
@@ -33,14 +30,11 @@ class Publisher:
         self.data_class = publication.datatype
         self.type = self.data_class._type
         self.md5sum = self.data_class._md5sum
-        self._context = context
         self.publication = publication
+        self._context = context
         self._events: Optional[SubscriberEvents] = None
         if listener is not None:
-            what = f"the subscriber listener of '{name}'"
-            self._events = SubscriberEvents(
-                publication, listener, context.strand, lambda error: context.failed(what, error)
-            )
+            self._events = SubscriberEvents(context, name, publication, listener)
             context.close_with(self._events)
 
     @property
@@ -52,7 +46,7 @@ class Publisher:
 
     def get_num_connections(self) -> int:
         """Count the subscribers: one for each node outside, one for this process."""
-        return self.publication.get_num_connections()
+        return len(self.publication.peers()[1])
 
     def unregister(self) -> None:
         """Withdraw it; publishing raises ``rospy.ROSException`` afterwards."""
@@ -79,16 +73,24 @@ class Subscriber:
         context: Context,
         name: str,
         datatype: Any,
-        callback: Optional[Callback],
+        callback: Optional[Callable[..., Any]],
         callback_args: Any,
         queue_size: Optional[int],
-        strand: Strand,
+        overlaps: bool = False,
+        at_once: bool = False,
         **options: Any,
     ) -> None:
-        """Make a handle with a subscription of its own, which is not connected yet."""
+        """Make a handle with a subscription of its own, which is not connected yet.
+
+        If it ``overlaps`` with other callbacks of the nodelet it has a strand of its own, which
+        runs ``at_once``, or after ``on_init``.
+        """
+        check_message_class(name, datatype)
         self._context = context
-        self._strand = strand
-        self.subscription = context.subscription(name, datatype, queue_size, strand, **options)
+        self._strand = context.new_strand(name, at_once) if overlaps else context.strand
+        self.subscription = context.subscription(
+            name, datatype, queue_size, self._strand, **options
+        )
         if callback is not None:
             self.registerCallback(callback, *(() if callback_args is None else (callback_args,)))
         self.data_class = datatype
@@ -104,17 +106,16 @@ class Subscriber:
 
     def get_num_connections(self) -> int:
         """Count the publishers that are connected; all of this process are one."""
-        connection = self.subscription.connection
-        outside = connection.outside if connection is not None else None
+        outside = self.subscription.outside
         return outside.publishers() if outside is not None else 0
 
-    def registerCallback(self, callback: Callback, *args: Any) -> int:  # noqa: N802
+    def registerCallback(self, callback: Callable[..., Any], *args: Any) -> int:  # noqa: N802
         """Call back with each message and ``args`` too, as message_filters expects of its inputs.
 
         Returns:
             The number of the callback.
         """
-        return self.subscription.add((callback, args), self._context.runtime.transport.adapt)
+        return self.subscription.add(self._context.runtime.transport, callback, args)
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""
@@ -136,17 +137,12 @@ class SubscriberEvents(Closable):
     """
 
     def __init__(
-        self,
-        publication: Publication,
-        listener: Any,
-        strand: Strand,
-        failed: Callable[[BaseException], None],
+        self, context: Context, name: str, publication: Publication, listener: Any
     ) -> None:
-        """Watch the peers; ``failed`` is called with the errors of ``listener``."""
+        self._context = context
+        self._what = f"the subscriber listener of '{name}'"
         self._publication = publication
         self._listener = listener
-        self._strand = strand
-        self._failed = failed
         self._known: Dict[Tuple[str, Any], None] = {}
         self._due = False
         publication.watch(self._changed)
@@ -160,7 +156,7 @@ class SubscriberEvents(Closable):
     def _changed(self) -> None:
         if not self._due:  # two threads may both get here: then it is compared twice
             self._due = True
-            self._strand.post(self._compare)
+            self._context.strand.post(self._compare)
 
     def _compare(self) -> None:
         self._due = False  # first: a later change is compared again
@@ -182,4 +178,4 @@ class SubscriberEvents(Closable):
         try:
             method(*args)
         except BaseException as error:  # the boundary: the other peers are reported all the same
-            self._failed(error)
+            self._context.failed(self._what, error)

@@ -137,8 +137,7 @@ class SubscriberImpl(_Impl):
     """``rospy.Subscriber.impl``."""
 
     def _outside(self) -> List[Any]:
-        connection = self._end.subscription.connection
-        outside = connection.outside if connection is not None else None
+        outside = self._end.subscription.outside
         return [] if outside is None else list(outside.links())
 
 
