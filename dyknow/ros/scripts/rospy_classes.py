@@ -22,7 +22,7 @@ from dyknow.nodelet import pubsub
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.ros.scripts.sandbox import Sandbox, outside_of_finalizers
-from dyknow.ros.transport.conversions import connection_header, copy_as, copy_of
+from dyknow.ros.transport.conversions import connection_header, copy_of
 
 #: rospy's queues have no bound by default; ours have a generous one.
 _QUEUE = 1000
@@ -71,9 +71,6 @@ def _arguments(rospy_class: Type[Any], *args: Any, **kwds: Any) -> Dict[str, Any
     return arguments
 
 
-# Connections
-
-
 @dataclass(frozen=True)
 class Peer:
     """A nodelet of this process at the other end, as rospy's transports describe nodes."""
@@ -84,12 +81,11 @@ class Peer:
 
     @property
     def callerid_pub(self) -> str:
-        """Its name, if it publishes."""
         return self.endpoint_id
 
 
 class _Impl:
-    """The connections of one end of a topic."""
+    """The connections of one end of a topic, as rospy's ``impl`` has them."""
 
     def __init__(self, end: Any, context: Optional[Context]) -> None:
         self._end = end
@@ -98,50 +94,30 @@ class _Impl:
     @property
     def connections(self) -> List[Any]:
         """One for each node, rospy's own for those outside."""
-        if self._end is None or self._context is None:
+        end = self._end
+        if end is None or self._context is None:
             return []
-        publishers, subscribers = self._context.runtime.bus.owners(self._end.name)
-        inside = publishers if isinstance(self._end, pubsub.Subscriber) else subscribers
-        return [*map(Peer, inside), *self._outside()]
+        publishers, subscribers = self._context.runtime.bus.owners(end.name)
+        if isinstance(end, pubsub.Subscriber):
+            outside = end.subscription.outside
+            return [*map(Peer, publishers), *(outside.links() if outside is not None else ())]
+        outside = end.publication.outside
+        peers = outside.peers() if outside is not None else ()
+        return [*map(Peer, subscribers), *(p for p in peers if hasattr(p, "endpoint_id"))]
 
     def has_connections(self) -> bool:
-        """Whether there are any."""
         return bool(self.connections)
 
     def get_num_connections(self) -> int:
-        """Count them."""
         return len(self.connections)
 
     def has_connection(self, endpoint_id: str) -> bool:
-        """Whether that node is at the other end."""
         return any(each.endpoint_id == endpoint_id for each in self.connections)
 
     def get_stats(self) -> Tuple[str, List[Tuple[int, int, int, int, bool]]]:
         """The topic, and an entry for each connection; of that, only the last is known: alive."""
         topic = "" if self._end is None else self._end.name
         return topic, [(n, 0, 0, 0, True) for n, _ in enumerate(self.connections)]
-
-    def _outside(self) -> List[Any]:
-        raise NotImplementedError
-
-
-class PublisherImpl(_Impl):
-    """``rospy.Publisher.impl``."""
-
-    def _outside(self) -> List[Any]:
-        outside = self._end.publication.outside
-        return [] if outside is None else [p for p in outside.peers() if hasattr(p, "endpoint_id")]
-
-
-class SubscriberImpl(_Impl):
-    """``rospy.Subscriber.impl``."""
-
-    def _outside(self) -> List[Any]:
-        outside = self._end.subscription.outside
-        return [] if outside is None else list(outside.links())
-
-
-# The classes
 
 
 class _Topic:
@@ -163,10 +139,6 @@ class _Topic:
         self.type = data_class._type
         self.md5sum = data_class._md5sum
         self._end: Any = None
-        self.sandbox.ends.add(self)
-
-    def let_go(self) -> None:
-        """Drop the callback at the end of the sandbox."""
 
     @property
     def name(self) -> str:
@@ -175,12 +147,15 @@ class _Topic:
 
     resolved_name = name
 
+    @property
+    def impl(self) -> _Impl:
+        """The internals of rospy that libraries use."""
+        return _Impl(self._end, self.sandbox.context)
+
     def get_num_connections(self) -> int:
-        """Count the nodes at the other end."""
         return self._end.get_num_connections() if self._end is not None else 0
 
     def unregister(self) -> None:
-        """Withdraw it."""
         if self._end is not None:
             outside_of_finalizers(self._end.unregister)
 
@@ -189,10 +164,8 @@ class SandboxedPublisher(_Topic):
     """``rospy.Publisher`` of a sandbox."""
 
     reg_type = "pub"
-    _end: Optional[pubsub.Publisher]
 
     def __init__(self, *args: Any, **kwds: Any) -> None:
-        """Advertise a topic."""
         arguments = _arguments(rospy.Publisher, *args, **kwds)
         super().__init__(arguments)
         arguments["queue_size"] = arguments["queue_size"] or _QUEUE
@@ -205,7 +178,6 @@ class SandboxedPublisher(_Topic):
         self.sandbox.with_handle(make)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message, or one made of its fields."""
         if self._end is None:
             raise rospy.ROSException("rospy.init_node() has not been called")
         message = rospy.msg.args_kwds_to_message(self.data_class, args, kwds)
@@ -219,20 +191,13 @@ class SandboxedPublisher(_Topic):
                 raise
             # As in rospy: code that publishes while its topics are closed cannot know it yet.
 
-    @property
-    def impl(self) -> PublisherImpl:
-        """The internals of rospy that libraries use."""
-        return PublisherImpl(self._end, self.sandbox.context)
-
 
 class SandboxedSubscriber(_Topic):
     """``rospy.Subscriber`` of a sandbox."""
 
     reg_type = "sub"
-    _end: Optional[pubsub.Subscriber]
 
     def __init__(self, *args: Any, **kwds: Any) -> None:
-        """Subscribe to a topic."""
         arguments = _arguments(rospy.Subscriber, *args, **kwds)
         super().__init__(arguments)
         self.callback = arguments["callback"]
@@ -243,6 +208,7 @@ class SandboxedSubscriber(_Topic):
         def make(handle: PlainNodeHandle) -> None:
             self._end = handle.Subscriber(**arguments)
 
+        self.sandbox.ends.add(self)
         self.sandbox.with_handle(make)
 
     def let_go(self) -> None:
@@ -256,17 +222,12 @@ class SandboxedSubscriber(_Topic):
         datatype, header = self.data_class, connection_header(self.data_class, False)
 
         def receive(message: Any, *args: Any) -> None:
-            own = copy_as(datatype, message)
+            own = copy_of(message, datatype)
             if getattr(own, "_connection_header", None) is None:
                 own._connection_header = dict(header, topic=self.name)
             call(callback, own, *args)
 
         return receive
-
-    @property
-    def impl(self) -> SubscriberImpl:
-        """The internals of rospy that libraries use."""
-        return SubscriberImpl(self._end, self.sandbox.context)
 
 
 class SandboxedService:
@@ -275,38 +236,31 @@ class SandboxedService:
     sandbox: Sandbox
 
     def __init__(self, *args: Any, **kwds: Any) -> None:
-        """Offer a service."""
         arguments = _arguments(rospy.Service, *args, **kwds)
         self.service_class = arguments["service_class"]
         self.handler = arguments["handler"]
         self.resolved_name = arguments["name"]
         self._offered: Any = None
-        self.sandbox.ends.add(self)
         arguments["handler"] = functools.partial(self.sandbox.call, self.handler)
 
         def make(handle: PlainNodeHandle) -> None:
             self._offered = handle.Service(**arguments)
             self.resolved_name = self._offered.resolved_name
 
+        self.sandbox.ends.add(self)
         self.sandbox.with_handle(make)
 
     def let_go(self) -> None:
         """Drop the handler at the end of the sandbox."""
-        self.handler = _gone
+        self.handler = None
 
     def shutdown(self, reason: str = "") -> None:
-        """Withdraw it."""
         if self._offered is not None:
             outside_of_finalizers(functools.partial(self._offered.shutdown, reason))
 
     def spin(self) -> None:
-        """Wait for the end of the sandbox."""
         self.sandbox.waits()
         self.sandbox.closing.wait()
-
-
-def _gone(request: Any) -> Any:
-    raise HandleClosed("the service")
 
 
 class SandboxedServiceProxy(rospy.ServiceProxy):
@@ -315,26 +269,23 @@ class SandboxedServiceProxy(rospy.ServiceProxy):
     sandbox: Sandbox
 
     def __init__(self, name: str, *args: Any, **kwds: Any) -> None:
-        """Resolve the name in the sandbox."""
         handle = self.sandbox.handle
         super().__init__(handle.resolve_name(name) if handle is not None else name, *args, **kwds)
 
     def wait_for_service(self, timeout: Any = None) -> None:
-        """Wait until the service is there."""
         wait_for_service(self.sandbox, self.resolved_name, timeout)
-
-
-_CLASSES: Dict[str, Type[Any]] = {
-    "Publisher": SandboxedPublisher,
-    "Subscriber": SandboxedSubscriber,
-    "Service": SandboxedService,
-    "ServiceProxy": SandboxedServiceProxy,
-}
 
 
 def bound_classes(sandbox: Sandbox) -> Dict[str, Type[Any]]:
     """Return classes of the sandbox's own by name, so that its code can derive from them."""
+    classes: Tuple[Type[Any], ...] = (
+        SandboxedPublisher,
+        SandboxedSubscriber,
+        SandboxedService,
+        SandboxedServiceProxy,
+    )
+    names = (each.__name__[len("Sandboxed") :] for each in classes)
     return {
         name: type(name, (base,), {"sandbox": sandbox, "__doc__": base.__doc__})
-        for name, base in _CLASSES.items()
+        for name, base in zip(names, classes)
     }

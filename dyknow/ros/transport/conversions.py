@@ -32,25 +32,23 @@ def copy_by_wire(message: Any) -> Any:
     return message.__class__().deserialize(_bytes(message))
 
 
-def copy_of(message: Any) -> Any:
+def copy_of(message: Any, datatype: Any = None) -> Any:
     """Copy a message, so that code which changes it afterwards changes its own.
 
     A copy is structural: messages and lists in it are new, and immutable values (bytes, strings,
     numbers) are shared. So the copy of an image of any size takes microseconds.
+
+    Args:
+        message: the original.
+        datatype: another class of the same type, as ``rospy.numpy_msg`` makes them.
     """
-    new = _copied(message)
+    if datatype in (None, message.__class__):
+        new = _copied(message)
+    else:
+        new = datatype().deserialize(_bytes(message))
     header = getattr(message, "_connection_header", None)
     if header is not None:
         new._connection_header = header
-    return new
-
-
-def copy_as(datatype: Any, message: Any) -> Any:
-    """Copy a message into another class of the same type, as ``rospy.numpy_msg`` makes them."""
-    if message.__class__ is datatype:
-        return copy_of(message)
-    new = datatype().deserialize(_bytes(message))
-    new._connection_header = getattr(message, "_connection_header", None)
     return new
 
 
@@ -61,12 +59,9 @@ def _copied(value: Any) -> Any:
             setattr(new, slot, _copied(getattr(value, slot)))
         return new
     if isinstance(value, (list, tuple)):
-        if not value or isinstance(value[0], _FLAT):
-            return value[:]
-        return [_copied(each) for each in value]
-    if isinstance(value, genpy.TVal):
-        return copy.copy(value)
-    if isinstance(value, (bytearray, memoryview)) or hasattr(value, "__array__"):
+        is_flat = not value or isinstance(value[0], _FLAT)
+        return value[:] if is_flat else [_copied(each) for each in value]
+    if isinstance(value, (genpy.TVal, bytearray, memoryview)) or hasattr(value, "__array__"):
         return copy.copy(value)
     return value
 
@@ -99,16 +94,15 @@ class TypedReceiver:
         self._receive = receive
 
     def push(self, message: Any) -> None:
-        """Pass a message on, in its class."""
         if message._md5sum == "*":
-            present = message._connection_header
-            if present["md5sum"] != self._datatype._md5sum:
+            header = message._connection_header
+            if header["md5sum"] != self._datatype._md5sum:
                 rospy.logwarn_throttle(
                     10.0,
-                    f"{self._topic} carries {present['type']}, but {self._datatype._type} was "
+                    f"{self._topic} carries {header['type']}, but {self._datatype._type} was "
                     "asked for: dropping it",
                 )
                 return
             message = self._datatype().deserialize(message._buff)
-            message._connection_header = present
+            message._connection_header = header
         self._receive(message)

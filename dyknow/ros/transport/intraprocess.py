@@ -25,6 +25,7 @@ from the first publication until rospy's publisher of that topic is gone.
 from __future__ import annotations
 
 import copy
+import functools
 from typing import Any, Callable, Collection, Dict, List, Set, Tuple
 
 import rospy
@@ -75,33 +76,41 @@ class IntraProcessTransport(Transport):
 
 
 class LocalTopic:
-    """Ordinary rospy handles of this process on one topic of the bus."""
+    """Ordinary rospy handles of this process on one topic of the bus.
+
+    Args:
+        name: of the topic.
+        uri: address of this node.
+        address: returns the address of a node.
+        executor: runs callbacks of ordinary subscribers.
+    """
+
+    outwards: Callable[..., Any]
 
     def __init__(
         self, name: str, uri: str, address: Callable[[str], str], executor: Executor
     ) -> None:
         self.name = name
-        self._address = address
         self.registrations: Set[Any] = set()
         self.backlog = Backlog()
-        #: Latched messages by publication; under None that of ordinary publishers.
+        #: By publication, the latest last; under None the message of ordinary publishers.
         self._latches: Dict[Any, Any] = {}
         self._uri = uri
+        self._address = address
         self._strand = Strand(executor, f"rospy subscribers of {name}")
-        self._adopted: Any = None
         self._refreshing = state_lock("outside listeners")
-        self._listening: Any = None
+        self._publisher: Any = None  # rospy's
+        self._subscriber: Any = None  # rospy's
 
     @property
     def foreign(self) -> List[Callback]:
         """Callbacks of ordinary subscribers."""
-        implementation = self._listening
-        if implementation is None:
+        subscriber = self._subscriber
+        if subscriber is None:  # as a rule, and looked at on every publish
             return []
-        return [each for each in list(implementation.callbacks) if not _ours(each[0])]
+        return [each for each in list(subscriber.callbacks) if not _is_ours(each[0])]
 
     def latch(self, registration: Any, message: Any) -> None:
-        """Keep the latched message of a publication, the latest last."""
         self._latches.pop(registration, None)
         self._latches[registration] = message
 
@@ -111,44 +120,42 @@ class LocalTopic:
         latest = (list(self._latches) or [None])[-1]
         return self._latches.get(None) if latest is None else latest.sent
 
-    def adopt(self, implementation: Any) -> None:
+    def adopt(self, publisher: Any) -> None:
         """Pass on what ordinary publishers of this process publish on the topic."""
-        if self._adopted is implementation:
+        if self._publisher is publisher:
             return
-        self._adopted = implementation
+        self._publisher = publisher
         self._latches.pop(None, None)
-        if implementation.latch is not None:
-            self.latch(None, implementation.latch)
-        outwards = implementation.publish
+        if publisher.latch is not None:
+            self.latch(None, publisher.latch)
+        self.outwards = outwards = publisher.publish
+        add = publisher.add_connection
 
         def publish(message: Any, connection_override: Any = None) -> Any:
             if connection_override is None:
                 self._from_ordinary(message)
             return outwards(message, connection_override)
 
-        implementation.publish = publish
-        self._follow(implementation, "remove_connection")
-        for connection in implementation.connections:  # those that were there already
-            connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
-        add = implementation.add_connection
-
         def add_connection(connection: Any) -> Any:
             with self._refreshing:
                 for each in list(self.registrations):
                     each.heard = True  # first: a peer that sees the connection is heard already
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
-            implementation.acquire()  # nothing is published between missed and later messages
+            publisher.acquire()  # nothing is published between missed and later messages
             try:
                 added = add(connection)
                 for message in self.backlog.missed_by(address):
-                    outwards(message, implementation.connections[-1])
+                    outwards(message, publisher.connections[-1])
                 return added
             finally:
-                implementation.release()
+                publisher.release()
                 self.refresh()
 
-        implementation.add_connection = add_connection
-        self.outwards: Callable[..., Any] = outwards
+        publisher.publish = publish
+        publisher.add_connection = add_connection
+        self._follow(publisher, "remove_connection")
+        for connection in publisher.connections:  # those that were there already
+            connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
             # It takes the place of rospy's connection to itself, which has delivered its latch.
@@ -156,30 +163,29 @@ class LocalTopic:
 
     def expect(self, notified: Collection[str], size: int) -> None:
         """Keep messages for subscribers that were notified and have yet to connect."""
-        implementation = self._adopted
-        implementation.acquire()  # first: no connection comes between the question and the answer
+        publisher = self._publisher
+        publisher.acquire()  # first: no connection comes between the question and the answer
         try:
-            callers = [connection.endpoint_id for connection in implementation.connections]
-            self.backlog.expect(set(notified) - set(map(self._address, callers)), size)
+            connected = {self._address(each.endpoint_id) for each in publisher.connections}
+            self.backlog.expect(set(notified) - connected, size)
         finally:
-            implementation.release()
+            publisher.release()
         self.refresh()
 
     def link(self, subscriber: Any, replacing: bool = False) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
-        new = self._listening is not subscriber
-        if new:
+        is_new = self._subscriber is not subscriber
+        if is_new:
             self._listen_with(subscriber)  # first: a peer that sees the link is heard already
-        present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
-        if not present:
+        if not any(isinstance(each, IntraProcessTransport) for each in subscriber.connections):
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if new:
+        if is_new:
             self._catch_up(list(subscriber.callbacks), ordinary=not replacing)
 
     def _listen_with(self, subscriber: Any) -> None:
-        self._listening = subscriber
+        self._subscriber = subscriber
         self._follow(subscriber, "add_callback", "remove_callback")
         add = subscriber.add_callback
 
@@ -190,33 +196,34 @@ class LocalTopic:
         subscriber.add_callback = add_callback
         self.refresh()
 
-    def refresh(self) -> None:
-        """Let the publications of the bus know whether they have listeners outside."""
-        with self._refreshing:  # the last thread here has seen all changes
-            heard = bool(
-                self.foreign
-                or self.backlog.waiting()
-                or (self._adopted and self._adopted.connections)
-            )
-            for registration in list(self.registrations):
-                registration.heard = heard
-                changed = registration.changed
-                if changed is not None:
-                    changed()
-
-    def deliver(self, message: Any) -> None:
-        """Hand a message of the bus to the ordinary subscribers."""
-        self._hand_over(message, self.foreign)
+    def _unlinked(self, subscriber: Any) -> None:
+        if self._subscriber is subscriber and subscriber.closed:
+            self._subscriber = None
+            self.refresh()
 
     def unlink(self) -> None:
         """Take the link off rospy's subscriber: this process publishes here no more."""
-        subscriber = self._listening
+        subscriber = self._subscriber
         if subscriber is not None:
             vars(subscriber).pop("add_callback", None)
             vars(subscriber).pop("remove_callback", None)
             for connection in list(subscriber.connections or ()):
                 if isinstance(connection, IntraProcessTransport):
                     subscriber.remove_connection(connection)
+
+    def refresh(self) -> None:
+        """Let the publications of the bus know whether they have listeners outside."""
+        with self._refreshing:  # the last thread here has seen all changes
+            heard = bool(
+                self.foreign
+                or self.backlog.waiting()
+                or (self._publisher and self._publisher.connections)
+            )
+            for registration in list(self.registrations):
+                registration.heard = heard
+                changed = registration.changed
+                if changed is not None:
+                    changed()
 
     def _follow(self, implementation: Any, *changes: str) -> None:
         """Refresh after every call of these methods of rospy's object."""
@@ -232,18 +239,17 @@ class LocalTopic:
 
         return changed
 
-    def _unlinked(self, subscriber: Any) -> None:
-        if self._listening is subscriber and subscriber.closed:
-            self._listening = None
-            self.refresh()
+    def deliver(self, message: Any) -> None:
+        """Hand a message of the bus to the ordinary subscribers."""
+        self._hand_over(message, self.foreign)
 
     def _from_ordinary(self, message: Any) -> None:
-        subscriber, latching = self._listening, self._adopted.is_latch
+        subscriber, is_latching = self._subscriber, self._publisher.is_latch
         callbacks = list(subscriber.callbacks) if subscriber is not None else []
-        if not (callbacks or latching):
+        if not (callbacks or is_latching):
             return
         message = copy_by_wire(message)
-        if latching:
+        if is_latching:
             self.latch(None, message)
         self._hand_over(message, callbacks)
 
@@ -252,36 +258,32 @@ class LocalTopic:
 
         The bus delivers its own latched messages to its own subscribers.
         """
-        message = self._latches.get(None, NOTHING)
-        if ordinary and message is not NOTHING:
-            self._hand_over(message, [each for each in newcomers if _ours(each[0])])
+        if ordinary and None in self._latches:
+            self._hand_over(self._latches[None], [each for each in newcomers if _is_ours(each[0])])
         registration, message = (list(self._latches.items()) or [(None, NOTHING)])[-1]
         if message is not NOTHING and (ordinary or registration is not None):
-            self._hand_over(message, [each for each in newcomers if not _ours(each[0])])
+            self._hand_over(message, [each for each in newcomers if not _is_ours(each[0])])
 
     def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
         """Have callbacks called: those of the bus only queue it, ordinary ones take their time."""
-        subscriber = self._listening
+        subscriber = self._subscriber
         if not callbacks or subscriber is None:
             return
-        message = self._received(message)
+        message = self._received(message, subscriber)
         for callback, args in callbacks:
-            if _ours(callback):
+            if _is_ours(callback):
                 callback(message)
-                continue
-            self._strand.post(
-                lambda callback=callback, args=args: subscriber._invoke_callback(  # type: ignore[misc]
-                    message, callback, args
-                )
-            )
+            else:
+                invoke = functools.partial(subscriber._invoke_callback, message, callback, args)
+                self._strand.post(invoke)
 
-    def _received(self, message: Any) -> Any:
+    def _received(self, message: Any, subscriber: Any) -> Any:
         """The message as rospy's subscriber would have received it."""
-        adopted, subscriber = self._adopted, self._listening
-        header = connection_header(message, adopted.is_latch)
+        publisher = self._publisher
+        header = connection_header(message, publisher.is_latch)
         header.update(topic=self.name)
-        header.update(adopted.headers or {})  # last, as in rospy
-        if subscriber is not None and subscriber.data_class._md5sum == "*":
+        header.update(publisher.headers or {})  # last, as in rospy
+        if subscriber.data_class._md5sum == "*":
             return serialised(subscriber.data_class, message, header)
         received = copy.copy(message)
         received._connection_header = header
@@ -324,7 +326,6 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         local.unlink()
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        """Retire a topic whose last publisher in this process is gone."""
         if reg_type == rospy.impl.registration.Registration.PUB:
             self.retire(resolved_name)
 
@@ -335,26 +336,21 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
             return ""
 
     def _create_transport(self, topic: str, uri: str, parameters: Any) -> Tuple[int, str, int]:
-        if uri == self._uri and self._is_taken_over(topic):
+        if uri == self._uri and topic in self._topics:
             return self._link(topic)
         answer: Tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
-        if uri == self._uri and self._is_taken_over(topic):
+        if uri == self._uri and topic in self._topics:
             return self._link(topic)  # meanwhile, by a thread that did not see this connection yet
         return answer
 
-    def _is_taken_over(self, topic: str) -> bool:
-        with self._lock:
-            return topic in self._topics
-
     def _link(self, topic: str) -> Tuple[int, str, int]:
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
-        with self._lock:
-            local = self._topics.get(topic)
+        local = self._topics.get(topic)
         if subscriber is None or local is None:
             return 0, f"no subscriber of {topic}", 0
         local.link(subscriber)
         return 1, "intraprocess", 0
 
 
-def _ours(callback: Any) -> bool:
+def _is_ours(callback: Any) -> bool:
     return isinstance(getattr(callback, "__self__", None), (Connection, TypedReceiver))

@@ -25,7 +25,6 @@ from typing import Any, Callable, Collection, Deque, Dict, FrozenSet, List, Opti
 
 import rospy
 
-from dyknow.backoff import Backoff
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
 
@@ -35,13 +34,12 @@ LONGEST = 10.0
 _MOST = 1000
 #: Seconds in which every subscriber has noticed that a topic is gone.
 LATELY = 60.0
-#: Seconds until the first reminder; the pauses double.
-_FIRST_PAUSE = 1.0
-#: Seconds after which no more reminders are sent.
-_GIVEN_UP_AFTER = 30.0
+#: Seconds before the first reminder, and before the last; the pauses double.
+_FIRST_PAUSE, _LAST_PAUSE = 1.0, 16.0
 _STEP = 0.1
 
 Addresses = FrozenSet[str]
+Clock = Callable[[], float]
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")
@@ -53,7 +51,7 @@ class Backlog:
     All methods but ``waiting`` are called under the lock of rospy's publisher.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
         self._due: Set[str] = set()
         self._deadline = 0.0
@@ -80,7 +78,6 @@ class Backlog:
         return self.open
 
     def keep(self, message: Any) -> None:
-        """Keep a message for subscribers that are late."""
         if self.waiting():
             self._missed.append(message)
 
@@ -104,37 +101,36 @@ class _Reminder:
     """A topic that is advertised again."""
 
     datatype: str
-    due: Addresses  # subscribers that know of it and may have yet to connect
-    until: float
+    due: Addresses  # of subscribers that know of it and may have yet to connect
+    at: float
+    pause: float = _FIRST_PAUSE
 
 
 class Reminders:
-    """Reminds subscribers of topics that are back; the thread starts with the first topic."""
+    """Reminds subscribers of topics that are back; the thread starts with the first topic.
+
+    Args:
+        register_again: registers a topic of a type again; returns the addresses of its
+            subscribers, or None if that did not work.
+        connected: addresses of the subscribers that are connected to a topic of this process.
+        clock: seconds, steady.
+    """
 
     def __init__(
         self,
         register_again: Callable[[str, str], Optional[Addresses]],
         connected: Callable[[str], Addresses],
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = time.monotonic,
     ) -> None:
-        """Make it without topics.
-
-        Args:
-            register_again: registers a topic of a type again; returns the addresses of its
-                subscribers, or None if that did not work.
-            connected: addresses of the subscribers that are connected to a topic of this process.
-            clock: seconds, steady.
-        """
         self._register_again = register_again
         self._connected = connected
         self._clock = clock
-        self._backoff = Backoff(clock, _FIRST_PAUSE, tolerated=0)
         self._state_lock = state_lock("reminders")
         self._withdrawn: Dict[str, float] = {}
         self._open: Dict[str, _Reminder] = {}
         self._worker = PeriodicWorker(
             "reminding subscribers",
-            self._round,
+            self.remind,
             lambda: _STEP if self._open else None,
             _STEP,
             _log,
@@ -145,10 +141,8 @@ class Reminders:
         now = self._clock()
         with self._state_lock:
             self._open.pop(topic, None)
-            self._withdrawn = {
-                each: when for each, when in self._withdrawn.items() if now - when < LATELY
-            }
-            self._withdrawn[topic] = now
+            lately = ((each, at) for each, at in self._withdrawn.items() if now - at < LATELY)
+            self._withdrawn = {**dict(lately), topic: now}
 
     def advertised(self, topic: str, datatype: str, notified: Addresses) -> None:
         """Note that this process publishes a topic, and which subscribers the master notified."""
@@ -157,30 +151,25 @@ class Reminders:
             withdrawn = self._withdrawn.pop(topic, None)
             if not notified or withdrawn is None or now - withdrawn >= LATELY:
                 return
-            self._open[topic] = _Reminder(datatype, notified, now + _GIVEN_UP_AFTER)
-        self._backoff.forgive(topic)
-        self._backoff.failed(topic)
+            self._open[topic] = _Reminder(datatype, notified, now + _FIRST_PAUSE)
         self._worker.start()
         self._worker.wake()
 
     def remind(self) -> None:
         """Send the reminders that are due."""
+        if rospy.is_shutdown():
+            return
         now = self._clock()
         with self._state_lock:
-            reminders = list(self._open.items())
-        for topic, reminder in reminders:
-            if not self._backoff.allows(topic):
-                continue
+            due = [(topic, each) for topic, each in self._open.items() if now >= each.at]
+        for topic, reminder in due:
             missing = reminder.due - self._connected(topic)
             if missing:
                 notified = self._register_again(topic, reminder.datatype)
                 reminder.due = missing if notified is None else missing & notified
-            self._backoff.failed(topic)
-            is_over = not missing or now >= reminder.until
+            is_over = not missing or reminder.pause >= _LAST_PAUSE
+            reminder.pause *= 2
+            reminder.at = now + reminder.pause
             with self._state_lock:
                 if is_over and self._open.get(topic) is reminder:
                     del self._open[topic]
-
-    def _round(self) -> None:
-        if not rospy.is_shutdown():
-            self.remind()

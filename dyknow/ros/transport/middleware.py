@@ -50,7 +50,6 @@ class RospyTransport(Transport):
     """Topics, as the nodelets of this process see them."""
 
     def __init__(self, executor: Executor) -> None:
-        """Install the in-process hook; ``executor`` runs callbacks of ordinary subscribers."""
         self._intraprocess = IntraProcess(executor)
         self._registrar = Registrar()
 
@@ -62,7 +61,6 @@ class RospyTransport(Transport):
         queue_size: Optional[int],
         options: Dict[str, Any],
     ) -> RospyPublisher:
-        """Register a publisher."""
         assert_no_state_lock(f"advertising {topic}")
         return RospyPublisher(
             self._intraprocess, self._registrar, topic, datatype, latch, queue_size, options
@@ -71,7 +69,6 @@ class RospyTransport(Transport):
     def subscribe(
         self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
     ) -> RospySubscriber:
-        """Register a subscriber."""
         assert_no_state_lock(f"subscribing to {topic}")
         return RospySubscriber(self._registrar, topic, datatype, receive, options)
 
@@ -85,22 +82,18 @@ class RospyTransport(Transport):
         return "" if found == "*" else found
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
-        """Make a message as ``rospy.Publisher.publish`` does."""
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
 
     def age_of(self, message: Any) -> Optional[float]:
-        """Take the ROS time since the stamp in its header."""
         return ages.age_of(message)
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Give subscribers of ``rospy.AnyMsg`` the serialised message that they expect."""
         if datatype._md5sum != "*":
             return receive
-
-        def receive_any(message: Any) -> None:
-            receive(message if message._md5sum == "*" else serialised(datatype, message))
-
-        return receive_any
+        return lambda message: receive(
+            message if message._md5sum == "*" else serialised(datatype, message)
+        )
 
 
 class RospyServices(Services):
@@ -109,28 +102,24 @@ class RospyServices(Services):
     def offer(
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> Closable:
-        """Offer a rospy service."""
         assert_no_state_lock(f"offering {service}")
-        return RospyService(service, service_class, handler, options)
+        return _Service(service, service_class, handler, options)
 
 
-class RospyService(Closable):
-    """One service at rospy."""
-
+class _Service(Closable):
     def __init__(
         self, name: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> None:
-        told = options.get("error_handler") or functools.partial(_log_failure, name)
+        report = options.get("error_handler") or functools.partial(_log_failure, name)
 
         def failed(error: Any, error_type: Any, value: Any, trace: Any) -> None:
-            told(error, error_type, value, trace)
+            report(error, error_type, value, trace)
             clear_frames(error)  # rospy's frame refers to the traceback, and that to all of them
 
         options = {**options, "error_handler": failed}
         self._service = rospy.Service(name, service_class, handler, **options)
 
     def close(self) -> None:
-        """Unregister it."""
         if self._service is not None:
             service, self._service = self._service, None
             service.shutdown("closed")

@@ -10,7 +10,7 @@ import functools
 import math
 import threading
 import time
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Optional
 
 import rospy
 import rospy.rostime
@@ -29,14 +29,8 @@ _LOGGERS = frozenset(
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
 )
-#: Functions of rospy whose first argument is the name of a parameter, and what rospy calls it.
-_NAMED = {
-    "get_param": "param_name",
-    "get_param_cached": "param_name",
-    "set_param": "param_name",
-    "has_param": "param_name",
-    "delete_param": "param_name",
-}
+#: Functions of rospy whose first argument is ``param_name``.
+_OF_PARAMETERS = frozenset("get_param get_param_cached set_param has_param delete_param".split())
 #: Members that depend on neither names nor queues.
 _PLAIN = frozenset(
     """Time Duration Rate sleep get_time get_rostime Header
@@ -52,31 +46,6 @@ _REFUSED = {
     "spin": "a nodelet returns from on_init and is called back; drop the call",
     "remap_name": "use resolve_name()",
 }
-
-
-def _member(name: str, handle: Any) -> Any:
-    """Return what ``handle.name`` is.
-
-    Raises:
-        AttributeError: rospy has no such thing, or a nodelet must not use it.
-    """
-    if name in _LOGGERS:
-        # A partial adds no frame: rospy distinguishes call sites by their frames.
-        logger = handle.get_name().strip("/").replace("/", ".")
-        return functools.partial(getattr(rospy, name), logger_name=logger)
-    if name in _NAMED:
-        return functools.partial(
-            _resolved, getattr(rospy, name), _NAMED[name], handle.resolve_name
-        )
-    if name == "ServiceProxy":
-        resolve = functools.partial(_resolve_service, handle)
-        return functools.partial(_resolved, rospy.ServiceProxy, "name", resolve)
-    if name in _OURS:
-        return functools.partial(_OURS[name], handle)
-    if name in _PLAIN:
-        return getattr(rospy, name)
-    reason = _REFUSED.get(name, "rospy has no such thing for nodelets")
-    raise AttributeError(f"a NodeHandle has no '{name}': {reason}")
 
 
 def _resolved(
@@ -120,13 +89,6 @@ def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
     raise Interrupted(f"service '{name}': nodelet {handle.get_name()} was unloaded")
 
 
-#: Members that work differently for a nodelet.
-_OURS: Dict[str, Callable[..., Any]] = {
-    "search_param": _search_param,
-    "wait_for_service": _wait_for_service,
-}
-
-
 class ClosedHandle(HandleClosed, rospy.ROSException):
     """A handle was used after it was unregistered or its nodelet unloaded."""
 
@@ -147,39 +109,46 @@ class RospyNode(Node):
     timed_out = MessageTimeout
 
     def is_shutdown(self) -> bool:
-        """Whether rospy is shutting down."""
         return bool(rospy.is_shutdown())
 
     def remap(self, name: str) -> str:
-        """Apply the remappings of the command line."""
         return str(rospy.resolve_name(name))
 
     def member(self, name: str, handle: Any) -> Any:
-        """Return rospy's own."""
-        return _member(name, handle)
+        if name in _LOGGERS:
+            # A partial adds no frame: rospy distinguishes call sites by their frames.
+            logger = handle.get_name().strip("/").replace("/", ".")
+            return functools.partial(getattr(rospy, name), logger_name=logger)
+        if name in _OF_PARAMETERS:
+            function = getattr(rospy, name)
+            return functools.partial(_resolved, function, "param_name", handle.resolve_name)
+        if name == "ServiceProxy":
+            resolve = functools.partial(_resolve_service, handle)
+            return functools.partial(_resolved, rospy.ServiceProxy, "name", resolve)
+        if name == "search_param":
+            return functools.partial(_search_param, handle)
+        if name == "wait_for_service":
+            return functools.partial(_wait_for_service, handle)
+        if name in _PLAIN:
+            return getattr(rospy, name)
+        reason = _REFUSED.get(name, "rospy has no such thing for nodelets")
+        raise AttributeError(f"a NodeHandle has no '{name}': {reason}")
 
 
 # Time
 
 
-class RospyTicker(Ticker):
-    """What all tickers of ROS share: rospy's events."""
-
+class _RospyTicker(Ticker):
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
         """Make a ``rospy.timer.TimerEvent``, on the scale of ROS time."""
         now = rospy.Time.now()
         late = rospy.Duration.from_sec(max(0.0, real - expected))
         due = now - late if now.to_sec() > late.to_sec() else rospy.Time()
-        return rospy.timer.TimerEvent(
-            last.current_expected if last is not None else None,
-            last.current_real if last is not None else None,
-            due,
-            now,
-            duration,
-        )
+        before = (None, None) if last is None else (last.current_expected, last.current_real)
+        return rospy.timer.TimerEvent(*before, due, now, duration)
 
 
-class SteadyTicker(RospyTicker):
+class SteadyTicker(_RospyTicker):
     """Steady time; sleeps until the next timer is due."""
 
     def __init__(self) -> None:
@@ -187,11 +156,9 @@ class SteadyTicker(RospyTicker):
         self._wake.acquire()
 
     def now(self) -> float:
-        """Steady seconds."""
         return time.monotonic()
 
     def wait(self, until: Optional[float]) -> None:
-        """Sleep until then, or until woken."""
         if until is None:
             self._wake.acquire()
         else:
@@ -199,12 +166,11 @@ class SteadyTicker(RospyTicker):
             self._wake.acquire(timeout=min(timeout, threading.TIMEOUT_MAX))
 
     def wake(self) -> None:
-        """End the sleep."""
         with contextlib.suppress(RuntimeError):  # it was woken already
             self._wake.release()
 
 
-class ClockTicker(RospyTicker):
+class ClockTicker(_RospyTicker):
     """Simulated time; looks again with every message on /clock."""
 
     def __init__(self) -> None:
@@ -216,14 +182,12 @@ class ClockTicker(RospyTicker):
         return float(rospy.rostime.get_time())
 
     def wait(self, until: Optional[float]) -> None:
-        """Sleep until the clock says so, or until woken."""
         with self._changed:
             if not self._woken and (until is None or self.now() < until):
                 self._changed.wait()
             self._woken = False
 
     def wake(self) -> None:
-        """End the sleep."""
         with self._changed:
             self._woken = True
             self._changed.notify_all()

@@ -16,13 +16,12 @@ The hook is two instance attributes of rospy's ``RegManager``, those of its docu
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Collection, Dict, FrozenSet, List, Optional, Tuple
+from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 
 import rospy
 import rospy.core
 from rospy.impl.registration import (
     Registration,
-    RegistrationListener,
     RegManager,
     get_registration_listeners,
     get_topic_manager,
@@ -31,7 +30,7 @@ from rospy.impl.registration import (
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.transport.late_subscribers import Reminders
+from dyknow.ros.transport.late_subscribers import Addresses, Reminders
 from dyknow.ros.wire.master import Master
 
 #: Seconds between two attempts while the master is down.
@@ -52,16 +51,16 @@ Key = Tuple[str, str, str]  # kind of registration, name, and the address of a s
 _log = logging.getLogger("dyknow.master")
 
 
-class Registrar(RegistrationListener):
-    """Registrations of this process; the node must be initialised."""
+class Registrar:
+    """Registrations of this process, in place of rospy's own; the node must be initialised."""
 
     def __init__(self, master: Optional[Master] = None) -> None:
-        """Take the place of rospy's own; ``master`` is that of the environment by default."""
+        """Take over; ``master`` is that of the environment by default."""
         self._master = master or Master(rospy.get_name())
         self._uri: str = rospy.core.get_node_uri() or ""
         self._lock = state_lock("registrar")
         self._owed: Dict[Key, str] = {}
-        self._peers: Dict[Key, FrozenSet[str]] = {}
+        self._peers: Dict[Key, Addresses] = {}
         self._worker = PeriodicWorker(
             "registering", self._settle, lambda: _AGAIN if self._owed else None, 0.0, _log
         )
@@ -73,43 +72,42 @@ class Registrar(RegistrationListener):
                 listener.reg_added = self.reg_added
                 listener.reg_removed = self.reg_removed
 
-    def subscribers(self, topic: str) -> Optional[FrozenSet[str]]:
+    def subscribers(self, topic: str) -> Optional[Addresses]:
         """Addresses of the other nodes that subscribed when this process began to publish.
 
         They are returned once, since they grow old; None if there was no new registration.
         """
         return self._answer((Registration.PUB, topic, ""))
 
-    def publishers(self, topic: str) -> Optional[FrozenSet[str]]:
+    def publishers(self, topic: str) -> Optional[Addresses]:
         """Addresses of the other nodes that published when this process subscribed, likewise."""
         return self._answer((Registration.SUB, topic, ""))
+
+    def _answer(self, key: Key) -> Optional[Addresses]:
+        with self._lock:
+            return self._peers.pop(key, None)
 
     def is_subscribed(self, topic: str) -> bool:
         """Whether the master knows the subscription of this process, as far as there is one."""
         with self._lock:
             return (Registration.SUB, topic, "") not in self._owed
 
-    def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        """Register a topic or a service."""
-        key = _key(reg_type, resolved_name, data_type_or_uri)
+    def reg_added(self, name: str, datatype_or_uri: str, kind: str) -> None:
+        """Register a topic or a service, after those that wait for the master already."""
+        key = _key(kind, name, datatype_or_uri)
         with self._lock:
-            down = bool(self._owed)  # then every registration waits in line
-        if down or not self._register(key, data_type_or_uri):
-            self._owe(key, data_type_or_uri)
+            is_down = bool(self._owed)
+        if is_down or not self._register(key, datatype_or_uri):
+            self._owe(key, datatype_or_uri)
 
-    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        """Unregister it."""
-        key = _key(reg_type, resolved_name, data_type_or_uri)
+    def reg_removed(self, name: str, datatype_or_uri: str, kind: str) -> None:
+        key = _key(kind, name, datatype_or_uri)
         with self._lock:
             self._owed.pop(key, None)
             self._peers.pop(key, None)
         self._unregister(key)
-        if reg_type == Registration.PUB:
-            self._reminders.withdrawn(resolved_name)
-
-    def _answer(self, key: Key) -> Optional[FrozenSet[str]]:
-        with self._lock:
-            return self._peers.pop(key, None)
+        if kind == Registration.PUB:
+            self._reminders.withdrawn(name)
 
     def _register(self, key: Key, what: str) -> bool:
         kind, name, _ = key
@@ -121,16 +119,18 @@ class Registrar(RegistrationListener):
         except LookupError as error:
             _log.error("the ROS master refuses to register %s: %s", name, error)
             return True
-        if kind != Registration.SRV:
-            with self._lock:
-                self._peers[key] = frozenset(peers) - {self._uri}
+        if kind == Registration.SRV:
+            return True
+        others = frozenset(peers) - {self._uri}
+        with self._lock:
+            self._peers[key] = others
         if kind == Registration.PUB:
-            self._reminders.advertised(name, what, frozenset(peers) - {self._uri})
-        if kind == Registration.SUB and self._manager is not None:
+            self._reminders.advertised(name, what, others)
+        elif self._manager is not None:
             self._manager.publisher_update(name, peers)
         return True
 
-    def _register_again(self, topic: str, datatype: str) -> Optional[FrozenSet[str]]:
+    def _register_again(self, topic: str, datatype: str) -> Optional[Addresses]:
         """Let the master notify all subscribers of a topic again; return their addresses."""
         try:
             peers = self._master.ask("registerPublisher", topic, datatype, self._uri)
@@ -141,13 +141,12 @@ class Registrar(RegistrationListener):
             self._unregister((Registration.PUB, topic, ""))
         return frozenset(peers)
 
-    def _connected(self, topic: str) -> FrozenSet[str]:
+    def _connected(self, topic: str) -> Addresses:
         """Addresses of the nodes that are connected to a topic which this process publishes."""
         implementation = get_topic_manager().get_publisher_impl(topic)
         connections = implementation.connections if implementation is not None else None
         try:
-            names = {connection.endpoint_id for connection in connections or ()}
-            return frozenset(map(self._master.node, names))
+            return frozenset(self._master.node(each.endpoint_id) for each in connections or ())
         except PeerTimeout:
             return frozenset()
 
@@ -159,12 +158,6 @@ class Registrar(RegistrationListener):
             _log.warning("%s stays registered: %s", name, error)
         except LookupError:
             pass  # the master has forgotten it already
-
-    def _is_displaced(self) -> bool:
-        try:
-            return self._master.node(self._master.caller) not in ("", self._uri)
-        except PeerTimeout:
-            return False
 
     def _owe(self, key: Key, what: str) -> None:
         _log.warning("the ROS master does not answer; %s will be registered when it does", key[1])
@@ -180,7 +173,10 @@ class Registrar(RegistrationListener):
 
         Nothing is registered if another node has our name by now: the master would shut it down.
         """
-        if self._is_displaced():
+        try:
+            if self._master.node(self._master.caller) not in ("", self._uri):
+                return
+        except PeerTimeout:
             return
         while not rospy.is_shutdown():
             with self._lock:
@@ -190,13 +186,13 @@ class Registrar(RegistrationListener):
             if not self._register(key, what):
                 return
             with self._lock:
-                wanted = self._owed.pop(key, None) is not None
-            if not wanted:  # removed while it was being registered
+                is_wanted = self._owed.pop(key, None) is not None
+            if not is_wanted:  # removed while it was being registered
                 self._unregister(key)
 
 
-def _key(kind: str, name: str, what: str) -> Key:
-    return kind, name, what if kind == Registration.SRV else ""
+def _key(kind: str, name: str, datatype_or_uri: str) -> Key:
+    return kind, name, datatype_or_uri if kind == Registration.SRV else ""
 
 
 # The topics of the code in a process, which guards bind, and DyKnow's own ones
@@ -225,20 +221,15 @@ def hide_topics(hidden: Collection[str]) -> None:
     """Leave topics out of this process's lists of topics; they work as before.
 
     rospy lists all topics of the process in every message to /rosout and in the slave API. A
-    program that runs unchanged lists those that it uses itself.
-
-    The hook is three instance attributes of rospy's topic manager.
-
-    Args:
-        hidden: global names.
+    program that runs unchanged lists those that it uses itself. The hook is three instance
+    attributes of rospy's topic manager.
     """
     manager = get_topic_manager()
-    publications, subscriptions = manager.get_publications, manager.get_subscriptions
+
+    def shown(listed: Callable[[], Collection[Any]]) -> Callable[[], List[Any]]:
+        return lambda: [each for each in listed() if each[0] not in hidden]
+
     topics = manager.get_topics
-
-    def shown(listed: Collection[Any]) -> List[Any]:
-        return [each for each in listed if each[0] not in hidden]
-
     manager.get_topics = lambda: topics().difference(hidden)
-    manager.get_publications = lambda: shown(publications())
-    manager.get_subscriptions = lambda: shown(subscriptions())
+    manager.get_publications = shown(manager.get_publications)
+    manager.get_subscriptions = shown(manager.get_subscriptions)

@@ -38,7 +38,13 @@ def _unremapped(topic: str) -> str:
 
 
 class RospyPublisher(OutsidePublisher):
-    """A rospy.Publisher that sends only while it has listeners outside."""
+    """A rospy.Publisher that sends only while it has listeners outside.
+
+    Args:
+        intraprocess: owns what ordinary rospy handles of this process exchange on the topic.
+        registrar: has the master's answer to the registration.
+        topic: the further arguments are those of ``Middleware.advertise``.
+    """
 
     heard: bool = False
 
@@ -52,7 +58,6 @@ class RospyPublisher(OutsidePublisher):
         queue_size: Optional[int],
         options: Dict[str, Any],
     ) -> None:
-        """Register the publisher; the arguments are those of ``Middleware.advertise``."""
         if queue_size is None:
             warnings.warn(
                 f"the publisher of {topic} should say how many messages to keep for slow "
@@ -80,38 +85,38 @@ class RospyPublisher(OutsidePublisher):
             raise
         self._implementation = self._publisher.impl
         self._local.adopt(self._implementation)
-        self._told = registrar.subscribers(topic) or frozenset()
+        self._notified = registrar.subscribers(topic) or frozenset()
         self._local.refresh()
 
+    def _connections(self) -> Tuple[Any, ...]:
+        return tuple(self._implementation.connections or ())
+
     def peers(self) -> Tuple[Any, ...]:
-        """Connections, and ``HERE`` for all ordinary subscribers of this process."""
-        outside = tuple(self._implementation.connections or ())
+        outside = self._connections()
         return (HERE, *outside) if self._local.foreign else outside
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
         self._local.deliver(message)
         if self._implementation.connections or self._local.backlog.open:
-            self._outwards(message)
+            self._send(message)
 
     def publish_to(self, peer: Any, message: Any) -> None:
-        """Send to one connection, or to the ordinary subscribers in here."""
         if peer is HERE:
             self._local.deliver(message)
-        elif peer in (self._implementation.connections or ()):
-            self._outwards(message, peer)
+        elif peer in self._connections():
+            self._send(message, peer)
 
     def latch(self, message: Any) -> None:
-        """Publish, and keep the message for later subscribers."""
         self._local.latch(self, message)
         self._local.deliver(message)
-        self._outwards(message)
+        self._send(message)
 
     def wait(self, seconds: float) -> None:
         """Wait for the connections of the subscribers that the master notified."""
         deadline = time.monotonic() + seconds
-        if self._told:
-            self._local.expect(self._told, self._implementation.queue_size)
+        if self._notified:
+            self._local.expect(self._notified, self._implementation.queue_size)
         while self._local.backlog.waiting() and time.monotonic() < deadline:
             time.sleep(_STEP)
 
@@ -125,7 +130,7 @@ class RospyPublisher(OutsidePublisher):
         while not self._closed and (
             self.in_flight
             or self._local.backlog.waiting()
-            or not all(map(_idle, list(self._implementation.connections or ())))
+            or not all(map(_is_idle, self._connections()))
         ):
             if time.monotonic() >= deadline:
                 return False
@@ -133,7 +138,6 @@ class RospyPublisher(OutsidePublisher):
         return True
 
     def close(self) -> None:
-        """Unregister."""
         if self._closed:
             return
         self._closed = True
@@ -144,7 +148,7 @@ class RospyPublisher(OutsidePublisher):
         self._publisher.unregister()
         self._intraprocess.retire(self._topic)
 
-    def _outwards(self, message: Any, peer: Any = None) -> None:
+    def _send(self, message: Any, peer: Any = None) -> None:
         """Send to all connections, or to one, which changes nothing for later subscribers."""
         # rospy writes header.seq and frame_id into its messages; subscribers in here share them.
         if getattr(message.__class__, "_has_header", False):
@@ -176,7 +180,12 @@ class RospyPublisher(OutsidePublisher):
 
 
 class RospySubscriber(OutsideSubscriber):
-    """A rospy.Subscriber that feeds one connection of the bus."""
+    """A rospy.Subscriber that feeds one connection of the bus.
+
+    Args:
+        registrar: has the master's answer to the registration.
+        topic: the further arguments are those of ``Middleware.subscribe``.
+    """
 
     def __init__(
         self,
@@ -186,7 +195,6 @@ class RospySubscriber(OutsideSubscriber):
         receive: Receive,
         options: Dict[str, Any],
     ) -> None:
-        """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
         if datatype._md5sum != "*":
             receive = TypedReceiver(topic, datatype, receive).push
@@ -195,11 +203,9 @@ class RospySubscriber(OutsideSubscriber):
         self._expected = registrar.publishers(topic)
 
     def publishers(self) -> int:
-        """Publishers that are connected."""
         return len(self._implementation.connections or ())
 
     def links(self) -> Tuple[Any, ...]:
-        """Connections of rospy."""
         links = self._implementation.connections or ()
         return tuple(each for each in links if not isinstance(each, IntraProcessTransport))
 
@@ -252,7 +258,6 @@ class RospySubscriber(OutsideSubscriber):
             time.sleep(_STEP / 4)
 
     def close(self) -> None:
-        """Unregister."""
         self._subscriber.unregister()
 
 
@@ -273,7 +278,7 @@ def _unread(connection: Any) -> int:
         return 0
 
 
-def _idle(connection: Any) -> bool:
+def _is_idle(connection: Any) -> bool:
     """Whether a sending queue of rospy is empty and its thread waits for more."""
     waiters = getattr(getattr(connection, "_cond_data_available", None), "_waiters", True)
     return connection.done or not (getattr(connection, "_queue", None) or not waiters)
