@@ -42,11 +42,8 @@ _REFUSED = {
 
 def process_views(sandbox: Sandbox) -> Views:
     """Return factories of the views that every sandbox has, by name."""
-    views: Views = {
-        "atexit": lambda: View(
-            atexit, {"register": sandbox.exits.register, "unregister": sandbox.exits.unregister}
-        ),
-    }
+    calls = {"register": sandbox.exits.register, "unregister": sandbox.exits.unregister}
+    views: Views = {"atexit": lambda: View(atexit, calls)}
     if not sandbox.is_alone:
         views["threading"] = lambda: _threading(sandbox)
         views["time"] = lambda: View(time, {"sleep": sandbox.pause})
@@ -78,15 +75,8 @@ def functions(sandbox: Sandbox) -> Dict[str, Any]:
 def _sys(sandbox: Sandbox, importer: Importer) -> View:
     if sandbox.is_alone:
         return _OwnSys(sandbox, importer)
-    return View(
-        sys,
-        {
-            "argv": sandbox.argv,
-            "path": importer.path,
-            "modules": importer.everything(),
-            "stdin": _NoKeyboard(sandbox),
-        },
-    )
+    own = {"argv": sandbox.argv, "path": importer.path, "modules": importer.everything()}
+    return View(sys, {**own, "stdin": _NoKeyboard(sandbox)})
 
 
 class _OwnSys(View):

@@ -51,11 +51,14 @@ def rospy_views(
         timer: returns the sandbox's copy of ``rospy.timer``.
     """
     members = _members(sandbox, init_node)
-    views: Dict[str, Module] = {f"rospy.{n}": _submodule(n, members) for n in _SUBMODULES}
-    top = _Rospy({key: value for key, value in members.items() if hasattr(rospy, key)}, timer)
-    for name, view in views.items():
-        setattr(top, name.rpartition(".")[2], view)
-    views["rospy"] = top
+
+    def of(real: Module) -> Dict[str, Any]:
+        return {name: member for name, member in members.items() if hasattr(real, name)}
+
+    submodules = {name: getattr(rospy, name) for name in _SUBMODULES}
+    below: Dict[str, Module] = {name: View(real, of(real)) for name, real in submodules.items()}
+    views = {f"rospy.{name}": view for name, view in below.items()}
+    views["rospy"] = _Rospy({**of(rospy), **below}, timer)
     return {name: functools.partial(_same, view) for name, view in views.items()}
 
 
@@ -75,11 +78,6 @@ class _Rospy(View):
 
 def _same(view: Module) -> Module:
     return view
-
-
-def _submodule(name: str, members: Mapping[str, Any]) -> View:
-    real = getattr(rospy, name)
-    return View(real, {key: value for key, value in members.items() if hasattr(real, key)})
 
 
 def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]:

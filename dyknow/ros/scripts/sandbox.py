@@ -20,7 +20,7 @@ import traceback
 import weakref
 from functools import partial
 from types import FrameType
-from typing import Any, Callable, Collection, Iterator, List, Mapping, Optional, Set, Tuple
+from typing import Any, Callable, Collection, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
@@ -78,23 +78,17 @@ def outside_of_finalizers(call: Callable[[], None]) -> None:
 
 
 class Exits:
-    """Stands in for ``atexit``; iterating takes the calls out, the last first."""
+    """Stands in for ``atexit``."""
 
     def __init__(self) -> None:
-        self._calls: List[Tuple[Callable[..., Any], Callable[[], Any]]] = []
+        self.calls: List[Tuple[Callable[..., Any], Callable[[], Any]]] = []
 
     def register(self, call: Callable[..., Any], *args: Any, **kwds: Any) -> Callable[..., Any]:
-        """Stand in for ``atexit.register``."""
-        self._calls.append((call, partial(call, *args, **kwds)))
+        self.calls.append((call, partial(call, *args, **kwds)))
         return call
 
     def unregister(self, call: Callable[..., Any]) -> None:
-        """Stand in for ``atexit.unregister``."""
-        self._calls = [each for each in self._calls if each[0] != call]
-
-    def __iter__(self) -> Iterator[Callable[[], Any]]:
-        while self._calls:  # one of them may register more
-            yield self._calls.pop()[1]
+        self.calls = [each for each in self.calls if each[0] != call]
 
 
 class Sandbox:
@@ -122,7 +116,6 @@ class Sandbox:
         is_alone: bool = False,
         copies: bool = True,
     ) -> None:
-        """Make a sandbox without a handle."""
         defer_in_finalizers()
         self.name = name
         self.main = main
@@ -307,40 +300,38 @@ class Sandbox:
         """
         began = time.monotonic()
         me = threading.current_thread()
-        main = [] if self.main is None else [self.main]
-        mine = [each for each in [*main, *self.threads] if each is not me and each.ident]
+        mine = [
+            each for each in [self.main, *self.threads] if each and each is not me and each.ident
+        ]
         for thread in mine:
             if isinstance(thread, threading.Timer):
                 thread.cancel()
         for thread in mine:
             # Not its own ``join``, which is for the sandbox's threads.
             threading.Thread.join(thread, max(0.0, began + _PATIENCE - time.monotonic()))
-        while time.monotonic() < began + _PATIENCE + _FORCE:
-            left = [each for each in mine if each.is_alive()]
-            if not left:
+        while True:
+            mine = [each for each in mine if each.is_alive()]
+            if not mine:
                 return
-            frames = sys._current_frames()
-            for thread in left:
-                frame = frames.get(thread.ident or 0)
-                if frame is not None and frame.f_code.co_filename in files:
+            if time.monotonic() >= began + _PATIENCE + _FORCE:
+                break
+            for thread in mine:
+                if _place(thread)[0] in files:
                     _raise_exit(thread)
             time.sleep(_STEP)
         self._is_over = True
-        frames = sys._current_frames()
-        late = [each for each in mine if each.is_alive()]
         if self.context is not None:
-            self.context.late_threads = late
-        for thread in late:
-            frame = frames.get(thread.ident or 0)
-            where = "?" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
+            self.context.late_threads = mine
+        for thread in mine:
+            where = ":".join(map(str, _place(thread)))
             _log.warning(
                 "%s: thread '%s' does not end; it is at %s", self.name, thread.name, where
             )
 
     def run_exits(self) -> None:
         """Make the calls that were registered with ``atexit``."""
-        for call in self.exits:
-            self._attempt(call, "atexit")
+        while self.exits.calls:  # the last first; one of them may register more
+            self._attempt(self.exits.calls.pop()[1], "atexit")
 
     def let_go(self) -> None:
         """Drop all callbacks at the end, so that no reference cycle keeps its objects."""
@@ -358,6 +349,12 @@ class Sandbox:
             call()
         except BaseException:  # the boundary: the other hooks, and the unload, go on
             _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
+
+
+def _place(thread: threading.Thread) -> Tuple[str, int]:
+    """The source file and the line that a thread is at."""
+    frame = sys._current_frames().get(thread.ident or 0)
+    return ("?", 0) if frame is None else (frame.f_code.co_filename, frame.f_lineno)
 
 
 def _raise_exit(thread: threading.Thread) -> None:

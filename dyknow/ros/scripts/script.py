@@ -90,8 +90,7 @@ class ScriptNodelet(Nodelet):
     _error: Optional[BaseException] = None
 
     def bind(self, context: Context) -> None:
-        """Use an executor for callbacks that may block: each has a thread."""
-        context.executor = context.runtime.blocking
+        context.executor = context.runtime.blocking  # callbacks may block: each has a thread
         super().bind(context)
 
     def on_init(self) -> None:
@@ -168,7 +167,6 @@ class NodeArguments:
     """The arguments of ``rospy.init_node``; as in rospy, each call must have the same."""
 
     def __init__(self) -> None:
-        """Wait for the first call."""
         self._args: Any = None
 
     def note(self, *args: Any) -> bool:

@@ -9,7 +9,7 @@ connected at the start. The rules are those of ``src/dyknow_roscpp/port_names.cp
 
 from __future__ import annotations
 
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Dict, Optional, Tuple, Type
 
 from dyknow import names
 from dyknow.errors import PortConflict
@@ -41,7 +41,6 @@ class ScriptProxy(NodeletProxy):
     """The proxy of a script, whose ports are the topics that it uses."""
 
     def __init__(self, context: Context) -> None:
-        """Make a proxy without ports."""
         super().__init__(context)
         self._by_label: Dict[Tuple[str, str], ProxyPort] = {}
         #: Labels by the global names that were returned to the script.
@@ -125,15 +124,12 @@ class ScriptHandle(NodeHandle):
             self._proxy.note(name, resolved)
         return resolved
 
-    def _make_publisher(self, name: str, datatype: Any, *args: Any, **options: Any) -> Any:
-        if self._is_port(name):
-            return super()._make_publisher(name, datatype, *args, **options)
-        return PlainNodeHandle._make_publisher(self, name, datatype, *args, **options)
+    def _make_publisher(self, name: str, *args: Any, **options: Any) -> Any:
+        return self._maker(name)._make_publisher(self, name, *args, **options)
 
-    def _make_subscriber(self, name: str, datatype: Any, *args: Any, **options: Any) -> Any:
-        if self._is_port(name):
-            return super()._make_subscriber(name, datatype, *args, **options)
-        return PlainNodeHandle._make_subscriber(self, name, datatype, *args, **options)
+    def _make_subscriber(self, name: str, *args: Any, **options: Any) -> Any:
+        return self._maker(name)._make_subscriber(self, name, *args, **options)
 
-    def _is_port(self, name: str) -> bool:
-        return self.resolve_name(names.check(name, "topic name")) not in _NO_PORTS
+    def _maker(self, name: str) -> Type[PlainNodeHandle]:
+        is_port = self.resolve_name(names.check(name, "topic name")) not in _NO_PORTS
+        return NodeHandle if is_port else PlainNodeHandle
