@@ -30,7 +30,7 @@ _WINDOW = 0.02
 _QUEUE_SIZE = 1000
 
 
-class Announcer:
+class Announcer(rospy.SubscribeListener):
     """The side of the nodelet manager.
 
     Args:
@@ -43,6 +43,7 @@ class Announcer:
         everything: Callable[[], Iterable[str]],
         detail: Callable[[str], str] = lambda name: "",
     ) -> None:
+        super().__init__()
         self._everything = everything
         self._detail = detail
         #: Global names of the topics that it publishes.
@@ -50,10 +51,7 @@ class Announcer:
         self._lock = state_lock("announcer")
         self._names: Set[str] = set()
         self._publisher = rospy.Publisher(
-            self.topics[0],
-            NodeletChanges,
-            subscriber_listener=_Newcomers(self),
-            queue_size=_QUEUE_SIZE,
+            self.topics[0], NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
         self._node_publisher: Optional[rospy.Publisher] = None
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
@@ -65,12 +63,6 @@ class Announcer:
             self._names.add(name)
         self._worker.wake()
 
-    def announce_all(self, publish: Callable[[NodeletChanges], None]) -> None:
-        """Announce every nodelet to a new listener."""
-        names = sorted(self._everything())
-        if names:
-            publish(self._message(names))
-
     def announce_node(self) -> None:
         """Announce this process as a node with ports, whose services are there."""
         self._node_publisher = rospy.Publisher(
@@ -78,8 +70,13 @@ class Announcer:
         )
         self._node_publisher.publish(NodeletChanges(nodelets=[rospy.get_name()]))
 
+    def peer_subscribe(self, topic: str, publish: Any, publish_to_peer: Any) -> None:
+        """Announce every nodelet to a new listener; rospy calls it."""
+        names = sorted(self._everything())
+        if names:
+            publish_to_peer(self._message(names))
+
     def close(self) -> None:
-        """Withdraw the topics."""
         self._worker.close()
         self._publisher.unregister()
         if self._node_publisher is not None:
@@ -103,16 +100,6 @@ class Announcer:
             raise
 
 
-class _Newcomers(rospy.SubscribeListener):
-    def __init__(self, announcer: Announcer) -> None:
-        self._announcer = announcer
-
-    def peer_subscribe(
-        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[NodeletChanges], None]
-    ) -> None:
-        self._announcer.announce_all(peer_publish)
-
-
 class Listener:
     """The side that listens to any number of nodelet managers.
 
@@ -128,7 +115,7 @@ class Listener:
 
     def follow(self, managers: Iterable[str]) -> None:
         """Listen to exactly these nodelet managers."""
-        wanted: List[str] = sorted(managers)
+        wanted = sorted(managers)
         with self._turn:
             for manager in [each for each in self._subscribers if each not in wanted]:
                 self._subscribers.pop(manager).unregister()
@@ -143,5 +130,4 @@ class Listener:
             self._changed(manager, name, detail or "")
 
     def close(self) -> None:
-        """End all subscriptions."""
         self.follow(())

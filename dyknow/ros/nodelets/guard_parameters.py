@@ -29,16 +29,12 @@ _PROTECTED = "protected"
 
 
 def guards_key(owner: str) -> str:
-    """Relative name of the parameter in which a DyKnow manager hands over its guards.
-
-    Args:
-        owner: global name of its node; two owners never share a key, nor does one key begin
-            another, which would make them nested parameters.
-    """
+    """Relative name of the parameter in which a DyKnow manager, a node, hands over its guards."""
     return f"{_GUARDS}/{_key_of(owner)}"
 
 
 def _key_of(owner: str) -> str:
+    # Two owners never share a key, nor does one key begin another: that would nest them.
     return owner.strip("/").replace("_", "__").replace("/", "_s")
 
 
@@ -61,7 +57,7 @@ def from_parameter(value: Any) -> Guards:
     if not isinstance(value, dict):
         return NO_GUARDS
     return Guards(
-        denied_topics=tuple(str(each) for each in value.get("denied_topics", ())),
+        denied_topics=tuple(map(str, value.get("denied_topics", ()))),
         allowed_topics=_lists(value.get("allowed_topics", ())),
         allowed_programs=_lists(value.get("allowed_programs", ())),
         remote_programs=bool(value.get("remote_programs", True)),
@@ -76,10 +72,9 @@ def _lists(value: Iterable[Iterable[Any]]) -> Tuple[Tuple[str, ...], ...]:
 
 
 class GuardParameters:
-    """The guards of this process."""
+    """The guards of this process, whose node must be initialised."""
 
     def __init__(self) -> None:
-        """Subscribe to the parameters; the node must be initialised."""
         self._name: str = rospy.resolve_name("~" + _GUARDS)
         self._master = Master(rospy.get_name())
         self._values = ParamServerCache()
@@ -155,10 +150,12 @@ def _keep_apart(name: str, values: ParamServerCache) -> None:
     answer ``get_param("~")`` with them alone.
     """
     cache = get_param_server_cache()
-    update = cache.update
-    cache.update = lambda key, value: (values.set if f"{key}/".startswith(f"{name}/") else update)(
-        key, value
-    )
+    update_others = cache.update
+
+    def update(key: str, value: Any) -> None:
+        (values.set if f"{key}/".startswith(f"{name}/") else update_others)(key, value)
+
+    cache.update = update
 
 
 def caller_of(request: Any) -> str:

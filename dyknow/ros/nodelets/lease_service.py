@@ -55,7 +55,6 @@ class LeaseService(Closable):
         self._service = rospy.Service("~" + SERVICE, RenewLease, self._renew)
 
     def close(self) -> None:
-        """Withdraw the service."""
         self._worker.close()
         self._service.shutdown("the nodelet manager ends")
 

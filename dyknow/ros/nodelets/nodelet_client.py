@@ -79,13 +79,9 @@ def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
 
 
 def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bool:
-    """Request an unload from a manager, and log the outcome.
+    """Request an unload within ``timeout`` s, and log the outcome.
 
-    Args:
-        name: of the nodelet at its load.
-        manager: the manager's name.
-        timeout: seconds that the manager may take.
-        at_exit: whether a manager that is gone already is as good: everything may be ending.
+    At exit a manager that is gone already is as good: everything may be ending.
     """
     rospy.loginfo(f"Unloading nodelet {name} from manager {manager}")
     service = f"{manager}/unload_nodelet"
@@ -104,12 +100,6 @@ def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bo
             )
         return False
     return True
-
-
-def forwarded_remappings() -> dict[str, str]:
-    """The name remappings of this process, resolved in its namespace and sorted by source."""
-    resolved = rospy.names.get_resolved_mappings()
-    return {source: resolved[source] for source in sorted(resolved) if not source.startswith("_")}
 
 
 class _LoadClient:
@@ -192,7 +182,10 @@ class _LoadClient:
             self._events.put(_Event.REFUSED)
 
     def _request(self) -> bool:
-        remappings = forwarded_remappings()
+        resolved = rospy.names.get_resolved_mappings()
+        remappings = {
+            each: resolved[each] for each in sorted(resolved) if not each.startswith("_")
+        }
         rospy.loginfo(
             f"Loading nodelet {self._name} of type {self._type} to manager {self._manager}"
             " with the following remappings:"

@@ -11,6 +11,7 @@ on that.
 from __future__ import annotations
 
 import faulthandler
+import itertools
 import logging
 import os
 import sys
@@ -96,7 +97,14 @@ class Settings:
 
 
 class NodeletManager(Closable):
-    """Hosts nodelets in this process; the node must be initialised."""
+    """Hosts nodelets in this process; the node must be initialised.
+
+    Args:
+        settings: how it works.
+        find_class: returns the class of the one thing that it hosts, whose callbacks have a
+            thread each; by default it hosts nodelets that packages declare, on worker threads.
+        bound: whether guards bind the nodelets' own connections, not only set_config.
+    """
 
     def __init__(
         self,
@@ -104,14 +112,6 @@ class NodeletManager(Closable):
         find_class: Optional[Callable[[str, Context], Type[Nodelet]]] = None,
         bound: bool = True,
     ) -> None:
-        """Start without nodelets and without services.
-
-        Args:
-            settings: how it works.
-            find_class: returns the class of the one thing that it hosts, whose callbacks have a
-                thread each; by default it hosts nodelets that packages declare, on worker threads.
-            bound: whether guards bind the nodelets' own connections, not only set_config.
-        """
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
         self._record = _crash_record()
@@ -157,12 +157,7 @@ class NodeletManager(Closable):
         ]
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
-        """Host one thing under the name of the node, which is not a nodelet manager then.
-
-        Args:
-            kind: of the thing.
-            remappings: table of global names.
-        """
+        """Host one thing under the name of the node, which is not a nodelet manager then."""
         self._kind = kind
         name = rospy.get_name()
         hide_topics(self._announcer.topics)
@@ -172,55 +167,34 @@ class NodeletManager(Closable):
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
         self._announcer.announce_node()  # last: subscribers query immediately
 
-    def load(
-        self,
-        name: str,
-        type_name: str,
-        sources: Sequence[str] = (),
-        targets: Sequence[str] = (),
-        my_argv: Sequence[str] = (),
-        bond_id: str = "",
-        caller: str = "",
-    ) -> None:
-        """Load a nodelet; names are as in a NodeletLoad request.
-
-        Args:
-            name: of the nodelet.
-            type_name: declared type, ``package/Class``.
-            sources: names to remap.
-            targets: what to remap them to.
-            my_argv: arguments for the nodelet.
-            bond_id: the client's end of a bond, empty for none.
-            caller: the requesting node, empty when it is this one.
+    def load(self, request: srv.NodeletLoadRequest, caller: str = "") -> None:
+        """Load a nodelet; ``caller`` is the requesting node, empty when it is this one.
 
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
         """
-        guards = self._guards.current()
-        texts = (name, type_name, bond_id, *sources, *targets, *my_argv)
-        guards.check_sizes(texts, max(len(sources), len(targets), len(my_argv)))
-        name = _resolved(name)
-        namespace = names.parent(rospy.get_name())
-        remappings = names.pair_remappings(name, sources, targets, namespace)
+        lists = (request.remap_source_args, request.remap_target_args, request.my_argv)
+        texts = (request.name, request.type, request.bond_id, *itertools.chain(*lists))
+        self._guards.current().check_sizes(texts, max(map(len, lists)))
+        sources, targets, my_argv = lists
+        name = _resolved(request.name)
+        remappings = names.pair_remappings(name, sources, targets, names.parent(rospy.get_name()))
         if caller:
             self._guards.check_caller(caller, f"loading '{name}'")
-            if type_name == programs.SCRIPT and my_argv:
+            if request.type == programs.SCRIPT and my_argv:
                 self._guards.check_program(caller, my_argv[0])
         descriptors.check_left()
-        self.loader.load(name, type_name, remappings, my_argv)
+        self.loader.load(name, request.type, remappings, my_argv)
         self._announcer.announce(name)
-        if bond_id:
-            self._bond(name, bond_id)
-        rospy.loginfo("loaded nodelet %s of type %s%s", name, type_name, _for(caller))
+        if request.bond_id:
+            self._bond(name, request.bond_id)
+        rospy.loginfo("loaded nodelet %s of type %s%s", name, request.type, _for(caller))
 
     def unload(self, name: str, caller: str = "") -> None:
-        """Unload a nodelet; ``caller`` is the requesting node, empty when it is this one.
+        """Unload a nodelet; ``caller`` is as in ``load``.
 
         Raises:
-            UnknownNodelet: there is none of that name.
-            Denied: the mode is read-only.
-            ProtectedFromUnloading: a DyKnow manager protects it.
-            LimitExceeded: the name is longer than any sensible one.
+            DyKnowError: there is none of that name, or the caller must not unload it.
         """
         self._guards.current().check_sizes([name])
         name = _resolved(name)
@@ -292,15 +266,7 @@ class NodeletManager(Closable):
 
     def _load(self, request: Any) -> srv.NodeletLoadResponse:
         try:
-            self.load(
-                request.name,
-                request.type,
-                request.remap_source_args,
-                request.remap_target_args,
-                request.my_argv,
-                request.bond_id,
-                caller_of(request),
-            )
+            self.load(request, caller_of(request))
         except DyKnowError as error:
             raise _failed("Failed to load nodelet", request.name, error) from error
         return srv.NodeletLoadResponse(True)
@@ -415,11 +381,11 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
             for source, target in rospy.names.get_resolved_mappings().items()
             if source.startswith("/") and not source.startswith("/__")
         }
-        sources, targets = list(remappings), list(remappings.values())
+        name, sources, targets = rospy.get_name(), list(remappings), list(remappings.values())
         try:
-            manager.load(rospy.get_name(), type_name, sources, targets, my_argv)
+            manager.load(srv.NodeletLoadRequest(name, type_name, sources, targets, my_argv, ""))
         except DyKnowError as error:
-            rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
+            rospy.logfatal("Failed to load nodelet [%s]: %s", name, error)
             manager.close()
             return None
         return manager

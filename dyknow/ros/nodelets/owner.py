@@ -35,17 +35,16 @@ PATIENCE = 3.0
 
 
 class OwnerLock:
-    """The owner's side."""
+    """The owner's side.
+
+    Args:
+        path: the file whose name nodelet managers get.
+
+    Raises:
+        StoreError: another owner has it, or the file cannot be made.
+    """
 
     def __init__(self, path: str) -> None:
-        """Take the lock.
-
-        Args:
-            path: the file whose name nodelet managers get.
-
-        Raises:
-            StoreError: another owner has it, or the file cannot be made.
-        """
         self.path = path
         try:
             os.makedirs(os.path.dirname(path), 0o700, exist_ok=True)
@@ -63,7 +62,6 @@ class OwnerLock:
             in_background("owner", self._take_later)
 
     def release(self) -> None:
-        """Release the lock."""
         self._owners.close()
         self._waiting.close()
 

@@ -21,20 +21,16 @@ from dyknow.ros.wire.messages import config_pairs, port_message, statistics_mess
 
 
 class Proxy(Protocol):
-    """A nodelet's proxy, or a substitute of it."""
+    """A nodelet's proxy, or a substitute of it; ``set_config`` raises DyKnowError."""
 
     @property
-    def name(self) -> str:
-        """Name of the nodelet."""
+    def name(self) -> str: ...
 
-    def get_config(self) -> List[PortState]:
-        """Return the ports."""
+    def get_config(self) -> List[PortState]: ...
 
-    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
-        """Connect ports to topics, all or none; raises DyKnowError."""
+    def set_config(self, config: Sequence[Tuple[str, str]]) -> None: ...
 
-    def get_statistics(self) -> NodeletStatistics:
-        """Return the counts of this moment."""
+    def get_statistics(self) -> NodeletStatistics: ...
 
 
 class ProxyServices(Closable):
@@ -42,6 +38,11 @@ class ProxyServices(Closable):
 
     They are answered on rospy's threads, not on the nodelet's queue: a nodelet whose callback
     hangs can still be inspected and re-wired.
+
+    Args:
+        proxy: answers them.
+        check_caller: raises Denied if this node must not make a change, which the second
+            argument describes.
     """
 
     def __init__(
@@ -49,46 +50,31 @@ class ProxyServices(Closable):
         proxy: Proxy,
         check_caller: Callable[[str, str], None] = lambda caller, what: None,
     ) -> None:
-        """Offer the services.
-
-        Args:
-            proxy: answers them.
-            check_caller: raises Denied if this node must not make a change, which the second
-                argument describes.
-        """
         self._proxy = proxy
         self._check_caller = check_caller
         self._services: List[Any] = []
         self._closed = False
         try:
-            for name, service_class, handler in (
-                ("get_config", srv.GetConfig, self._get_config),
-                ("set_config", srv.SetConfig, self._set_config),
-                ("get_statistics", srv.GetStatistics, self._get_statistics),
-            ):
-                full_name = names.join(proxy.name, name)
-                self._services.append(
-                    rospy.Service(full_name, service_class, self._while_open(handler))
-                )
+            self._offer("get_config", srv.GetConfig, self._get_config)
+            self._offer("set_config", srv.SetConfig, self._set_config)
+            self._offer("get_statistics", srv.GetStatistics, self._get_statistics)
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        """Withdraw the services."""
         self._closed = True
         while self._services:
             self._services.pop().shutdown("the nodelet is unloaded")
 
-    def _while_open(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Refuse persistent connections too, which rospy keeps open when a service ends."""
-
+    def _offer(self, name: str, service_class: Any, handler: Callable[[Any], Any]) -> None:
         def answer(request: Any) -> Any:
-            if self._closed:
+            if self._closed:  # a persistent connection, which rospy keeps when a service ends
                 raise rospy.ServiceException(f"nodelet {self._proxy.name} is unloaded")
             return handler(request)
 
-        return answer
+        full_name = names.join(self._proxy.name, name)
+        self._services.append(rospy.Service(full_name, service_class, answer))
 
     def _get_config(self, request: Any) -> srv.GetConfigResponse:
         return srv.GetConfigResponse([port_message(port) for port in self._proxy.get_config()])
