@@ -9,11 +9,10 @@ import itertools
 import threading
 import time
 from dataclasses import replace
-from typing import Any, Callable, Iterator, List
 
 import pytest
 from nodelet.srv import NodeletList
-from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError
 from dyknow.model.graph import NodeletKind
@@ -27,33 +26,47 @@ from dyknow.ros.wire.service_client import ServiceClient
 
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 
-KIND = NodeletKind.PYTHON
 NAME = "/far"
 SECONDS = 0.4
 PATIENCE = 30.0
 
 
-@pytest.fixture
-def graph() -> Iterator[SmallMaster]:
+@pytest.fixture(name="graph")
+def _graph():
     with small_graph() as graph:
         graph.nodes[NAME] = SmallManager()
         graph.nodes[NAME].nodelets = ["/b", "/a"]
         yield graph
 
 
-def together(*works: Callable[[], object], seconds: float = SECONDS) -> None:
-    """Repeat each function in its own thread for some time; raises their exceptions."""
-    failures: List[BaseException] = []
-    end = time.monotonic() + seconds
+def together(ask, failed, *works):
+    """Repeat a question in three threads, and other work in one each; return the answers.
 
-    def repeat(work: Callable[[], object]) -> None:
+    Args:
+        ask: returns an answer, or raises a HostError.
+        failed: is called after a HostError.
+        *works: what may make the question fail.
+    """
+    answers, failures = [], []
+    end = time.monotonic() + SECONDS
+
+    def ask_once():
+        try:
+            answers.append(sorted(ask()))
+        except HostError:
+            failed()
+
+    def repeat(work):
         try:
             while time.monotonic() < end and not failures:
                 work()
         except BaseException as error:
             failures.append(error)
 
-    threads = [threading.Thread(target=repeat, args=(work,), daemon=True) for work in works]
+    threads = [
+        threading.Thread(target=repeat, args=(work,), daemon=True)
+        for work in (ask_once, ask_once, ask_once, *works)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -61,66 +74,40 @@ def together(*works: Callable[[], object], seconds: float = SECONDS) -> None:
         assert not thread.is_alive()
     if failures:
         raise failures[0]
+    return answers
 
 
-def test_a_persistent_client_is_closed_while_others_call(graph: SmallMaster) -> None:
+def test_a_persistent_client_is_closed_during_calls(graph):
     client = ServiceClient(Master("/test", graph.uri), f"{NAME}/list", NodeletList, True)
-    answers: List[Any] = []
-
-    def call() -> None:
-        try:
-            answers.append(client.call(PATIENCE).nodelets)
-        except HostError:
-            return  # it was closed in the middle of the call
-
-    together(call, call, call, client.close)
+    answers = together(lambda: client.call(PATIENCE).nodelets, lambda: None, client.close)
     client.close()
-    assert answers
-    assert all(each == ["/b", "/a"] for each in answers)
+    assert answers and all(each == ["/a", "/b"] for each in answers)
 
 
-def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
-    graph: SmallMaster,
-) -> None:
-    child = Child(PeerContext(Master("/test", graph.uri)), ChildRecord(NAME, KIND))
+def test_a_client_that_is_replaced_during_a_question_refuses_or_answers(graph):
+    child = Child(PeerContext(Master("/test", graph.uri)), ChildRecord(NAME, NodeletKind.PYTHON))
     child.up = True
     numbers = itertools.count()
-    answers: List[List[str]] = []
 
-    def ask() -> None:
-        process = ProcessId(1, next(numbers) // 20)
-        child.record = replace(child.record, process=process)
-        try:
-            answers.append(child.list())
-        except HostError:
-            return
+    def ask():
+        child.record = replace(child.record, process=ProcessId(1, next(numbers) // 20))
+        return child.list()
 
-    together(ask, ask, ask, child.close)
+    answers = together(ask, lambda: None, child.close)
     child.close()
-    assert answers
-    assert all(each == ["/a", "/b"] for each in answers)
+    assert answers and all(each == ["/a", "/b"] for each in answers)
 
 
-def test_who_asks_an_external_manager_while_its_connections_break_is_refused_or_answered(
-    graph: SmallMaster,
-) -> None:
+def test_an_external_manager_whose_connections_break_refuses_or_answers(graph):
     manager = External(PeerContext(Master("/test", graph.uri)), NAME)
     manager.start()
-    answers: List[List[str]] = []
 
-    def ask() -> None:
-        try:
-            answers.append(manager.list())
-        except HostError:
-            manager.look_now()
-
-    def lose() -> None:
+    def lose():
         time.sleep(0.05)
         graph.nodes[NAME].lose_connections()
 
     try:
-        together(ask, ask, ask, lose)
-        assert answers
-        assert all(each == ["/a", "/b"] for each in answers)
+        answers = together(manager.list, manager.look_now, lose)
+        assert answers and all(each == ["/a", "/b"] for each in answers)
     finally:
         manager.close()

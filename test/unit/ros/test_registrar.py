@@ -16,6 +16,8 @@ from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
 
+STRING = "std_msgs/String"
+
 
 class Server(socketserver.ThreadingMixIn, xmlrpc.server.SimpleXMLRPCServer):
     allow_reuse_address = True
@@ -27,9 +29,7 @@ class OneMaster:
     """The few calls of the master's API that matter here, over real XML-RPC."""
 
     def __init__(self):
-        self.registered = {}
-        self.calls = []
-        self.looked_up = []
+        self.registered, self.calls, self.looked_up = {}, [], []
         self.newcomer = ""
         self.server = None
         self.port = 0
@@ -37,10 +37,9 @@ class OneMaster:
     def start(self):
         self.server = Server(("127.0.0.1", self.port), logRequests=False, allow_none=True)
         self.port = self.server.server_address[1]
-        self.server.register_function(self.register, "registerPublisher")
-        self.server.register_function(self.register, "registerService")
-        self.server.register_function(self.unregister, "unregisterPublisher")
-        self.server.register_function(self.unregister, "unregisterService")
+        for kind in ("Publisher", "Service"):
+            self.server.register_function(self.register, f"register{kind}")
+            self.server.register_function(self.unregister, f"unregister{kind}")
         self.server.register_function(self.look_up, "lookupNode")
         threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
 
@@ -60,59 +59,51 @@ class OneMaster:
         return (1, "", self.newcomer) if self.newcomer else (-1, "unknown", "")
 
     def unregister(self, caller, name, what):
-        self.calls.append("-" + name)
         return 1, "", int(self.registered.pop(name, None) is not None)
 
 
-@pytest.fixture
-def master():
+@pytest.fixture(name="master")
+def _master():
     one = OneMaster()
     one.start()
     yield one
     one.stop()
 
 
-@pytest.fixture
-def registrar(master, monkeypatch):
+@pytest.fixture(name="registrar")
+def _registrar(master, monkeypatch):
     monkeypatch.setattr(registrar_module, "_AGAIN", 0.02)
     return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=1.0))
 
 
-def test_the_answer_is_handed_out_once(master, registrar):
-    registrar.reg_added("/a", "std_msgs/String", "pub")
-    assert master.registered == {"/a": "std_msgs/String"}
+def test_the_answer_is_returned_once(master, registrar):
+    registrar.reg_added("/a", STRING, "pub")
+    assert master.registered == {"/a": STRING}
     assert registrar.subscribers("/a") == {"http://other:1"}
     assert registrar.subscribers("/a") is None
-    registrar.reg_removed("/a", "std_msgs/String", "pub")
+    registrar.reg_removed("/a", STRING, "pub")
     assert master.registered == {}
 
 
-def test_a_dead_master_blocks_nobody_and_is_told_later(master, registrar):
+def test_a_dead_master_blocks_no_registration_and_receives_it_later(master, registrar):
     master.stop()
-    registrar.reg_added("/a", "std_msgs/String", "pub")
+    registrar.reg_added("/a", STRING, "pub")
     registrar.reg_added("/s", "rosrpc://here:1", "srv")
+    registrar.reg_added("/gone", STRING, "pub")
+    registrar.reg_removed("/gone", STRING, "pub")
     assert registrar.subscribers("/a") is None
     master.start()
-    eventually(lambda: master.registered == {"/a": "std_msgs/String", "/s": "rosrpc://here:1"})
+    eventually(lambda: master.registered == {"/a": STRING, "/s": "rosrpc://here:1"})
     assert master.calls == ["/a", "/s"], "each once, in order"
-    registrar.reg_added("/b", "std_msgs/String", "pub")
+    registrar.reg_added("/b", STRING, "pub")
     eventually(lambda: "/b" in master.registered)
+    registrar.reg_removed("/a", STRING, "pub")
+    assert "/a" not in master.registered
 
 
-def test_what_was_removed_meanwhile_is_not_registered_when_the_master_is_back(master, registrar):
+def test_a_node_that_lost_its_name_meanwhile_registers_nothing(master, registrar):
     master.stop()
-    for name in ("/a", "/b"):
-        registrar.reg_added(name, "std_msgs/String", "pub")
-    registrar.reg_removed("/a", "std_msgs/String", "pub")
-    master.start()
-    eventually(lambda: master.registered == {"/b": "std_msgs/String"})
-    registrar.reg_removed("/b", "std_msgs/String", "pub")
-    assert master.registered == {}
-
-
-def test_who_lost_its_name_meanwhile_does_not_end_the_newcomer_by_registering(master, registrar):
-    master.stop()
-    registrar.reg_added("/a", "std_msgs/String", "pub")
+    registrar.reg_added("/a", STRING, "pub")
     master.newcomer = "http://newcomer:1/"
     master.start()
     eventually(lambda: len(master.looked_up) > 2)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import gc
 import threading
-import time
 import weakref
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Iterator, List
 
+import numpy
 import pytest
 import rospy
+from clocks import eventually
 
 from dyknow.errors import LoadFailed
 from dyknow.nodelet.context import Runtime
@@ -23,15 +22,13 @@ from dyknow.nodelet.local import LocalMiddleware
 from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
 from dyknow.ros.scripts.script import ScriptNodelet
 
-PATIENCE = 10.0
-
 HEAD = """#!/usr/bin/env python3
 import rospy, threading
 from std_msgs.msg import Header
 from std_srvs.srv import Empty
 import numpy
 block = numpy.zeros(10)
-numpy.noted.note(block)
+numpy.witness.blocks.append(numpy.witness.ref(block))
 rospy.init_node("script")
 """
 SCRIPTS = {
@@ -68,92 +65,62 @@ sub = rospy.Subscriber("in", Header, receive, callback_args=received)
 rospy.spin()
 """,
 }
-
-
-@pytest.fixture(autouse=True)
-def no_collections() -> Iterator[None]:
-    gc.collect()
-    gc.disable()
-    yield
-    gc.enable()
-
-
-@pytest.fixture
-def blocks(monkeypatch: pytest.MonkeyPatch) -> List[weakref.ReferenceType[object]]:
-    """The arrays that scripts have made."""
-    import numpy
-
-    made: List[weakref.ReferenceType[object]] = []
-    noted = SimpleNamespace(note=lambda block: made.append(weakref.ref(block)))
-    monkeypatch.setattr(numpy, "noted", noted, raising=False)
-    return made
-
-
-@pytest.fixture
-def loader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Loader]:
-    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    blocking = WorkerPool(None)
-    runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=blocking)
-    yield Loader(runtime, lambda name, context: ScriptNodelet)
-    runtime.close()
-
-
-def wait_until_gone(blocks: List[weakref.ReferenceType[object]]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while blocks[0]() is not None:
-        assert time.monotonic() < deadline, gc.get_referrers(blocks[0]())
-        threading.Event().wait(0.01)
-
-
-@pytest.mark.parametrize("kind", SCRIPTS)
-def test_an_unload_frees_a_script(
-    loader: Loader,
-    blocks: List[weakref.ReferenceType[object]],
-    tmp_path: Path,
-    kind: str,
-) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(HEAD + SCRIPTS[kind])
-    loader.load("/n", "dyknow/Script", {}, [str(script)])
-    assert blocks[0]() is not None
-    loader.unload("/n")
-    wait_until_gone(blocks)
-
-
-def test_a_script_that_fails_is_freed(
-    loader: Loader, blocks: List[weakref.ReferenceType[object]], tmp_path: Path
-) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(HEAD + "raise RuntimeError('injected')")
-    with pytest.raises(LoadFailed):
-        loader.load("/n", "dyknow/Script", {}, [str(script)])
-    wait_until_gone(blocks)
-
-
-def test_a_thread_that_does_not_end_keeps_its_modules(
-    loader: Loader, blocks: List[weakref.ReferenceType[object]], tmp_path: Path
-) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        HEAD
-        + """
+LATE = """
 def work():
-    numpy.go_on.wait()
-    numpy.seen.append(block is not None)
+    numpy.witness.go_on.wait()
+    numpy.witness.seen.append(block is not None)
 threading.Thread(target=work).start()
 rospy.spin()
 """
-    )
-    import numpy
 
-    numpy.go_on, numpy.seen = threading.Event(), []
-    loader.load("/n", "dyknow/Script", {}, [str(script)])
-    loader.unload("/n")
-    assert blocks[0]() is not None
-    numpy.go_on.set()
-    deadline = time.monotonic() + PATIENCE
-    while not numpy.seen:
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.01)
-    assert numpy.seen == [True]
-    del numpy.go_on, numpy.seen
+
+class Process:
+    """Loads one script, without garbage collection; ``blocks`` refers weakly to its array."""
+
+    def __init__(self, folder, monkeypatch):
+        self.blocks, self.seen, self.go_on = [], [], threading.Event()
+        shared = SimpleNamespace(ref=weakref.ref, **vars(self))
+        monkeypatch.setattr(numpy, "witness", shared, raising=False)
+        monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+        self.runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=WorkerPool(None))
+        self.loader = Loader(self.runtime, lambda name, context: ScriptNodelet)
+        self.script = folder / "script.py"
+
+    def load(self, text):
+        self.script.write_text(HEAD + text)
+        self.loader.load("/n", "dyknow/Script", {}, [str(self.script)])
+
+    def holds_the_block(self):
+        return self.blocks[0]() is not None
+
+
+@pytest.fixture(name="process")
+def _process(tmp_path, monkeypatch):
+    gc.collect()
+    gc.disable()
+    process = Process(tmp_path, monkeypatch)
+    yield process
+    process.runtime.close()
+    gc.enable()
+
+
+@pytest.mark.parametrize("kind", SCRIPTS)
+def test_an_unload_frees_a_script(process, kind):
+    process.load(SCRIPTS[kind])
+    assert process.holds_the_block()
+    process.loader.unload("/n")
+    eventually(lambda: not process.holds_the_block())
+
+
+def test_a_script_that_fails_is_freed(process):
+    with pytest.raises(LoadFailed):
+        process.load("raise RuntimeError('injected')")
+    eventually(lambda: not process.holds_the_block())
+
+
+def test_a_thread_that_does_not_end_keeps_its_modules(process):
+    process.load(LATE)
+    process.loader.unload("/n")
+    assert process.holds_the_block()
+    process.go_on.set()
+    eventually(lambda: process.seen == [True])
