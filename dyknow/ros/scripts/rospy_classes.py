@@ -99,8 +99,8 @@ class _Impl:
             return []
         publishers, subscribers = self._context.runtime.bus.owners(end.name)
         if isinstance(end, pubsub.Subscriber):
-            outside = end.subscription.outside
-            return [*map(Peer, publishers), *(outside.links() if outside is not None else ())]
+            source = end.subscription.outside
+            return [*map(Peer, publishers), *(source.links() if source is not None else ())]
         outside = end.publication.outside
         peers = outside.peers() if outside is not None else ()
         return [*map(Peer, subscribers), *(p for p in peers if hasattr(p, "endpoint_id"))]
