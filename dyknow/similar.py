@@ -12,7 +12,7 @@ from typing import Iterable
 #: Most names that are compared, which takes a tenth of a second.
 _COMPARED = 10_000
 #: Characters of the longest name that suggestions are made for.
-_LONGEST = 200
+LONGEST = 200
 
 
 def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str = "") -> str:
@@ -27,7 +27,7 @@ def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str 
     Returns:
         The text; empty if no name is similar.
     """
-    if len(name) > _LONGEST:
+    if len(name) > LONGEST:
         return ""
     reach = 3 + len(name) // 3
     near = (each for each in sorted(known) if abs(len(each) - len(name)) <= reach)

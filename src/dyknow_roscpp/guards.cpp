@@ -11,9 +11,9 @@
 #include <cstdlib>
 #include <mutex>
 
+#include "master.h"
 #include "names.h"
 #include "problems.h"
-#include "question.h"
 
 namespace dyknow
 {
@@ -60,6 +60,11 @@ bool matchesAny(const std::string& topic, const std::vector<std::string>& patter
 {
   return std::any_of(patterns.begin(), patterns.end(), [&topic](const auto& pattern)
                      { return fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0; });
+}
+
+Refusal tooMany(const std::string& what, std::size_t count, std::size_t limit)
+{
+  return Refusal(shared::LIMIT_EXCEEDED, {what, std::to_string(count), std::to_string(limit)});
 }
 
 void lower(std::size_t& limit, XmlRpc::XmlRpcValue& guards, const char* name)
@@ -148,7 +153,7 @@ void Guards::checkProtection(const std::string& caller, const std::string& nodel
   {
     if (owner != keyOf(caller) && nodelets.count(nodelet) > 0)
     {
-      throw protectedFromUnloading(nodelet);
+      throw Refusal(shared::PROTECTED_FROM_UNLOADING, {nodelet});
     }
   }
 }
@@ -157,7 +162,7 @@ void Guards::checkCaller(const std::string& caller, const std::string& what) con
 {
   if (!read_only_owners_.empty() && read_only_owners_.count(keyOf(caller)) == 0)
   {
-    throw denied(what, "DyKnow runs read-only (parameter read_only)");
+    throw Refusal(shared::READ_ONLY, {what});
   }
 }
 
@@ -167,14 +172,14 @@ void Guards::checkTopic(const std::string& topic) const
   {
     if (fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0)
     {
-      throw denied("topic '" + topic + "'", "it matches '" + pattern + "' of the deny list (denied_topics)");
+      throw Refusal(shared::DENIED, {topic, pattern});
     }
   }
   for (const auto& patterns : allowed_topics_)
   {
     if (!matchesAny(topic, patterns))
     {
-      throw denied("topic '" + topic + "'", "it matches no pattern of the allow list (allowed_topics)");
+      throw Refusal(shared::NOT_ALLOWED, {topic});
     }
   }
 }
@@ -183,13 +188,13 @@ void Guards::checkSizes(const std::vector<std::string>& strings, std::size_t ent
 {
   if (entries > array_length_)
   {
-    throw limitExceeded("entries in an array", entries, array_length_);
+    throw tooMany("entries in an array", entries, array_length_);
   }
   for (const auto& each : strings)
   {
     if (lengthOf(each) > string_length_)
     {
-      throw limitExceeded("characters in a string", lengthOf(each), string_length_);
+      throw tooMany("characters in a string", lengthOf(each), string_length_);
     }
   }
 }

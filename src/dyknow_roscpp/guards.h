@@ -14,7 +14,8 @@
 #include <string>
 #include <vector>
 
-#include "traffic.h"
+#include "dyknow_shared.h"
+#include "later.h"
 
 namespace dyknow
 {
@@ -49,8 +50,8 @@ private:
   std::vector<std::vector<std::string>> allowed_topics_;          ///< of each manager that has some
   std::map<std::string, std::set<std::string>> protected_;        ///< nodelets by the key of their manager
   std::set<std::string> read_only_owners_;  ///< keys of managers
-  std::size_t string_length_ = 4096;
-  std::size_t array_length_ = 1024;
+  std::size_t string_length_ = shared::STRING_LENGTH;
+  std::size_t array_length_ = shared::ARRAY_LENGTH;
 };
 
 }  // namespace dyknow

@@ -14,7 +14,6 @@
 #include <mutex>
 #include <vector>
 
-#include "probe.h"
 #include "process_services.h"
 #include "registry.h"
 #include "self_check.h"

@@ -18,7 +18,6 @@
 
 #include "later.h"
 #include "port_names.h"
-#include "probe.h"
 #include "problems.h"
 #include "process_services.h"
 #include "registry.h"

@@ -16,9 +16,9 @@
 #include <vector>
 
 #include "guards.h"
+#include "master.h"
 #include "names.h"
 #include "problems.h"
-#include "question.h"
 #include "symbols.h"
 
 namespace dyknow

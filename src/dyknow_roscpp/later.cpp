@@ -10,7 +10,6 @@
 #include <mutex>
 #include <thread>
 
-#include "deadline.h"
 
 namespace dyknow
 {

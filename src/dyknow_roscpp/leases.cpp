@@ -19,6 +19,7 @@
 #include <thread>
 #include <vector>
 
+#include "dyknow_shared.h"
 #include "registry.h"
 
 namespace dyknow
@@ -27,8 +28,6 @@ namespace
 {
 
 constexpr std::chrono::milliseconds PERIOD(200);
-constexpr double LOOK_AHEAD = 1.2;
-constexpr double EXTENSION = 1.5;
 /// For a connection to a manager's host, and for an answer.
 constexpr int PATIENCE_MS = 400;
 
@@ -208,7 +207,7 @@ void Leases::watch()
       std::lock_guard<std::mutex> lock(state_lock_);
       for (const auto& each : leases_)
       {
-        if (moment < each.second.until && each.second.until < moment + LOOK_AHEAD)
+        if (moment < each.second.until && each.second.until < moment + shared::LEASE_PROBE_AHEAD)
         {
           due.emplace(each.first, each.second.uri);
         }
@@ -224,7 +223,7 @@ void Leases::watch()
       const auto lease = leases_.find(each.first);
       if (lease != leases_.end() && now() < lease->second.until)
       {
-        lease->second.until = std::max(lease->second.until, moment + EXTENSION);
+        lease->second.until = std::max(lease->second.until, moment + shared::LEASE_EXTENSION);
       }
     }
   }

@@ -79,7 +79,7 @@ std::string topicOf(const std::string& text, const std::string& node)
 {
   if (!isLegal(text))
   {
-    throw invalidName(text, "topic name");
+    throw Refusal(shared::INVALID_NAME, {text, "topic name"});
   }
   if (text[0] == '/')
   {

@@ -9,13 +9,11 @@
 #include <algorithm>
 #include <thread>
 
-#include "datatypes.h"
-#include "deadline.h"
 #include "guards.h"
-#include "master_state.h"
+#include "later.h"
+#include "master.h"
 #include "names.h"
 #include "problems.h"
-#include "question.h"
 #include "registry.h"
 
 namespace dyknow
@@ -208,7 +206,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   {
     if (++named[entry.first] == 2)
     {
-      problems.push_back(duplicatePort(entry.first).what());
+      problems.push_back(Refusal(shared::DUPLICATE_PORT, {entry.first}).what());
     }
   }
   for (const auto& [text, wanted] : config)
@@ -221,7 +219,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
       {
         if (is_changed(port) && named[text] == 1)  // by both of its names
         {
-          throw duplicatePort(text);
+          throw Refusal(shared::DUPLICATE_PORT, {text});
         }
         change({text, port}, port->name.image == text ? topicBeside(port->name, topic) : topic);
       }
@@ -253,7 +251,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   }
   if (!problems.empty())
   {
-    throw invalidConfiguration(name, problems);
+    throw Refusal(shared::INVALID_CONFIGURATION, {name, joined(problems, "; ")});
   }
   return changes;
 }
@@ -290,7 +288,8 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
   }
   if (by_origin.size() != 1 || !by_origin.front())  // of two it cannot say which
   {
-    throw unknownPort(text, known);
+    std::sort(known.begin(), known.end());
+    throw Refusal(shared::UNKNOWN_PORT, {text, known.empty() ? "none" : joined(known, ", ") + didYouMean(text, known)});
   }
   return by_origin;
 }
@@ -335,7 +334,7 @@ void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, co
   }
   if (!isSameType(present, wanted))
   {
-    throw typeMismatch(topic, wanted + " (port '" + port.name + "')", present);
+    throw Refusal(shared::TYPE_MISMATCH, {topic, wanted + " (port '" + port.name + "')", present});
   }
 }
 
@@ -382,11 +381,11 @@ void NodeletProxy::apply(std::vector<Change> changes)
         }
         catch (const ros::Exception& error)
         {
-          throw invalidConfiguration(name, {error.what()});
+          throw Refusal(shared::INVALID_CONFIGURATION, {name, error.what()});
         }
         catch (const Refusal& error)
         {
-          throw invalidConfiguration(name, {error.what()});
+          throw Refusal(shared::INVALID_CONFIGURATION, {name, error.what()});
         }
         prepared.push_back(end);
       }
@@ -404,7 +403,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
     std::lock_guard<std::mutex> lock(state_lock_);
     if (is_closed_)
     {
-      throw unloadedMeanwhile(name);
+      throw Refusal(shared::UNLOADED_MEANWHILE, {name});
     }
     setTopicsLocked(changes);
     ++reconfigurations_;

@@ -4,13 +4,69 @@
 #include "problems.h"
 
 #include <algorithm>
-
-#include "similar.h"
+#include <functional>
+#include <utility>
 
 namespace dyknow
 {
 namespace
 {
+
+constexpr std::size_t MOST = 3;
+constexpr double CUTOFF = 0.6;
+
+/// Characters that two texts share: the longest common block, and those left and right of it.
+std::size_t alike(const std::string& a, const std::string& b)
+{
+  std::size_t length = 0;
+  std::size_t in_a = 0;
+  std::size_t in_b = 0;
+  std::vector<std::size_t> before(b.size() + 1, 0);
+  for (std::size_t i = 0; i < a.size(); ++i)
+  {
+    std::vector<std::size_t> now(b.size() + 1, 0);
+    for (std::size_t j = 0; j < b.size(); ++j)
+    {
+      now[j + 1] = a[i] == b[j] ? before[j] + 1 : 0;
+      if (now[j + 1] > length)
+      {
+        length = now[j + 1];
+        in_a = i + 1 - length;
+        in_b = j + 1 - length;
+      }
+    }
+    before.swap(now);
+  }
+  return length == 0 ? 0
+                     : length + alike(a.substr(0, in_a), b.substr(0, in_b)) +
+                           alike(a.substr(in_a + length), b.substr(in_b + length));
+}
+
+std::string filled(const std::string& text, const std::vector<std::string>& arguments)
+{
+  std::string all;
+  for (std::size_t i = 0; i < text.size(); ++i)
+  {
+    const std::size_t argument = text[i] == '{' && i + 2 < text.size() ? text[i + 1] - '0' : arguments.size();
+    if (argument < arguments.size())
+    {
+      all += arguments[argument];
+      i += 2;
+    }
+    else
+    {
+      all += text[i];
+    }
+  }
+  return all;
+}
+
+}  // namespace
+
+Refusal::Refusal(const std::string& text, const std::vector<std::string>& arguments)
+  : runtime_error(filled(text, arguments))
+{
+}
 
 std::string joined(const std::vector<std::string>& texts, const std::string& separator)
 {
@@ -22,56 +78,33 @@ std::string joined(const std::vector<std::string>& texts, const std::string& sep
   return all;
 }
 
-}  // namespace
-
-Refusal invalidName(const std::string& name, const std::string& what)
+std::string didYouMean(const std::string& name, const std::vector<std::string>& known)
 {
-  return Refusal("'" + name + "' is not a valid " + what +
-                 ": expected letters, digits, '_' and '/', starting with a letter, '/' or '~'");
-}
-
-Refusal typeMismatch(const std::string& topic, const std::string& wanted, const std::string& present)
-{
-  return Refusal("topic '" + topic + "' carries " + present + ", but " + wanted + " was asked for");
-}
-
-Refusal denied(const std::string& what, const std::string& why)
-{
-  return Refusal(what + " is denied: " + why);
-}
-
-Refusal protectedFromUnloading(const std::string& nodelet)
-{
-  return Refusal("nodelet '" + nodelet + "' is protected from unloading by its DyKnow manager; release it first: "
-                 "dyknow unprotect " + nodelet);
-}
-
-Refusal limitExceeded(const std::string& what, std::size_t count, std::size_t limit)
-{
-  return Refusal("too many " + what + ": " + std::to_string(count) + ", at most " + std::to_string(limit) +
-                 " are allowed");
-}
-
-Refusal unknownPort(const std::string& port, std::vector<std::string> known)
-{
-  std::sort(known.begin(), known.end());
-  const std::string listed = known.empty() ? "none" : joined(known, ", ");
-  return Refusal("unknown port '" + port + "'; known ports: " + listed + didYouMean(port, known));
-}
-
-Refusal duplicatePort(const std::string& port)
-{
-  return Refusal("port '" + port + "' is named twice or more; expected one topic for each port");
-}
-
-Refusal unloadedMeanwhile(const std::string& nodelet)
-{
-  return Refusal("nodelet '" + nodelet + "' was unloaded during its reconfiguration");
-}
-
-Refusal invalidConfiguration(const std::string& nodelet, const std::vector<std::string>& problems)
-{
-  return Refusal(nodelet + ": nothing was changed: " + joined(problems, "; "));
+  if (name.size() > shared::LONGEST_SUGGESTED)
+  {
+    return "";
+  }
+  const std::size_t reach = 3 + name.size() / 3;
+  std::vector<std::pair<double, std::string>> similar;
+  for (const auto& each : known)
+  {
+    if (each.size() > name.size() + reach || name.size() > each.size() + reach)
+    {
+      continue;
+    }
+    const double ratio = 2.0 * alike(each, name) / (each.size() + name.size());
+    if (ratio >= CUTOFF)
+    {
+      similar.emplace_back(ratio, each);
+    }
+  }
+  std::sort(similar.begin(), similar.end(), std::greater<>());
+  std::string text;
+  for (std::size_t i = 0; i < std::min(MOST, similar.size()); ++i)
+  {
+    text += (i == 0 ? "; did you mean " : " or ") + similar[i].second;
+  }
+  return text.empty() ? text : text + "?";
 }
 
 }  // namespace dyknow

@@ -22,9 +22,9 @@
 #include <thread>
 
 #include "guards.h"
-#include "names.h"
 #include "later.h"
 #include "leases.h"
+#include "names.h"
 #include "problems.h"
 #include "registry.h"
 #include "topics.h"

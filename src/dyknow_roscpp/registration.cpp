@@ -8,14 +8,13 @@
 #include <algorithm>
 
 #include "port_publication.h"
-#include "private_member.h"
 #include "problems.h"
-#include "setting.h"
+#include "symbols.h"
 
 namespace dyknow
 {
 
-/// Names the private link of a peer, see private_member.h.
+/// Names the private link of a peer, see symbols.h.
 struct LinkOf
 {
   using Member = ros::SubscriberLinkPtr ros::SingleSubscriberPublisher::*;

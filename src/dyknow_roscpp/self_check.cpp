@@ -7,7 +7,6 @@
 #include <ros/console.h>
 #include <ros/this_node.h>
 
-#include "probe.h"
 #include "symbols.h"
 
 namespace dyknow

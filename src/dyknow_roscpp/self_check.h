@@ -5,7 +5,6 @@
 #ifndef DYKNOW_ROSCPP_SELF_CHECK_H
 #define DYKNOW_ROSCPP_SELF_CHECK_H
 
-#include <string>
 #include <vector>
 
 namespace dyknow
@@ -16,6 +15,30 @@ namespace dyknow
 ///
 /// The first call decides for the life of the process.
 bool areHooksReached();
+
+/// While it lives, TopicManager::getAdvertisedTopics does nothing in this thread but note that it was reached.
+class Probe
+{
+public:
+  Probe();
+  ~Probe();
+  Probe(const Probe&) = delete;
+  Probe& operator=(const Probe&) = delete;
+
+  bool isReached() const { return is_reached_; }
+
+  /// Called by the hook: whether the call is a probe.
+  static bool note();
+
+private:
+  bool is_reached_ = false;
+};
+
+/// Addresses of all hooks of libroscpp's functions.
+std::vector<void*> roscppHooks();
+
+/// Addresses of all hooks of libnodeletlib's functions.
+std::vector<void*> nodeletHooks();
 
 }  // namespace dyknow
 

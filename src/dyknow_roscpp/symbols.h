@@ -12,6 +12,7 @@
 
 #include <cstring>
 #include <string>
+#include <utility>
 
 namespace dyknow
 {
@@ -58,6 +59,36 @@ auto behind(Result (Class::*hook)(Arguments...) const)
 {
   return reinterpret_cast<Result (*)(const Class*, Arguments...)>(requireBehind(addressOf(hook)));
 }
+
+/// Access to private members of roscpp's classes: an explicit instantiation may name one, and defines a friend that
+/// returns the pointer to it.
+template <class Tag, typename Tag::Member pointer>
+struct PrivateMember
+{
+  friend typename Tag::Member pointerTo(Tag) { return pointer; }
+};
+
+/// Same, for a method of which only the address is wanted.
+template <class Tag, typename Tag::Method method>
+struct PrivateMethod
+{
+  friend void* addressOfPrivate(Tag) { return addressOf(method); }
+};
+
+/// Sets a variable of this thread while it lives.
+template <class Value>
+class Setting
+{
+public:
+  Setting(Value& variable, Value value) : variable_(variable), before_(std::exchange(variable, value)) {}
+  ~Setting() { variable_ = before_; }
+  Setting(const Setting&) = delete;
+  Setting& operator=(const Setting&) = delete;
+
+private:
+  Value& variable_;
+  const Value before_;
+};
 
 }  // namespace dyknow
 

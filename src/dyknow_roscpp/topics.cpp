@@ -11,16 +11,14 @@
 #include <atomic>
 #include <vector>
 
-#include "deadline.h"
-#include "private_member.h"
+#include "later.h"
 #include "problems.h"
-#include "setting.h"
 #include "symbols.h"
 
 namespace dyknow
 {
 
-/// Names the private method, see private_member.h.
+/// Names the private method, see symbols.h.
 struct UnregisterPublisher
 {
   using Method = bool (ros::TopicManager::*)(const std::string&);

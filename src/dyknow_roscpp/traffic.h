@@ -5,13 +5,12 @@
 #ifndef DYKNOW_ROSCPP_TRAFFIC_H
 #define DYKNOW_ROSCPP_TRAFFIC_H
 
-#include <chrono>
 #include <cstdint>
+
+#include "later.h"
 
 namespace dyknow
 {
-
-using Clock = std::chrono::steady_clock;
 
 /// Running counts, those that `dyknow.nodelet.traffic` keeps in Python. The lock of the end guards them.
 ///
