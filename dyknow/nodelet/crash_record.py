@@ -40,10 +40,7 @@ class CrashRecord:
     """The words of this process."""
 
     def __init__(self, path: str = "") -> None:
-        """Make the file, with no nodelet at work.
-
-        Args:
-            path: the file, which replaces an older one; empty for none.
+        """Make the file, in place of an older one; without a path, plain memory.
 
         Raises:
             OSError: the file cannot be made.
@@ -68,12 +65,7 @@ class CrashRecord:
 
     @contextlib.contextmanager
     def noting(self, mark: int, unloading: bool = False) -> Iterator[None]:
-        """Note whose code this thread runs in the block.
-
-        Args:
-            mark: of the nodelet.
-            unloading: whether it runs because its unload was requested.
-        """
+        """Note in the block that this thread runs code of a nodelet, or its requested unload."""
         index = self.take()
         self.words[index] = as_word(mark | _UNLOADING if unloading else mark)
         try:
@@ -88,12 +80,7 @@ class CrashRecord:
 
 @dataclass(frozen=True)
 class AtWork:
-    """Which nodelets were at work when a process ended, as marks.
-
-    Attributes:
-        running: whose code ran.
-        unloading: those of them whose unload was requested.
-    """
+    """The marks of the nodelets at work at the end of a process, and of those being unloaded."""
 
     running: FrozenSet[int] = frozenset()
     unloading: FrozenSet[int] = frozenset()

@@ -58,7 +58,6 @@ class View(Module):
             self.__path__ = real.__path__
 
     def __getattr__(self, name: str) -> Any:
-        """Return a member of the real module."""
         return getattr(self.__dict__["_real"], name)
 
 
@@ -125,7 +124,6 @@ class Importer:
         return module
 
     def import_module(self, name: str, package: Optional[str] = None) -> Module:
-        """Import as ``importlib.import_module`` does."""
         name = importlib.util.resolve_name(name, package) if name.startswith(".") else name
         return self._load(name) if self._concerns(name) else importlib.import_module(name)
 
@@ -140,10 +138,7 @@ class Importer:
                 yield getattr(module, "__file__", None) or ""
 
     def clear(self) -> bool:
-        """Empty the copies, whose functions and variables refer to each other.
-
-        Nothing happens, and False is returned, while a thread runs their code.
-        """
+        """Empty the copies, whose parts refer to each other; False while a thread runs them."""
         copies = [
             vars(module)
             for name, module in self.modules.items()
@@ -163,10 +158,7 @@ class Importer:
     # Inside
 
     def _dataclass(self, cls: Optional[Type[Any]] = None, **options: Any) -> Any:
-        """Replace ``dataclass``, which resolves annotations in a module in ``sys.modules``.
-
-        The copied module is there meanwhile.
-        """
+        """Replace ``dataclass``, which needs its module, a copy here, in ``sys.modules``."""
 
         def make(cls: Type[Any]) -> Any:
             name = cls.__module__

@@ -138,11 +138,7 @@ class Leases:
         return True
 
     def watch(self, probe: Callable[[str], Sight]) -> None:
-        """Extend the leases that are about to run out, where no manager is at work.
-
-        Args:
-            probe: probes the host of a manager's address.
-        """
+        """Extend leases that are about to run out, where ``probe`` sees no manager at work."""
         now = self._clock()
         for lease in tuple(self._leases.values()):
             if not now < lease.until < now + PROBE_AHEAD:

@@ -52,7 +52,7 @@ class _Leftover:
     attempts: int = _ATTEMPTS
 
     def is_gone(self) -> bool:
-        """Examine it; whether nothing is left, or nothing that can be freed."""
+        """Return whether nothing is left, or nothing that can be freed."""
         if self.age() > 0.0:
             return False
         while self.hooks:
@@ -96,7 +96,6 @@ class Leftovers:
         return {name: age for name, age in ages if age > 0.0}
 
     def close(self) -> None:
-        """Stop the examinations."""
         self._closed.set()
 
     def _examine(self) -> None:
@@ -123,14 +122,10 @@ class StuckCallbacks:
         announce: Callable[[str], None],
         clock: Clock = STEADY,
     ) -> None:
-        """Prepare; ``start`` starts the thread.
+        """Prepare; callbacks are reported ``after`` so many seconds.
 
-        Args:
-            loader: has the nodelets.
-            host: the node that the process is, for advice.
-            after: seconds after which a callback that has not returned is reported.
-            announce: called with the name of a nodelet whose ``detail`` has changed.
-            clock: steady time between the rounds.
+        ``host`` is the node of this process, for advice; ``announce`` gets the name of each
+        nodelet whose ``detail`` has changed.
         """
         self._loader = loader
         self._host = host

@@ -66,7 +66,6 @@ class _Run(Closable):
         return self._over.wait(left)
 
     def close(self) -> None:
-        """End the wait; the code may go on."""
         self._over.set()
 
     def _run(self, calls: List[Callable[[], Any]]) -> None:
@@ -139,11 +138,7 @@ class Loader:
         return sorted((each.context for each in running), key=lambda context: context.name)
 
     def get(self, name: str) -> Nodelet:
-        """Return the running nodelet of that name.
-
-        Raises:
-            UnknownNodelet: none of that name runs.
-        """
+        """Return the running nodelet of that name, or raise UnknownNodelet."""
         with self._changed:
             entry = self._entries.get(name)
             if entry is not None and entry.state is _State.RUNNING and entry.nodelet is not None:

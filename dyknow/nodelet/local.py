@@ -104,7 +104,7 @@ class ManualTicker(Ticker):
 
 
 class LocalPublisher(OutsidePublisher):
-    """Calls the listeners of ``LocalTransport.listen``."""
+    """Calls the listeners of ``LocalTransport.listen``, and keeps no message for later ones."""
 
     def __init__(self, transport: LocalTransport, topic: str, datatype: Any) -> None:
         self.transport = transport
@@ -131,7 +131,6 @@ class LocalPublisher(OutsidePublisher):
             peer(message)
 
     def latch(self, message: Any) -> None:
-        """Publish; this fake keeps no message for later listeners."""
         self.publish(message)
 
     def wait(self, seconds: float) -> None:
@@ -158,14 +157,12 @@ class LocalSubscriber(OutsideSubscriber):
         transport.subscribers.append(self)
 
     def publishers(self) -> int:
-        """None: a publisher outside is known only when it sends."""
         return 0
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Return at once: a publisher outside is known only when it sends."""
 
     def drain(self, seconds: float) -> None:
-        """Stop receiving; local delivery is synchronous, so nothing is in flight."""
         self.drained = True
 
     def close(self) -> None:
@@ -255,11 +252,7 @@ class LocalService(Closable):
 
 
 class LocalServices(Services):
-    """Services that a test calls.
-
-    Attributes:
-        handlers: the handlers, by global name.
-    """
+    """Services that a test calls; ``handlers`` has them by global name."""
 
     def __init__(self) -> None:
         self.handlers: Dict[str, Handler] = {}

@@ -35,10 +35,9 @@ _OPAQUE: Tuple[Type[Any], ...] = (
 def use_one_heap() -> None:
     """Have all threads share one heap of the C library; call it before threads start.
 
-    By default each thread may get a heap of its own, up to eight for each core. Its free memory
-    stays with the process, some 40 MB once a block of 20 MB was freed, and nothing but the
-    next free in the same heap returns it. With one heap all of it can be returned at any time.
-    Threads hardly contend for it, since most of them wait for the interpreter's lock anyway.
+    Else each thread may get a heap of its own, whose free memory stays with the process. With one
+    heap all of it can be returned at any time, and threads hardly contend for it, since most wait
+    for the interpreter's lock anyway.
     """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
@@ -55,17 +54,14 @@ def break_cycles(
 ) -> bool:
     """Empty an object if only reference cycles through itself hold it; returns whether it is gone.
 
-    A nodelet that keeps an object of a library (message_filters, actionlib, dynamic_reconfigure)
-    and passed one of its methods to it as a callback is part of a reference cycle. Python frees it
-    with its next full collection. That comes after a number of new objects, whatever their size,
-    so a few nodelets with large buffers fill the memory first; and a collection on request would
-    stop every other nodelet of the process for some 0.1 s. So one object is examined as the
-    garbage collector examines all: does every reference to it come from an object that it reaches
-    itself? An object with a finalizer is left to Python, which calls that before it breaks cycles.
+    A nodelet that passed one of its methods to an object of a library that it keeps is part of a
+    reference cycle. Python frees it with its next full collection. That comes after a number of
+    new objects, whatever their size, so a few nodelets with large buffers fill the memory first;
+    and a collection on request would stop every other nodelet for some 0.1 s. So one object is
+    examined as the collector examines all: does every reference to it come from an object that it
+    reaches itself? An object with a finalizer is left to Python, which calls that first.
 
-    Args:
-        reference: the object.
-        opaque: further types that are not looked into: they do not refer to the object.
+    ``opaque`` are further types that are not looked into: they do not refer to the object.
     """
     found = [reference()]
     if found[0] is None:

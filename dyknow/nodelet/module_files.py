@@ -19,9 +19,18 @@ import sysconfig
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Collection, Dict, FrozenSet, Iterator, List, Mapping, Optional, Sequence, Tuple
-
-from dyknow.locks import state_lock
+from typing import (
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 _RELAY = re.compile(r"^__extended_path = (['\"])(.*?)\1", re.MULTILINE)
 _SCRIPT_RELAY = re.compile(r"^python_script = (['\"])(.*?)\1$", re.MULTILINE)
@@ -136,12 +145,7 @@ def script_file(path: str) -> str:
 
 
 def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, str]:
-    """Return the source files of a top-level module and its submodules, by module name.
-
-    Args:
-        top: its name.
-        path: where it is searched; by default ``sys.path``.
-    """
+    """Return the source files of a top-level module and its submodules, by module name."""
     spec = package_spec(top, sys.path if path is None else path)
     if spec is None:
         return {}
@@ -163,12 +167,7 @@ def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, 
 
 
 def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
-    """Return the files that are executed when a module is imported, or later by its functions.
-
-    Args:
-        module: its name.
-        files: the files that are considered, by module name.
-    """
+    """Return those ``files`` that the import of a module executes, at once or in its functions."""
     waiting, reached = [module], {}
     while waiting:
         name = waiting.pop()
@@ -213,19 +212,12 @@ def stamps(files: Collection[str]) -> Dict[str, Stamp]:
 
 
 class Dependents:
-    """Which top-level modules import a library, directly or not.
-
-    Args:
-        library: top-level name of the library.
-        apart: top-level modules that do not count, even if they import it.
-    """
+    """Which top-level modules import a library, directly or not; ``apart`` do not count."""
 
     def __init__(self, library: str, apart: Collection[str] = ()) -> None:
         self._library = library
         self._apart = frozenset(apart)
-        self._state_lock = state_lock("imports")
         self._known: Dict[str, bool] = {}
-        self._imports: Dict[str, Tuple[Stamp, FrozenSet[str]]] = {}
 
     def has(self, top: str) -> bool:
         """Whether a top-level module needs the library; the library itself does not."""
@@ -237,8 +229,7 @@ class Dependents:
 
     def imported_by(self, files: Collection[str]) -> FrozenSet[str]:
         """Return the top-level modules that these files import and that need the library."""
-        names = frozenset(top for file in files for top in self._imported(file))
-        return frozenset(top for top in names if self.has(top))
+        return frozenset(filter(self.has, _imported_tops(files)))
 
     def _looked_up(self, top: str, seen: Dict[str, bool]) -> bool:
         if top in self._known:
@@ -247,21 +238,19 @@ class Dependents:
             return top == self._library
         seen[top] = False
         files = source_files(top).values()
-        names = {name for file in files for name in self._imported(file)} - {top}
+        names = _imported_tops(files) - {top}
         return self._library in names or any(self._looked_up(name, seen) for name in names)
 
-    def _imported(self, file: str) -> FrozenSet[str]:
-        for stamp in stamps([file]).values():
-            with self._state_lock:
-                known = self._imports.get(file)
-            if known is not None and known[0] == stamp:
-                return known[1]
-            text = Path(file).read_text(encoding="utf-8", errors="replace")
-            names = frozenset(_IMPORTED.findall(text))
-            with self._state_lock:
-                self._imports[file] = (stamp, names)
-            return names
-        return frozenset()
+
+def _imported_tops(files: Collection[str]) -> Set[str]:
+    """Top-level names of the imports of all these files."""
+    return {top for file, stamp in stamps(files).items() for top in _read_imports(file, stamp)}
+
+
+@functools.lru_cache(maxsize=None)
+def _read_imports(file: str, stamp: Stamp) -> FrozenSet[str]:
+    """Read a file that may have errors; a parser would take thirty times as long."""
+    return frozenset(_IMPORTED.findall(Path(file).read_text(encoding="utf-8", errors="replace")))
 
 
 def _sources(spec: ModuleSpec) -> Iterator[str]:

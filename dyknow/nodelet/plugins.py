@@ -39,13 +39,7 @@ _OURS = "dyknow"
 
 @dataclass(frozen=True)
 class PluginFile:
-    """A description that a package exports.
-
-    Attributes:
-        package: name of the package.
-        directory: where the package is; ``path`` of a library is relative to it.
-        file: the XML file.
-    """
+    """A description (an XML file) that a package exports, of folders in ``directory``."""
 
     package: str
     directory: Path
@@ -106,11 +100,7 @@ def read(plugin_file: PluginFile) -> List[PluginClass]:
 
 
 class Plugins:
-    """The declared nodelet classes of all packages, read when first needed.
-
-    Args:
-        find: lists the plugin descriptions that packages export now.
-    """
+    """The declared nodelet classes of all packages; ``find`` lists their descriptions."""
 
     def __init__(self, find: Callable[[], Iterable[PluginFile]]) -> None:
         self._find = find
@@ -138,11 +128,7 @@ class Plugins:
             return [self._classes[name] for name in sorted(self._classes)]
 
     def find(self, name: str) -> PluginClass:
-        """Return the class that is declared as ``name``; one refresh if it is not known yet.
-
-        Raises:
-            UnknownNodeletType: no package declares it.
-        """
+        """Return the class declared as ``name``, or raise UnknownNodeletType; refreshes once."""
         if name not in self._classes:
             self.refresh()
         with self._lock:
@@ -177,19 +163,6 @@ class Package:
         return cls(frozenset(tops), [library], files)
 
 
-@dataclass(frozen=True)
-class _Generation:
-    """Modules of a package, and the files that they were made of.
-
-    Attributes:
-        stamps: of all files of the package, when it began.
-        importer: has the modules; None for the process's own.
-    """
-
-    stamps: Mapping[str, Stamp]
-    importer: Optional[Importer]
-
-
 class ClassImports:
     """Imports classes for nodelets.
 
@@ -203,7 +176,8 @@ class ClassImports:
         library_importer: Callable[[Context, str, Package], Optional[Importer]] = lambda *_: None,
     ) -> None:
         self._library_importer = library_importer
-        self._generations: Dict[str, _Generation] = {}
+        #: By package: stamps of its files, and its modules; None for the process's own.
+        self._generations: Dict[str, Tuple[Mapping[str, Stamp], Optional[Importer]]] = {}
         CatkinFinder.install()
 
     def load(self, declared: PluginClass, context: Context) -> Type[Nodelet]:
@@ -237,17 +211,15 @@ class ClassImports:
         package = Package.find(top, library)
         importer = self._library_importer(context, name, package)
         if importer is None:
-            importer = self._current(top, package).importer
+            importer = self._generation(top, package)
         return importlib.import_module(name) if importer is None else importer.import_module(name)
 
-    def _current(self, top: str, package: Package) -> _Generation:
+    def _generation(self, top: str, package: Package) -> Optional[Importer]:
         now = stamps(package.files.values())
-        generation = self._generations.get(top)
-        if generation is None:
-            generation = _Generation(now, None)
+        if top not in self._generations:
+            self._generations[top] = now, None
             sys.path[:0] = [each for each in package.folders if each not in sys.path]
-        elif generation.stamps != now:
+        elif self._generations[top][0] != now:
             importer = Importer(package.tops.__contains__, search=package.folders)
-            generation = _Generation(now, importer)
-        self._generations[top] = generation
-        return generation
+            self._generations[top] = now, importer
+        return self._generations[top][1]

@@ -79,7 +79,10 @@ _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.
 
 
 class Strand:
-    """Runs at most one of its tasks at any time, in the order of ``post``."""
+    """Runs at most one of its tasks at any time, in the order of ``post``.
+
+    One that is ``held`` only collects tasks until ``resume``.
+    """
 
     __slots__ = tuple(
         """__weakref__ _busy _held _is_end_logged _ready _tasks
@@ -87,7 +90,6 @@ class Strand:
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
-        """Create a strand; a ``held`` one only collects tasks until ``resume``."""
         self.name = name
         self.mark = as_word(mark)
         self.alive = True
@@ -119,7 +121,6 @@ class Strand:
             self.post_locked(task)
 
     def post_locked(self, task: Task) -> None:
-        """Same, with the lock held."""
         if self.alive:
             self._tasks.append(task)
             if not self._busy:
@@ -127,18 +128,13 @@ class Strand:
                 self._ready(self)
 
     def resume(self) -> None:
-        """Start a strand that was created held; nothing if it runs already."""
         with message_lock:
             if self._held:
                 self._held = False
                 self._ready(self)
 
     def kill(self, log_end: bool = False) -> None:
-        """Drop the queued tasks and refuse further ones; a running task is not waited for.
-
-        Args:
-            log_end: whether the end of the running task is logged.
-        """
+        """Drop the queued tasks and refuse further ones; log the end of one that runs."""
         if log_end and self.began is not None:
             self._is_end_logged = True
         with message_lock:
@@ -146,14 +142,9 @@ class Strand:
             dropped, self._tasks = self._tasks, collections.deque()
         del dropped  # without the lock: finalizers of the tasks may call anything
 
-    # For executors, which hold the lock in ``take`` and ``try_idle``:
-
-    def take(self) -> Optional[Task]:
-        """Return the oldest task, to run it; None if there is none."""
-        return self._tasks.popleft() if self._tasks else None
+    # For executors, one thread at a time:
 
     def run(self, task: Task) -> None:
-        """Run a task; called by one thread at a time."""
         self.began = self.clock()
         try:
             task()
@@ -164,7 +155,6 @@ class Strand:
             self.log_end()
 
     def log_failure(self) -> None:
-        """Log the exception of a task."""
         _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
 
     def log_end(self) -> None:
@@ -172,21 +162,9 @@ class Strand:
         self._is_end_logged = False
         _log.info("%s: the callback that ran at the unload has ended", self.name)
 
-    def try_idle(self) -> bool:
-        """Become idle; False if there is more to do."""
-        if self._tasks:
-            return False
-        self._busy = False
-        return True
-
 
 class Executor:
-    """Runs strands, and knows them all for ``drain``.
-
-    Args:
-        record: where its threads note whose code they run.
-        clock: steady seconds.
-    """
+    """Runs strands, on threads that ``record`` whose code they run."""
 
     def __init__(
         self, record: Optional[CrashRecord] = None, clock: Clock = time.monotonic
@@ -204,7 +182,7 @@ class Executor:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Stop; running tasks are not waited for."""
+        """Stop, without waiting for running tasks."""
 
 
 class ManualExecutor(Executor):
@@ -215,7 +193,6 @@ class ManualExecutor(Executor):
         self._queue: Deque[Strand] = collections.deque()
 
     def ready(self, strand: Strand) -> None:
-        """Queue the strand until the next ``step``."""
         self._queue.append(strand)
 
     def step(self) -> bool:
@@ -224,34 +201,31 @@ class ManualExecutor(Executor):
             return False
         strand = self._queue.popleft()
         with message_lock:
-            task = strand.take()
+            task = strand._tasks.popleft() if strand._tasks else None
         if task is not None:
             strand.run(task)
         with message_lock:
-            if not strand.try_idle():
+            if strand._tasks:
                 self.ready(strand)
+            else:
+                strand._busy = False
         return True
 
     def drain(self, timeout: float = 10.0) -> bool:
-        """Run until nothing is left to do."""
         while self.step():
             pass
         return True
 
 
 class _Worker:
-    """One thread of a pool.
-
-    Attributes:
-        strand: which it runs; None while it waits.
-        replaced: whether it is to end as soon as it can, since another was hired in its place.
-        wake: taken while it sleeps, released to wake it.
-    """
+    """One thread of a pool."""
 
     def __init__(self) -> None:
+        #: The one that it runs; None while it waits.
         self.strand: Optional[Strand] = None
+        #: Whether it is to end as soon as it can, since another was hired in its place.
         self.replaced = False
-        self.wake = flag_lock()
+        self.wake = flag_lock()  # taken while it sleeps
         self.wake.acquire()
         self.thread: Optional[threading.Thread] = None
 
@@ -315,13 +289,11 @@ class WorkerPool(Executor):
         return len(self._workers)
 
     def ready(self, strand: Strand) -> None:
-        """Queue the strand, and wake a worker unless enough of them are on their way."""
         self._queue.append(strand)
-        if len(self._queue) > self._woken:
+        if len(self._queue) > self._woken:  # else enough workers are on their way
             self._wake_one()
 
     def drain(self, timeout: float = 10.0) -> bool:
-        """Wait until no strand has anything to do."""
         with self._quiet:
             self._drainers += 1
             try:

@@ -41,11 +41,7 @@ class Timer:
         oneshot: bool,
         failed: Callable[[BaseException], None],
     ) -> None:
-        """Make a timer with a period in seconds; ``TimerQueue.add`` starts it.
-
-        Raises:
-            ValueError: the period is not positive.
-        """
+        """Make a timer; ValueError if its period, in seconds, is not positive."""
         if not period > 0.0:
             raise ValueError(f"the period of a timer must be positive, not {period}")
         self.period = period
@@ -111,7 +107,6 @@ class TimerQueue:
         self._closed = False
 
     def add(self, timer: Timer) -> None:
-        """Start a timer."""
         now = self.ticker.now()
         with self._lock:
             self._latest = max(self._latest, now)
@@ -125,7 +120,6 @@ class TimerQueue:
         self.ticker.wake()
 
     def discard(self, timer: Timer) -> None:
-        """Forget a timer."""
         with self._lock:
             self._heap = [entry for entry in self._heap if entry[2] is not timer]
             heapq.heapify(self._heap)

@@ -23,12 +23,11 @@ from dyknow.nodelet.pubsub import Publisher, Subscriber
 
 
 class ProxyPort:
-    """A named place of a nodelet that can be connected to a topic."""
+    """A named place of a nodelet that can be connected to a topic, or to none (empty)."""
 
     direction = ""
 
     def __init__(self, name: str, datatype: Any, topic: str) -> None:
-        """Make a port that is to be connected to ``topic`` (empty: to none)."""
         self.name = name
         self.datatype = datatype
         self.topic = topic
@@ -58,11 +57,9 @@ class ProxyPort:
             self._traffics.append(endpoint.traffic)
 
     def leave(self, endpoint: Endpoint) -> None:
-        """Keep the counts of an endpoint that leaves."""
         self._free.append(endpoint.traffic)
 
     def statistics(self) -> PortStatistics:
-        """The counts of all endpoints of the port."""
         traffics = self._traffics
         calls = sum(each.messages for each in traffics)
         busiest = max(traffics, key=lambda each: each.messages, default=None)
@@ -84,7 +81,6 @@ class OutPort(ProxyPort):
     direction = OUT
 
     def __init__(self, name: str, datatype: Any, topic: str) -> None:
-        """Make the port without a handle yet."""
         super().__init__(name, datatype, topic)
         self.publication: Optional[Publication] = None
         #: Held while handles come and go: a new one must not share a publication that the last
@@ -92,11 +88,9 @@ class OutPort(ProxyPort):
         self.lock = state_lock("port")
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """Its publication, while a handle is there."""
         return () if self.publication is None else (self.publication,)
 
     def statistics(self) -> PortStatistics:
-        """The counts, whether a message is latched, and the age of one."""
         statistics, publication = super().statistics(), self.publication
         if publication is None:
             return statistics
@@ -110,7 +104,6 @@ class InPort(ProxyPort):
     direction = IN
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """One subscription for each handle."""
         return tuple(handle.subscription for handle in self.handles)
 
 
@@ -144,13 +137,11 @@ class PortSubscriber(Subscriber):
     """A handle on an in-port."""
 
     def join(self, port: InPort) -> None:
-        """Receive the messages of a port."""
         self._port = port
         port.handles.append(self)
         port.count(self.subscription)
 
     def unregister(self) -> None:
-        """Stop receiving; the port stays."""
         joined = self in self._port.handles
         if joined:
             self._port.handles.remove(self)

@@ -10,6 +10,7 @@ no callback, and looking at ports and statistics needs no turn.
 
 from __future__ import annotations
 
+import collections
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow import names
@@ -29,18 +30,12 @@ from dyknow.errors import (
 from dyknow.locks import turn_lock
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
-from dyknow.model.transformation import IN
+from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.middleware import Closable
-from dyknow.proxy.port import (
-    InPort,
-    OutPort,
-    PortPublisher,
-    PortSubscriber,
-    ProxyPort,
-)
+from dyknow.proxy.port import InPort, OutPort, PortPublisher, PortSubscriber, ProxyPort
 
 #: Seconds that a reconfiguration waits for peers outside.
 PATIENCE = 0.5
@@ -53,7 +48,6 @@ class NodeletProxy(Closable):
     """Ports of one nodelet and where they are connected."""
 
     def __init__(self, context: Context) -> None:
-        """Make the proxy; ``of`` returns the one of a nodelet."""
         self._context = context
         self._ports: Dict[str, ProxyPort] = {}
         self._turn = turn_lock("reconfiguration")
@@ -69,11 +63,9 @@ class NodeletProxy(Closable):
 
     @property
     def name(self) -> str:
-        """Name of the nodelet."""
         return self._context.name
 
     def close(self) -> None:
-        """Drop the callbacks of the nodelet and of the host."""
         self._callback = None
         self.on_change = lambda: None
 
@@ -107,7 +99,6 @@ class NodeletProxy(Closable):
                 self.on_change()
 
     def get_statistics(self) -> NodeletStatistics:
-        """Return the counts of this moment."""
         context = self._context
         return NodeletStatistics(
             uptime=context.runtime.clock() - context.started_at,
@@ -135,13 +126,10 @@ class NodeletProxy(Closable):
         """Declare an out-port, or share one that is there.
 
         The first handle decides about ``queue_size`` and ``options``; each may have a subscriber
-        ``listener``.
-
-        Raises:
-            PortConflict: the port exists as an in-port, with another type or another latch.
+        ``listener``. PortConflict is raised for another direction, type or latch.
         """
         with self._turn:
-            port = self._declare(OutPort, handle, name, datatype)
+            port: OutPort = self._declare(OutPort, handle, name, datatype)
             with port.lock:
                 publication = port.publication
                 if publication is None:
@@ -159,11 +147,7 @@ class NodeletProxy(Closable):
     def subscriber(
         self, handle: PlainNodeHandle, name: str, datatype: Any, *args: Any, **options: Any
     ) -> PortSubscriber:
-        """Declare an in-port, or share one that is there; ``args`` are those of ``Subscriber``.
-
-        Raises:
-            PortConflict: the port exists as an out-port, or with another type.
-        """
+        """Declare an in-port, or share one that is there; ``args`` are those of ``Subscriber``."""
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
             subscriber = PortSubscriber(self._context, name, datatype, *args, **options)
@@ -172,10 +156,9 @@ class NodeletProxy(Closable):
         self.on_change()
         return subscriber
 
-    # For derived proxies to override
+    # Scripts have other rules.
 
     def _find(self, name: str) -> Optional[ProxyPort]:
-        """Return the port that a change names, if there is one."""
         return self._ports.get(name)
 
     def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
@@ -204,13 +187,10 @@ class NodeletProxy(Closable):
     def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Change]:
         guards = self._context.runtime.guards()
         guards.check_sizes((text for pair in config for text in pair), len(config))
-        problems: List[DyKnowError] = []
+        counts = collections.Counter(name for name, _ in config)
+        problems: List[DyKnowError] = [DuplicatePort(name) for name in counts if counts[name] > 1]
         changes: List[Change] = []
-        seen: Dict[str, int] = {}
         types: Dict[str, str] = {}
-        for name, _ in config:
-            seen[name] = seen.get(name, 0) + 1
-        problems.extend(DuplicatePort(name) for name, count in seen.items() if count > 1)
         for name, text in config:
             port = self._find(name)
             if port is None:
@@ -253,12 +233,10 @@ class NodeletProxy(Closable):
 
     def _maps(self, changes: Sequence[Change]) -> Tuple[Dict[str, str], Dict[str, str]]:
         topics = {port.name: topic for port, topic in changes}
-        inputs: Dict[str, str] = {}
-        outputs: Dict[str, str] = {}
+        maps: Dict[str, Dict[str, str]] = {IN: {}, OUT: {}}
         for port in self._ports.values():
-            side = inputs if port.direction == IN else outputs
-            side[port.name] = topics.get(port.name, port.topic)
-        return inputs, outputs
+            maps[port.direction][port.name] = topics.get(port.name, port.topic)
+        return maps[IN], maps[OUT]
 
     def _switched(self, changes: Sequence[Change]) -> bool:
         context, callback = self._context, self._callback
