@@ -71,21 +71,15 @@ class ProxyClient:
     ) -> None:
         """Connect ports to topics, all or none; an empty topic disconnects."""
         service, request = names.join(nodelet, "set_config"), config_message(config)
-        answer = self._call(service, srv.SetConfig, timeout, config=request)
-        if not answer.success:
-            raise Refused(answer.message)
+        _accepted(self._call(service, srv.SetConfig, timeout, config=request))
 
     def get_statistics(self, nodelet: str, timeout: float = ASK_TIMEOUT) -> NodeletStatistics:
         """Return the counts of a nodelet and of its ports."""
         service = names.join(nodelet, "get_statistics")
         return statistics_from(self._call(service, srv.GetStatistics, timeout))
 
-    def _call(
-        self, service: str, service_class: Any, timeout: float, *request: Any, **fields: Any
-    ) -> Any:
-        return ServiceClient(self._master, service, service_class).call(
-            timeout, *request, **fields
-        )
+    def _call(self, service: str, kind: Any, timeout: float, *request: Any, **fields: Any) -> Any:
+        return ServiceClient(self._master, service, kind).call(timeout, *request, **fields)
 
 
 class ManagerClient(ProxyClient, BaseManagerClient):
@@ -143,7 +137,8 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     def nodelet_managers(self) -> List[str]:
         return self._nodes_with("/load_nodelet")
 
-    # Streams
+    # Streams; connections for what is asked often are kept, so that a later renewal of a lease
+    # needs no master
 
     def acquire_stream(
         self, request: StreamRequest, dry_run: bool = False, timeout: float = CHANGE_TIMEOUT
@@ -155,18 +150,9 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         self._change("release_stream", srv.ReleaseStream, claim_id=claim_id)
 
     def renew_stream(self, claim_id: str, lease: float) -> float:
-        # The connection is kept, so that a later renewal needs no master.
-        answer = self._ask(
-            "renew_stream",
-            srv.RenewStream,
-            ASK_TIMEOUT,
-            kept=True,
-            claim_id=claim_id,
-            lease=Duration.from_sec(lease),
-        )
-        if not answer.success:
-            raise Refused(answer.message)
-        return float(answer.expires.to_sec())
+        fields = {"claim_id": claim_id, "lease": Duration.from_sec(lease)}
+        answer = self._ask("renew_stream", srv.RenewStream, ASK_TIMEOUT, kept=True, **fields)
+        return float(_accepted(answer).expires.to_sec())
 
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         return replanned_from(
@@ -175,30 +161,23 @@ class ManagerClient(ProxyClient, BaseManagerClient):
 
     def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamStatus, ...]:
         answer = self._ask("list_streams", srv.ListStreams, timeout, kept=True)
-        return tuple(stream_from(each) for each in answer.streams)
+        return tuple(map(stream_from, answer.streams))
 
     def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
         answer = self._ask(
-            "find_bindings", srv.FindBindings, ASK_TIMEOUT, kept=True, tag=tag, datatype=datatype
+            "find_bindings", srv.FindBindings, ASK_TIMEOUT, tag, datatype, kept=True
         )
-        if not answer.success:
-            raise Refused(answer.message)
-        return tuple(answer.bindings)
+        return tuple(_accepted(answer).bindings)
 
     # Inside
 
-    def _ask(
-        self, service: str, service_class: Any, timeout: float, *request: Any, **fields: Any
-    ) -> Any:
+    def _ask(self, service: str, kind: Any, timeout: float, *request: Any, **fields: Any) -> Any:
         """Call a service of the manager."""
-        service = names.join(self.manager, service)
-        return self._call(service, service_class, timeout, *request, **fields)
+        return self._call(names.join(self.manager, service), kind, timeout, *request, **fields)
 
-    def _change(self, service: str, service_class: Any, *request: Any, **fields: Any) -> Any:
+    def _change(self, service: str, kind: Any, *request: Any, **fields: Any) -> Any:
         """Call a service of the manager whose answer may be no."""
-        answer = self._ask(service, service_class, CHANGE_TIMEOUT, *request, **fields)
-        if not answer.success:
-            raise Refused(answer.message)
+        answer = _accepted(self._ask(service, kind, CHANGE_TIMEOUT, *request, **fields))
         if answer.message and service not in _SPOKEN_OF:
             _log.warning("%s", answer.message)
         return answer
@@ -206,7 +185,7 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     def _call(
         self,
         service: str,
-        service_class: Any,
+        kind: Any,
         timeout: float,
         *request: Any,
         kept: bool = False,
@@ -214,15 +193,20 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     ) -> Any:
         """Call a service, over a new connection, or over one that is kept for later calls."""
         if not kept:
-            return super()._call(service, service_class, timeout, *request, **fields)
+            return super()._call(service, kind, timeout, *request, **fields)
         with self._kept_lock:
-            client = self._kept.get(service)
-            if client is None:
-                client = ServiceClient(self._master, service, service_class, persistent=True)
-                self._kept[service] = client
+            if service not in self._kept:
+                self._kept[service] = ServiceClient(self._master, service, kind, persistent=True)
+            client = self._kept[service]
         return client.call(timeout, *request, **fields)
 
     def _nodes_with(self, service: str) -> List[str]:
         """Return the nodes that offer a service of such a name, sorted."""
         _, _, services = self._master.ask("getSystemState")
         return sorted(name[: -len(service)] for name, _ in services if name.endswith(service))
+
+
+def _accepted(answer: Any) -> Any:
+    if not answer.success:
+        raise Refused(answer.message)
+    return answer

@@ -22,8 +22,7 @@ from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.hosting.peer import ListClient, NodeletPeer, host_errors
-from dyknow.ros.process.logs import LogTail
-from dyknow.ros.process.os_process import ProcessId, boot
+from dyknow.ros.process.os_process import LogTail, ProcessId, boot
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0

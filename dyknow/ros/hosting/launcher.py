@@ -33,8 +33,7 @@ from dyknow.ros.hosting.external import may_be_there
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.process import os_process
-from dyknow.ros.process.logs import LogTail
-from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.wire.addresses import is_here
 from dyknow.ros.wire.master import Master
 

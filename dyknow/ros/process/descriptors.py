@@ -3,15 +3,14 @@
 
 """File descriptors of this process, and the connections that it accepts.
 
-rospy opens an epoll for each topic, to find the connections that have failed, and leaves it to the
-garbage collector when the topic is gone. A nodelet manager with a thousand topics would be at the
-usual limit of 1,024, and a manager to which nodes come and go would grow.
+rospy opens an epoll for each topic, and leaves it to the garbage collector when the topic is gone:
+a nodelet manager with a thousand topics would be at the usual limit of 1,024.
 
 rospy's server has a queue of five connections. When a nodelet manager comes back, all subscribers
-of its topics connect within milliseconds; the kernel drops the connections that do not fit into
-the queue, and these are tried again after 1 s, then after 3 s. And rospy's accepting thread ends
-for good when the process has no file descriptor left, and every service of the node with it. Then
-nodelets cannot even be unloaded to free descriptors.
+of its topics connect within milliseconds; the kernel drops connections that do not fit, and these
+are tried again after 1 s, then after 3 s. And rospy's accepting thread ends for good when the
+process has no file descriptor left, and every service of the node with it: nodelets could not even
+be unloaded to free descriptors.
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ _AGAIN = 0.1
 
 _FAILED = select.POLLHUP | select.POLLERR | select.POLLRDHUP
 
-
 _log = logging.getLogger("rosout.dyknow")
 
 
@@ -55,11 +53,9 @@ class Poller:
         self._descriptors: Set[int] = set()
 
     def add_fd(self, descriptor: int) -> None:
-        """Watch a connection."""
         self._descriptors.add(descriptor)
 
     def remove_fd(self, descriptor: int) -> None:
-        """Watch it no more."""
         self._descriptors.discard(descriptor)
 
     def error_iter(self) -> Iterator[int]:
@@ -85,11 +81,7 @@ def spare() -> None:
 
 
 def check_left() -> None:
-    """Refuse more work when the descriptors are about to run out.
-
-    Raises:
-        LimitExceeded: too few are left for the connections of a nodelet.
-    """
+    """Raise `LimitExceeded` if too few descriptors are left for the connections of a nodelet."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     used = len(os.listdir("/proc/self/fd"))
     if limit != resource.RLIM_INFINITY and used + min(_RESERVE, limit // _PART) > limit:
@@ -97,15 +89,11 @@ def check_left() -> None:
 
 
 def enlarge_queue() -> None:
-    """Lengthen the queue of this node's server, starting it if need be, and keep it accepting.
-
-    The node must be initialised. Calling ``listen`` again on a listening socket changes only its
-    queue.
-    """
+    """Lengthen the queue of this node's server, starting it if need be, and keep it accepting."""
     server = init_tcpros_server()
     server.start_server()
     listener = server.tcp_ros_server
-    listener.server_sock.listen(QUEUE)
+    listener.server_sock.listen(QUEUE)  # changes only the queue of a socket that listens
     listener.server_sock = PatientSocket(listener.server_sock)
 
 
@@ -117,17 +105,12 @@ class PatientSocket:
     """
 
     def __init__(self, listening: socket.socket) -> None:
-        """Wrap ``listening``, and reserve a descriptor."""
         self._socket = listening
         self._spare: Optional[int] = None
         self._keep_spare()
 
     def accept(self) -> Tuple[socket.socket, Any]:
-        """Accept a connection.
-
-        Raises:
-            socket.timeout: no descriptor is left; call it again.
-        """
+        """Accept a connection; raises ``socket.timeout`` if no descriptor is left."""
         self._keep_spare()
         try:
             return self._socket.accept()

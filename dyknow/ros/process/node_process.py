@@ -37,7 +37,7 @@ _START_PATIENCE = 2.0
 _CLOSE_PATIENCE = 10.0
 #: Seconds for rospy to take back its registrations.
 _SHUTDOWN_PATIENCE = 2.0
-#: The same for a node that was never initialised: there is nothing to take back.
+#: The same for a node that was never initialised.
 _SHORT_PATIENCE = 0.5
 #: Part of the master's shutdown message to a node whose name another one has registered.
 _DISPLACED = "new node registered with same name"
@@ -87,11 +87,7 @@ class NodeProcess:
         self._told.put(_Order.END)
 
     def start_again(self, variables: Mapping[str, str]) -> None:
-        """Let the same process run the same command line afresh, as if it had been killed.
-
-        Args:
-            variables: further variables of its environment.
-        """
+        """Run the same command line afresh in this process, with further variables."""
         self._variables = variables
         self._told.put(_Order.START_AGAIN)
 
@@ -144,8 +140,7 @@ class NodeProcess:
     def _forget(self, parameter: str) -> None:
         """Delete a private parameter that the command line has set.
 
-        The parameter server would keep it, so that the next start would fail without it being
-        given.
+        The parameter server would keep it, and the next start would fail too.
         """
         if any(word.startswith(f"_{parameter.lstrip('~')}:=") for word in self._argv):
             with contextlib.suppress(KeyError, rospy.ROSException):
@@ -163,10 +158,7 @@ class NodeProcess:
 
 
 def _print_logs_at_least() -> None:
-    """Print the log where rospy could not set up its log files, since it cannot write them.
-
-    It would be silent, about its own end too.
-    """
+    """Print the log where rospy could not write its log files; it would be silent otherwise."""
     logger = logging.getLogger("rosout")
     if not any(isinstance(each, RosStreamHandler) for each in logger.handlers):
         logger.setLevel(logging.INFO)

@@ -11,31 +11,32 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import select
 import signal
 import subprocess
 import time
 from dataclasses import dataclass
-from typing import List, Mapping, Optional, Sequence, Tuple
+from functools import partial
+from typing import List, Mapping, Optional, Sequence, TextIO, Tuple
+
+from dyknow.locks import turn_lock
 
 #: Seconds between two looks, where the kernel does not report the end of a process.
 _PERIOD = 0.1
 NOTHING: Mapping[str, str] = {}
-#: Signals that end a process politely.
-_TERMINATE = (signal.SIGTERM,)
+_POLITELY = (signal.SIGTERM,)
+#: States of processes that have ended.
+_ENDED = (b"Z", b"X")
 #: Seconds for the rest of a session to end after SIGTERM.
 _REST_PATIENCE = 1.0
+_CHUNK = 1 << 16
 
 
 @dataclass(frozen=True)
 class ProcessId:
-    """One process.
-
-    Attributes:
-        pid: its id.
-        started: clock ticks between the start of the machine and its own.
-    """
+    """One process: its id, and the clock ticks between the start of the machine and its own."""
 
     pid: int
     started: int
@@ -44,7 +45,7 @@ class ProcessId:
     def of(cls, pid: int) -> Optional[ProcessId]:
         """Look a process up; None if there is none, or if it has ended and waits to be reaped."""
         fields = _stat(pid)
-        return None if not fields or fields[0] in (b"Z", b"X") else cls(pid, int(fields[19]))
+        return None if not fields or fields[0] in _ENDED else cls(pid, int(fields[19]))
 
     @property
     def alive(self) -> bool:
@@ -81,13 +82,8 @@ class ProcessId:
             process.end(max(0.0, deadline - time.monotonic()))
         return _reap(self.pid)
 
-    def end(self, patience: float, signals: Sequence[int] = _TERMINATE) -> None:
-        """End it with ``signals``, and after ``patience`` seconds with SIGKILL.
-
-        Args:
-            patience: seconds, for all signals together.
-            signals: sent one after the other.
-        """
+    def end(self, patience: float, signals: Sequence[int] = _POLITELY) -> None:
+        """End it with ``signals``, one after the other, and after ``patience`` s with SIGKILL."""
         for number in signals:
             self.signal(number)
             if self.wait(patience / len(signals)):
@@ -96,9 +92,12 @@ class ProcessId:
         self.wait()
 
     def _await_end(self, timeout: Optional[float]) -> bool:
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
         descriptor = _pidfd(self.pid)
         if descriptor is None:
-            return self._poll(timeout)
+            while self.alive and time.monotonic() < deadline:
+                time.sleep(_PERIOD)
+            return not self.alive
         try:
             if self.alive:
                 poll = select.poll()
@@ -107,14 +106,6 @@ class ProcessId:
         finally:
             os.close(descriptor)
         return not self.alive
-
-    def _poll(self, timeout: Optional[float]) -> bool:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while self.alive:
-            if deadline is not None and time.monotonic() >= deadline:
-                return False
-            time.sleep(_PERIOD)
-        return True
 
 
 def only_for_owner(path: str, flags: int) -> int:
@@ -149,8 +140,7 @@ def start(
             env={**os.environ, **environment},
         )
     process.returncode = 0  # ``ProcessId.wait`` reaps it, not ``Popen``
-    found = ProcessId.of(process.pid)
-    return found if found is not None else ProcessId(process.pid, -1)
+    return ProcessId.of(process.pid) or ProcessId(process.pid, -1)
 
 
 @functools.lru_cache(maxsize=None)
@@ -171,28 +161,29 @@ def started_with(variable: str) -> List[Tuple[ProcessId, str, List[str]]]:
     """
     found = []
     key = variable.encode() + b"="
-    for entry in os.listdir("/proc"):
-        process = ProcessId.of(int(entry)) if entry.isdigit() else None
-        if process is None:
-            continue
+    for process in filter(None, map(ProcessId.of, _pids())):
         try:
             if os.getsid(process.pid) != process.pid:
                 continue  # it was forked by one
-            with open(f"/proc/{entry}/environ", "rb") as file:
-                values = [each for each in file.read().split(b"\0") if each.startswith(key)]
-            with open(f"/proc/{entry}/cmdline", "rb") as file:
-                command = [os.fsdecode(each) for each in file.read().split(b"\0")]
+            variables, command = (_words(process.pid, file) for file in ("environ", "cmdline"))
         except OSError:
             continue  # it has ended, or is another user's
-        found += [(process, os.fsdecode(each[len(key) :]), command) for each in values]
+        values = (each[len(key) :] for each in variables if each.startswith(key))
+        found += [(process, os.fsdecode(each), list(map(os.fsdecode, command))) for each in values]
     return sorted(found, key=lambda each: each[0].started)
 
 
-def _pidfd(pid: int) -> Optional[int]:
-    try:
-        return int(getattr(os, "pidfd_open")(pid))  # noqa: B009
-    except (AttributeError, OSError):  # before Python 3.9, or no such process
-        return None
+# /proc itself, not psutil: that knows the start of a process only as a time of day, which moves
+# when the clock is set.
+
+
+def _pids() -> List[int]:
+    return [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
+
+
+def _words(pid: int, file: str) -> List[bytes]:
+    with open(f"/proc/{pid}/{file}", "rb") as opened:
+        return opened.read().split(b"\0")
 
 
 def _stat(pid: int) -> List[bytes]:
@@ -207,13 +198,19 @@ def _stat(pid: int) -> List[bytes]:
 
 def _session(leader: int) -> List[ProcessId]:
     """Processes of the session that a process began, without itself."""
-    found = []
-    for entry in os.listdir("/proc"):
-        if entry.isdigit() and int(entry) != leader:
-            fields = _stat(int(entry))
-            if fields and int(fields[3]) == leader and fields[0] not in (b"Z", b"X"):
-                found.append(ProcessId(int(entry), int(fields[19])))
-    return found
+    fields = {pid: _stat(pid) for pid in _pids() if pid != leader}
+    return [
+        ProcessId(pid, int(each[19]))
+        for pid, each in fields.items()
+        if each and int(each[3]) == leader and each[0] not in _ENDED
+    ]
+
+
+def _pidfd(pid: int) -> Optional[int]:
+    try:
+        return int(getattr(os, "pidfd_open")(pid))  # noqa: B009
+    except (AttributeError, OSError):  # before Python 3.9, or no such process
+        return None
 
 
 def _reap(pid: int) -> Optional[int]:
@@ -225,3 +222,26 @@ def _reap(pid: int) -> Optional[int]:
     if not reaped:
         return None
     return -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+
+
+class LogTail:
+    """Copies additions to a file; safe from any thread."""
+
+    def __init__(self, path: str, at_end: bool = False) -> None:
+        """Start at the beginning of ``path``, or at its present end."""
+        self._path = path
+        self._turn = turn_lock("output of a child")
+        self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
+
+    def copy(self, target: TextIO) -> None:
+        """Copy the additions since the last call."""
+        with self._turn:
+            try:
+                with open(self._path, "rb") as file:
+                    file.seek(self._position)
+                    for chunk in iter(partial(file.read, _CHUNK), b""):
+                        self._position += len(chunk)
+                        target.write(chunk.decode("utf-8", "replace"))
+                target.flush()
+            except (OSError, ValueError):
+                return  # the file is gone, or our own output closed

@@ -34,8 +34,14 @@ def find_program(package: str, executable: str) -> str:
 
     try:
         folder, found = _found(package, executable)
-    except rospkg.ResourceNotFound as error:
-        raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
+    except rospkg.ResourceNotFound:
+        folder, found = "", []
+    if not found:  # the packages are searched again only now: that takes longer than all else
+        _packages.cache_clear()
+        try:
+            folder, found = _found(package, executable)
+        except rospkg.ResourceNotFound as error:
+            raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
     if not found:
         raise CannotRun(f"package '{package}' has no program '{executable}'")
     installed = [path for path in found if not path.startswith(os.path.join(folder, ""))]
@@ -48,30 +54,16 @@ def find_program(package: str, executable: str) -> str:
 
 
 def _found(package: str, executable: str) -> Tuple[str, List[str]]:
-    """Return the folder of a package, and the programs of that name, as rosrun finds them.
-
-    The packages are searched again only if there is none: that takes longer than all else.
-    """
-    import rospkg
+    """Return the folder of a package, and the programs of that name, as rosrun finds them."""
     from roslib.packages import find_node
 
-    def look() -> Tuple[str, List[str]]:
-        folder = _packages().get_path(package)
-        if "/" not in executable:
-            return folder, sorted(set(map(str, find_node(package, executable, _packages()))))
-        path = os.path.join(folder, executable)
-        is_below = ".." not in executable.split("/")
-        is_program = is_below and os.path.isfile(path) and os.access(path, os.X_OK)
-        return folder, [path] if is_program else []
-
-    try:
-        folder, found = look()
-    except rospkg.ResourceNotFound:
-        found = []
-    if not found:
-        _packages.cache_clear()
-        folder, found = look()
-    return folder, found
+    folder = _packages().get_path(package)
+    if "/" not in executable:
+        return folder, sorted(set(map(str, find_node(package, executable, _packages()))))
+    path = os.path.join(folder, executable)
+    is_below = ".." not in executable.split("/")
+    is_program = is_below and os.path.isfile(path) and os.access(path, os.X_OK)
+    return folder, [path] if is_program else []
 
 
 @functools.lru_cache(maxsize=1)
@@ -97,11 +89,7 @@ def find_script(name: str) -> str:
 
 
 def kind_of(program: Program) -> NodeletKind:
-    """Return the kind of a program when it is spawned: a script, or a node of its own.
-
-    Raises:
-        CannotRun: it is not there, or is neither a Python script nor a binary.
-    """
+    """Return the kind of a program when it is spawned; raises `CannotRun` for other files."""
     path = find_program(program.package, program.executable)
     if interpreter(path) is not None:
         return NodeletKind.SCRIPT
@@ -113,11 +101,7 @@ def kind_of(program: Program) -> NodeletKind:
 
 
 def interpreter(path: str) -> Optional[List[str]]:
-    """Return the command of a Python script, by its first line; None for other programs.
-
-    Raises:
-        CannotRun: the file cannot be read.
-    """
+    """Return the command of a Python script, by its first line; None for other programs."""
     first = first_line(path)
     if not first.startswith("#!") or "python" not in first or "python2" in first:
         return None
@@ -132,10 +116,10 @@ def interpreter(path: str) -> Optional[List[str]]:
 
 
 def first_line(path: str) -> str:
-    """Return the first line of a file, as far as that is of meaning to the system.
+    """Return the first line of a file, as much of it as the system reads.
 
     Raises:
-        CannotRun: it cannot be read.
+        CannotRun: the file cannot be read.
     """
     try:
         with open(path, "rb") as file:

@@ -9,12 +9,10 @@ command starts fast and leaves no trace in the graph.
 
 from __future__ import annotations
 
-import http.client
 import os
 import re
 import socket
 import time
-import xmlrpc.client
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence, Tuple, TypeVar
 from xml.parsers.expat import ExpatError
 
@@ -43,8 +41,8 @@ class EventReader:
     """Events of streams, from the moment on at which it was made."""
 
     def __init__(self, reader: TopicReader) -> None:
-        """Read from a connection."""
         self._reader = reader
+        self.close = reader.close
 
     def next(self, timeout: float) -> Optional[StreamEvent]:
         """Return the next event, or None if none comes in time.
@@ -58,10 +56,6 @@ class EventReader:
             raise ManagerUnreachable(f"the manager is gone ({_words(error)})") from error
         return None if message is None else event_from(message)
 
-    def close(self) -> None:
-        """Listen no more."""
-        self._reader.close()
-
 
 class ShellClient(ManagerClient):
     """Asks one DyKnow manager and its nodelets.
@@ -72,12 +66,7 @@ class ShellClient(ManagerClient):
     """
 
     def __init__(self, manager: str, timeout: Optional[float] = None) -> None:
-        """Prepare questions; nothing is sent yet.
-
-        Args:
-            manager: global name of the manager's node.
-            timeout: seconds for each answer; None for a default that suits the question.
-        """
+        """Prepare calls with a ``timeout`` in seconds; None for one that suits the question."""
         super().__init__(manager, f"/dyknow_{os.getpid()}")
         #: Where relative names of nodelets begin.
         self.namespace = names.parent(manager)
@@ -102,7 +91,7 @@ class ShellClient(ManagerClient):
         return EventReader(self._topic("stream_events", msg.StreamEvent))
 
     def managers(self) -> List[str]:
-        """Names of all DyKnow managers of the ROS graph that are registered now."""
+        """Names of all registered DyKnow managers of the ROS graph."""
         return self._nodes_with("/add_transformation")
 
     def topics(self) -> List[str]:
@@ -112,14 +101,7 @@ class ShellClient(ManagerClient):
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> Dict[str, Any]:
         """Values that the parameter server has for parameters of a nodelet, by their names."""
-
-        def ask() -> Any:
-            try:
-                return self._master.ask("getParam", nodelet)
-            except LookupError:
-                return {}  # it has none at all
-
-        stored = self._on_master(ask)
+        stored = self._on_master(lambda: self._looked_up("getParam", nodelet))
         found = {}
         for name in parameters:
             value = stored
@@ -136,14 +118,8 @@ class ShellClient(ManagerClient):
 
     def is_nodelet(self, name: str) -> bool:
         """Whether the master knows a nodelet or node with ports of this name."""
-
-        def ask() -> bool:
-            try:
-                return bool(self._master.ask("lookupService", names.join(name, "get_config")))
-            except LookupError:
-                return False
-
-        return self._on_master(ask)
+        service = names.join(name, "get_config")
+        return bool(self._on_master(lambda: self._looked_up("lookupService", service)))
 
     def is_own_manager(self, name: str) -> bool:
         """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""
@@ -164,31 +140,22 @@ class ShellClient(ManagerClient):
                 if model is None or condition(model):
                     return model
 
-    def _call(
-        self,
-        service: str,
-        service_class: Any,
-        timeout: float,
-        *request: Any,
-        **options: Any,
-    ) -> Any:
+    def _call(self, service: str, kind: Any, timeout: float, *request: Any, **options: Any) -> Any:
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
         try:
-            return super()._call(service, service_class, seconds, *request, **options)
+            return super()._call(service, kind, seconds, *request, **options)
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
-        except ServiceLost as error:
-            if owner != self.manager:
-                raise NodeletUnreachable(f"nodelet '{owner}' does not answer: {error}") from error
-            raise self._no_manager(error, seconds) from error
-        except PeerTimeout as error:
-            if owner != self.manager:
-                raise NodeletUnreachable(
-                    f"nodelet '{owner}' did not answer within {seconds:g} s"
-                ) from error
-            raise self._no_manager(error, seconds) from error
+        except (ServiceLost, PeerTimeout) as error:
+            if owner == self.manager:
+                raise self._no_manager(error, seconds) from error
+            is_late = isinstance(error, PeerTimeout)
+            why = (
+                f"did not answer within {seconds:g} s" if is_late else f"does not answer: {error}"
+            )
+            raise NodeletUnreachable(f"nodelet '{owner}' {why}") from error
 
     def _topic(self, name: str, message_class: Any) -> TopicReader:
         """Connect to a topic of the manager."""
@@ -208,19 +175,17 @@ class ShellClient(ManagerClient):
             self._on_master(lambda: self._master.ask("getPid"))
             self._master_seen = True
 
+    def _looked_up(self, question: str, name: str) -> Any:
+        """Ask the master for the value of a name; an empty one if it has none."""
+        try:
+            return self._master.ask(question, name)
+        except LookupError:
+            return {}
+
     def _on_master(self, ask: Callable[[], T]) -> T:
         try:
             return ask()
-        except (
-            PeerTimeout,
-            OSError,
-            LookupError,
-            ValueError,
-            TypeError,
-            ExpatError,
-            http.client.HTTPException,
-            xmlrpc.client.Error,
-        ) as error:
+        except (PeerTimeout, OSError, LookupError, ValueError, TypeError, ExpatError) as error:
             raise ManagerUnreachable(
                 f"no ROS master at {self._master.uri} ({_words(error)}): is roscore running, and "
                 "ROS_MASTER_URI right?"

@@ -15,7 +15,7 @@ import socket
 import time
 from concurrent.futures import Future, wait
 from functools import partial
-from typing import Callable, Dict, Optional, Tuple
+from typing import Callable, Dict, Optional, Tuple, TypeVar
 from urllib.parse import urlsplit
 
 import rosgraph.network
@@ -23,19 +23,31 @@ import rosgraph.network
 from dyknow.locks import state_lock
 from dyknow.periodic import in_background
 
+T = TypeVar("T")
+
 #: Seconds after which an address is looked up again.
 FRESH = 10.0
-#: Seconds without an acknowledgement after which a connection ends: the other host is away. For a
-#: process that hangs its kernel acknowledges.
+#: Seconds without an acknowledgement after which a connection ends: the other host is away. The
+#: kernel acknowledges for a process that hangs.
 UNACKNOWLEDGED = 2.0
 
 
-def look_up(host: str) -> Tuple[str, ...]:
-    """Ask the system for the addresses of a host, however long it takes.
+def future_of(what: str, call: Callable[[], T]) -> Future[T]:
+    """Make a call in a daemon thread of its own, which delays no exit; its result comes later."""
+    future: Future[T] = Future()
 
-    Raises:
-        OSError: it has none.
-    """
+    def work() -> None:
+        try:
+            future.set_result(call())
+        except Exception as error:
+            future.set_exception(error)
+
+    in_background(what, work)
+    return future
+
+
+def look_up(host: str) -> Tuple[str, ...]:
+    """Ask the system for the addresses of a host, however long it takes."""
     found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     return tuple(dict.fromkeys(str(address[0]) for *_, address in found))
 
@@ -48,12 +60,6 @@ class Addresses:
         look_up: Callable[[str], Tuple[str, ...]] = look_up,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Make an empty table.
-
-        Args:
-            look_up: returns the addresses of a host or raises OSError; may take long.
-            clock: seconds, steady.
-        """
         self._look_up = look_up
         self._clock = clock
         self._state_lock = state_lock("addresses")
@@ -72,32 +78,27 @@ class Addresses:
         with self._state_lock:
             known, since = self._known.get(host, ((), 0.0))
             search = self._searches.get(host)
-            started = None
             if search is None and not (known and self._clock() - since < FRESH):
-                started = search = self._searches[host] = Future()
-        if started is not None:
-            in_background(f"address of {host}", partial(self._search, host, started))
+                search = future_of(f"address of {host}", partial(self._search, host))
+                self._searches[host] = search
         if known or search is None:
             return known
         if not wait([search], timeout).done:
             raise socket.timeout("timed out")
         return search.result()
 
-    def _search(self, host: str, search: Future[Tuple[str, ...]]) -> None:
+    def _search(self, host: str) -> Tuple[str, ...]:
         found: Tuple[str, ...] = ()
-        error: Optional[OSError] = None
         try:
             found = self._look_up(host)
-        except (OSError, UnicodeError) as failure:  # UnicodeError: it is not the name of a host
-            error = failure if isinstance(failure, OSError) else OSError(str(failure))
-        with self._state_lock:
-            del self._searches[host]
-            if found:
-                self._known[host] = found, self._clock()
-        if found:
-            search.set_result(found)
-        else:
-            search.set_exception(error or OSError(host))
+        except UnicodeError as error:  # it cannot be the name of a host
+            raise OSError(str(error)) from error
+        finally:
+            with self._state_lock:
+                del self._searches[host]
+                if found:
+                    self._known[host] = found, self._clock()
+        return found
 
 
 def _is_address(host: str) -> bool:
@@ -142,10 +143,5 @@ def host_of(uri: str) -> str:
 
 
 def is_here(host: str, timeout: float) -> bool:
-    """Whether a host is this one.
-
-    Raises:
-        OSError: its address is not known, or not in time.
-    """
-    found = ADDRESSES.of(host, timeout)
-    return any(rosgraph.network.is_local_address(each) for each in found)
+    """Whether a host is this one; raises ``OSError`` if its address is not known in time."""
+    return any(map(rosgraph.network.is_local_address, ADDRESSES.of(host, timeout)))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import os
 import re
@@ -56,7 +57,6 @@ class _Server:
         self._idle: List[_Transport] = []
 
     def ask(self, question: str, *args: Any) -> Any:
-        """Call a function and return its value."""
         assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
             transport = self._idle.pop()
@@ -77,26 +77,18 @@ class _Server:
         return value
 
     def close(self) -> None:
-        """Close the connections that are not in use."""
         while self._idle:
             self._idle.pop().close()
 
 
 class Master:
-    """The master that ROS_MASTER_URI names, queried in the name of one node.
+    """The master at ``uri``, by default ``ROS_MASTER_URI``, queried in the name of one node.
 
     Every method raises `PeerTimeout` when the master, or a queried node, does not answer in time,
     and `LookupError` when it answers with an error, for instance to an unknown name.
     """
 
     def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
-        """Prepare questions to the master.
-
-        Args:
-            caller: global name of the node that asks.
-            uri: the master's address; by default that of the environment.
-            timeout: seconds for each answer.
-        """
         self.caller = caller
         self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
         self.timeout = timeout
@@ -107,12 +99,7 @@ class Master:
         return self._server.ask(question, self.caller, *args)
 
     def publishers(self, topic: str) -> Set[str]:
-        """Names of the nodes that publish on a topic."""
         return self._nodes(topic, 0)
-
-    def subscribers(self, topic: str) -> Set[str]:
-        """Names of the nodes that subscribe to a topic."""
-        return self._nodes(topic, 1)
 
     def datatype(self, topic: str) -> str:
         """Type of a topic with a live publisher or subscriber, else empty.
@@ -123,8 +110,7 @@ class Master:
         published = dict(self.ask("getPublishedTopics", names.parent(topic)))
         if topic in published:
             return str(published[topic])
-        subscribers = sorted(self.subscribers(topic))
-        answers = (self._subscribed(node, topic) for node in subscribers)
+        answers = (self._subscribed(node, topic) for node in sorted(self._nodes(topic, 1)))
         return next((answer for answer in answers if answer not in ("", "*")), "")
 
     def node(self, name: str) -> str:
@@ -135,7 +121,6 @@ class Master:
             return ""
 
     def pid(self, name: str, uri: str, timeout: float) -> int:
-        """Query the process id of a node."""
         return int(self._ask_node(name, uri, timeout, "getPid"))
 
     def connections(self, uri: str, topic: str, timeout: float) -> Set[int]:
@@ -149,7 +134,7 @@ class Master:
         self._ask_node(name, uri, timeout, "shutdown", reason)
 
     def purge(self, node: str, uri: str) -> None:
-        """Unregister, in its name, all that a dead node left, as ``rosnode cleanup`` does.
+        """Unregister, in its name, everything that a dead node left, as ``rosnode cleanup`` does.
 
         The master forgets the node's address then, unless it subscribed to parameters of its own.
         Otherwise it would shut the address down when the name registers again, and with it any
@@ -185,11 +170,8 @@ class Master:
         return next((datatype for name, datatype in types if name == topic), "")
 
     def _ask_node(self, name: str, uri: str, timeout: float, question: str, *args: Any) -> Any:
-        server = _Server(uri, f"node {name}", timeout)
-        try:
+        with contextlib.closing(_Server(uri, f"node {name}", timeout)) as server:
             return server.ask(question, self.caller, *args)
-        finally:
-            server.close()
 
     def _nodes(self, topic: str, side: int) -> Set[str]:
         state = self.ask("getSystemState")

@@ -5,6 +5,7 @@
 
 ``x_message`` makes the message of a value, ``x_from`` the value of a message. Fields that have the
 same name on both sides are converted by their type; the functions state only the rest.
+``model_messages`` puts the message of a model together.
 """
 
 from __future__ import annotations
@@ -12,20 +13,14 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
+from functools import partial
 from typing import Any, List, Mapping, Sequence, Tuple, Type, TypeVar, Union
 
 from dyknow_msgs import msg, srv
 from genpy import Duration, Time, TVal
 
 from dyknow.errors import Result, StreamRefused
-from dyknow.model.graph import (
-    Model,
-    NodeletKind,
-    NodeletStatus,
-    PortState,
-    SpawnRequest,
-    State,
-)
+from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -82,7 +77,6 @@ def _attribute(field: Any) -> Any:
 
 
 def direction_message(direction: str) -> int:
-    """Write ``in`` or ``out`` as the number that messages use."""
     return int(msg.Port.OUT if direction == OUT else msg.Port.IN)
 
 
@@ -91,17 +85,14 @@ def _direction_from(message: Any) -> str:
 
 
 def port_message(port: Union[PortState, Port]) -> msg.Port:
-    """Convert a port of a running nodelet, or of a transformation."""
     return _message(msg.Port, port, direction=direction_message(port.direction))
 
 
 def port_from(message: msg.Port) -> PortState:
-    """Read a port of a running nodelet."""
     return _value(PortState, message, direction=_direction_from(message))
 
 
 def config_message(config: Mapping[str, str]) -> List[msg.PortConfig]:
-    """Convert topics by port, sorted."""
     return [msg.PortConfig(port, topic) for port, topic in sorted(config.items())]
 
 
@@ -118,12 +109,10 @@ def _parameter_messages(parameters: Sequence[Parameter]) -> List[msg.Parameter]:
 
 
 def parameters_from(messages: Sequence[msg.Parameter]) -> Tuple[Parameter, ...]:
-    """Read parameters."""
     return tuple(Parameter(each.name, each.type, each.value) for each in messages)
 
 
 def transformation_message(transformation: Transformation) -> msg.Transformation:
-    """Convert a transformation."""
     return _message(
         msg.Transformation,
         transformation,
@@ -134,24 +123,15 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
 
 
 def transformation_from(message: msg.Transformation) -> Transformation:
-    """Read a transformation."""
     ports = (_value(Port, each, direction=_direction_from(each)) for each in message.ports)
-    return _value(
-        Transformation,
-        message,
-        parameters=parameters_from(message.parameters),
-        ports=tuple(ports),
-    )
+    parameters = parameters_from(message.parameters)
+    return _value(Transformation, message, parameters=parameters, ports=tuple(ports))
 
 
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
-    """Convert a nodelet."""
-    return _message(
-        msg.Nodelet,
-        nodelet,
-        ports=list(map(port_message, nodelet.ports)),
-        parameters=_parameter_messages(nodelet.parameters),
-    )
+    ports = list(map(port_message, nodelet.ports))
+    parameters = _parameter_messages(nodelet.parameters)
+    return _message(msg.Nodelet, nodelet, ports=ports, parameters=parameters)
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
@@ -166,10 +146,6 @@ def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
 
 
 def model_from(message: msg.Model) -> Model:
-    """Read a model, as ``get_model`` answers or the topic ``~model`` carries it.
-
-    Its message is put together in ``dyknow.ros.wire.model_messages``.
-    """
     return Model(
         message.revision,
         message.library_revision,
@@ -179,42 +155,32 @@ def model_from(message: msg.Model) -> Model:
 
 
 def spawn_message(request: SpawnRequest) -> srv.SpawnRequest:
-    """Convert the request for a nodelet."""
-    return _message(
-        srv.SpawnRequest,
-        request,
-        config=config_message(request.config),
-        parameters=_parameter_messages(request.parameters),
-    )
+    config, parameters = config_message(request.config), _parameter_messages(request.parameters)
+    return _message(srv.SpawnRequest, request, config=config, parameters=parameters)
 
 
-# Statistics
+# Statistics: a rate or an age of NaN is unknown
 
 
 def statistics_message(statistics: NodeletStatistics) -> srv.GetStatisticsResponse:
-    """Convert the statistics of a nodelet."""
-    return _message(
-        srv.GetStatisticsResponse,
-        statistics,
-        callback_errors=statistics.callback_errors or 0,
-        ports=[
-            msg.PortStatistics(
-                port=each.port,
-                direction=direction_message(each.direction),
-                topic=each.topic,
-                messages=each.messages or 0,
-                dropped=each.dropped or 0,
-                rate=math.nan if each.rate is None else each.rate,
-                mean_callback=Duration.from_sec(each.mean_callback or 0.0),
-                max_callback=Duration.from_sec(each.max_callback or 0.0),
-            )
-            for each in statistics.ports
-        ],
-    )
+    ports = [
+        msg.PortStatistics(
+            port=each.port,
+            direction=direction_message(each.direction),
+            topic=each.topic,
+            messages=each.messages or 0,
+            dropped=each.dropped or 0,
+            rate=math.nan if each.rate is None else each.rate,
+            mean_callback=Duration.from_sec(each.mean_callback or 0.0),
+            max_callback=Duration.from_sec(each.max_callback or 0.0),
+        )
+        for each in statistics.ports
+    ]
+    errors = statistics.callback_errors or 0
+    return _message(srv.GetStatisticsResponse, statistics, callback_errors=errors, ports=ports)
 
 
 def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:
-    """Read the statistics of a nodelet; a rate of NaN says that nothing is counted."""
     ports = tuple(map(_port_statistics_from, answer.ports))
     is_counted = all(each.rate is not None for each in ports)
     errors = answer.callback_errors if is_counted else None
@@ -229,51 +195,39 @@ def _port_statistics_from(message: msg.PortStatistics) -> PortStatistics:
 
 
 def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCounts:
-    """Convert a nodelet's part of the answer of ``get_counts``."""
-    return _message(
-        msg.NodeletCounts,
-        statistics,
-        nodelet=nodelet,
-        ports=[
-            msg.PortCount(
-                port=each.port,
-                direction=direction_message(each.direction),
-                messages=each.messages or 0,
-                latched=each.latched,
-                age=math.nan if each.age is None else each.age,
-            )
-            for each in sorted(statistics.ports, key=lambda each: each.port)
-        ],
-    )
+    ports = [
+        msg.PortCount(
+            port=each.port,
+            direction=direction_message(each.direction),
+            messages=each.messages or 0,
+            latched=each.latched,
+            age=math.nan if each.age is None else each.age,
+        )
+        for each in sorted(statistics.ports, key=lambda each: each.port)
+    ]
+    return _message(msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports)
 
 
 # Streams
 
-
-def stream_message(stream: StreamStatus) -> msg.StreamStatus:
-    """Convert a claim."""
-    return _message(msg.StreamStatus, stream)
+stream_message = partial(_message, msg.StreamStatus)
 
 
 def stream_from(message: msg.StreamStatus) -> StreamStatus:
-    """Read a claim."""
     return _value(StreamStatus, message, state=ClaimState(message.state))
 
 
 def event_message(event: StreamEvent) -> msg.StreamEvent:
-    """Convert a change of a claim."""
     before = msg.StreamStatus() if event.before is None else stream_message(event.before)
     return _message(msg.StreamEvent, event, before=before, after=stream_message(event.after))
 
 
 def event_from(message: msg.StreamEvent) -> StreamEvent:
-    """Read a change of a claim."""
     before = stream_from(message.before) if message.before.claim_id else None
     return _value(StreamEvent, message, before=before, after=stream_from(message.after))
 
 
 def acquire_message(request: StreamRequest, dry_run: bool) -> srv.AcquireStreamRequest:
-    """Convert the request for a stream."""
     return _message(srv.AcquireStreamRequest, request, dry_run=dry_run)
 
 
@@ -286,17 +240,12 @@ def acquire_from(message: srv.AcquireStreamRequest) -> StreamRequest:
 
 
 def acquisition_message(got: Acquisition) -> srv.AcquireStreamResponse:
-    """Convert the answer to the request for a stream."""
     lines = [*filter(None, [got.message]), *(_WARNING + each for each in got.warnings)]
     return _message(srv.AcquireStreamResponse, got, success=True, message="\n".join(lines))
 
 
 def acquisition_from(answer: srv.AcquireStreamResponse) -> Acquisition:
-    """Read the answer to the request for a stream.
-
-    Raises:
-        StreamRefused: it was refused.
-    """
+    """Read the answer to the request for a stream; raises `StreamRefused` if it was refused."""
     if not answer.success:
         raise StreamRefused(answer.message, Result(answer.result), answer.claim_id)
     lines = answer.message.splitlines()
@@ -309,15 +258,11 @@ def acquisition_from(answer: srv.AcquireStreamResponse) -> Acquisition:
 
 
 def refusal_message(refusal: StreamRefused) -> srv.AcquireStreamResponse:
-    """Convert the refusal of a stream."""
     return _message(srv.AcquireStreamResponse, refusal, success=False, message=str(refusal))
 
 
-def replanned_message(replanned: Replanned) -> srv.ReplanStreamResponse:
-    """Convert the answer to the request for a new plan."""
-    return _message(srv.ReplanStreamResponse, replanned, success=True)
+replanned_message = partial(_message, srv.ReplanStreamResponse, success=True)
 
 
 def replanned_from(answer: srv.ReplanStreamResponse) -> Replanned:
-    """Read the answer to the request for a new plan."""
     return _value(Replanned, answer)

@@ -4,8 +4,7 @@
 """The manager's model as messages, serialised once for each thing that changes.
 
 A model may hold hundreds of nodelets and a hundred thousand transformations, and is requested
-again and again while little of it changes. So the bytes of each nodelet and of each transformation
-are kept until it changes, and a model is put together from them.
+again and again while little of it changes. So the bytes of each part are kept until it changes.
 """
 
 from __future__ import annotations
@@ -42,7 +41,9 @@ class _Parts(Generic[T]):
         for each in values:
             part = self._kept.get(self._name(each))
             if part is None or part[0] is not each:
-                part = each, _bytes(self._convert(each))
+                buffer = BytesIO()
+                self._convert(each).serialize(buffer)
+                part = each, buffer.getvalue()
             kept[self._name(each)] = part
         self._kept = kept
         return _COUNT.pack(len(kept)) + b"".join(part for _, part in kept.values())
@@ -52,7 +53,6 @@ class ModelMessages:
     """Makes messages of models, from kept parts."""
 
     def __init__(self) -> None:
-        """Make an empty cache."""
         self._turn = turn_lock("parts of model messages")
         self._nodelets = _Parts[NodeletStatus](lambda each: each.name, nodelet_message)
         self._transformations = _Parts[Transformation](
@@ -61,11 +61,11 @@ class ModelMessages:
         self._library: Tuple[int, bytes] = (-1, b"")
 
     def topic(self, model: Model) -> ModelMessage:
-        """Message for the topic: nodelets only."""
+        """Make the message of the topic: nodelets only."""
         return _ReadyModel(self._graph(model) + _COUNT.pack(0))
 
     def response(self, model: Model) -> GetModelResponse:
-        """Answer of the service: nodelets and transformations."""
+        """Make the answer of the service: nodelets and transformations."""
         with self._turn:
             if self._library[0] != model.library_revision:
                 part = self._transformations.serialise(model.transformations)
@@ -88,7 +88,6 @@ class _Ready:
         self._body = body
 
     def serialize(self, buff: Any) -> None:
-        """Write it."""
         buff.write(self._body)
 
 
@@ -98,9 +97,3 @@ class _ReadyModel(_Ready, ModelMessage):
 
 class _ReadyResponse(_Ready, GetModelResponse):
     pass
-
-
-def _bytes(message: Any) -> bytes:
-    buffer = BytesIO()
-    message.serialize(buffer)
-    return buffer.getvalue()

@@ -17,7 +17,7 @@ import contextlib
 import socket
 import struct
 import time
-from concurrent.futures import Future, wait
+from concurrent.futures import wait
 from io import BytesIO
 from typing import Any, Callable, Dict, Optional, Tuple, TypeVar
 
@@ -25,8 +25,7 @@ import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
-from dyknow.periodic import in_background
-from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.addresses import connect, future_of
 from dyknow.ros.wire.master import Master
 
 T = TypeVar("T")
@@ -45,25 +44,12 @@ def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
 
     A call that is late goes on in the background, and its result is dropped.
 
-    Args:
-        seconds: The time limit.
-        what: Names the call in the exception, for instance the service.
-        call: The call.
-
     Raises:
-        PeerTimeout: It did not end in time.
-        Exception: Any exception of the call.
+        PeerTimeout: ``what`` did not end in time.
+        Exception: any exception of the call.
     """
     assert_no_state_lock(f"calling {what}")
-    future: Future[T] = Future()
-
-    def work() -> None:
-        try:
-            future.set_result(call())
-        except Exception as error:
-            future.set_exception(error)
-
-    in_background(f"call {what}", work)
+    future = future_of(f"call {what}", call)
     if not wait([future], seconds).done:
         raise PeerTimeout(what, seconds)
     return future.result()
@@ -88,37 +74,33 @@ class TcprosConnection:
     """
 
     def __init__(self, host: str, port: int, seconds: float) -> None:
-        """Connect within ``seconds``."""
         self._socket = connect(host, port, seconds)
         self._received = bytearray()
 
     def shake_hands(self, what: str, fields: Dict[str, str], deadline: float) -> None:
-        """Exchange headers.
-
-        Args:
-            what: the service or topic, for the error.
-            fields: of the header that is sent.
-            deadline: for both headers.
+        """Exchange headers, and close the connection if that fails.
 
         Raises:
             ConnectionRefused: the header of the other side has an error.
         """
-        self._limit(deadline)
-        rosgraph.network.write_ros_handshake_header(self._socket, fields)
-        header = self.receive_frame(deadline)
-        answer: Dict[str, str] = rosgraph.network.decode_ros_handshake_header(
-            _LENGTH.pack(len(header)) + header
-        )
-        if "error" in answer:
-            raise ConnectionRefused(what, answer["error"])
+        try:
+            self._limit(deadline)
+            rosgraph.network.write_ros_handshake_header(self._socket, fields)
+            header = self.receive_frame(deadline)
+            answer: Dict[str, str] = rosgraph.network.decode_ros_handshake_header(
+                _LENGTH.pack(len(header)) + header
+            )
+            if "error" in answer:
+                raise ConnectionRefused(what, answer["error"])
+        except BaseException:
+            self.close()
+            raise
 
     def send_frame(self, body: bytes, deadline: float) -> None:
-        """Send a frame."""
         self._limit(deadline)
         self._socket.sendall(_LENGTH.pack(len(body)) + body)
 
     def receive_frame(self, deadline: float) -> bytes:
-        """Return the content of the next frame."""
         return self._receive(0, deadline)[1]
 
     def receive_answer(self, deadline: float) -> Tuple[bool, bytes]:
@@ -137,7 +119,7 @@ class TcprosConnection:
             self._socket.setsockopt(level, option, value)
 
     def interrupt(self) -> None:
-        """End what another thread sends or receives: it raises OSError, and then closes."""
+        """Make a call of another thread raise OSError."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -178,8 +160,9 @@ class ServiceLost(HostError):
 class ServiceClient:
     """Calls one service. Safe from any thread; the calls of a persistent client take turns.
 
-    A persistent client repeats a call, over a new connection, when the old one turns out to be
-    closed. It is for services that may be called twice.
+    A persistent client keeps its connection from call to call. It repeats a call, over a new
+    connection, when the old one turns out to be closed, so it is for services that may be called
+    twice.
     """
 
     def __init__(
@@ -190,15 +173,15 @@ class ServiceClient:
         persistent: bool = False,
         reconnects: bool = True,
     ) -> None:
-        """Prepare calls of a service.
+        """Prepare calls; nothing is sent yet.
 
         Args:
             master: where the service is looked up.
             name: global name of the service.
             service_class: generated class.
-            persistent: keep the connection from call to call.
-            reconnects: whether a persistent client connects again when the connection is lost,
-                perhaps to another process that offers the service now.
+            persistent: keep the connection.
+            reconnects: connect again when a kept connection is lost, perhaps to another process
+                that offers the service now.
         """
         self.name = name
         self._master = master
@@ -232,18 +215,24 @@ class ServiceClient:
         assert_no_state_lock(f"calling service {self.name}")
         request_class = self._class._request_class
         is_request = len(args) == 1 and isinstance(args[0], request_class)
-        request = args[0] if is_request else request_class(*args, **kwds)
-        deadline = time.monotonic() + timeout
         buffer = BytesIO()
-        request.serialize(buffer)
-        if not self._persistent:
-            return self._call_once(buffer.getvalue(), deadline, timeout)
-        if not self._turn.acquire(timeout=timeout):
-            raise PeerTimeout(f"service {self.name}", timeout)
+        (args[0] if is_request else request_class(*args, **kwds)).serialize(buffer)
+        body, deadline = buffer.getvalue(), time.monotonic() + timeout
         try:
-            return self._call_kept(buffer.getvalue(), deadline, timeout)
-        finally:
-            self._turn.release()
+            if not self._persistent:
+                with contextlib.closing(self._connect(deadline)) as connection:
+                    connection.send_frame(body, deadline)
+                    return self._response(*connection.receive_answer(deadline))
+            if not self._turn.acquire(timeout=timeout):
+                raise socket.timeout
+            try:
+                return self._call_kept(body, deadline)
+            finally:
+                self._turn.release()
+        except socket.timeout as error:
+            raise PeerTimeout(f"service {self.name}", timeout) from error
+        except OSError as error:
+            raise ServiceLost(f"service {self.name} is gone: {error}") from error
 
     def close(self) -> None:
         """Close the connection; the next call opens another.
@@ -263,37 +252,25 @@ class ServiceClient:
 
     # Inside
 
-    def _call_once(self, body: bytes, deadline: float, timeout: float) -> Any:
+    def _call_kept(self, body: bytes, deadline: float) -> Any:
+        is_old = self._connection is not None
         try:
-            with contextlib.closing(self._connect(deadline)) as connection:
-                connection.send_frame(body, deadline)
-                return self._response(*connection.receive_answer(deadline))
-        except socket.timeout as error:
-            raise PeerTimeout(f"service {self.name}", timeout) from error
-        except OSError as error:
-            raise ServiceLost(f"service {self.name} is gone: {error}") from error
-
-    def _call_kept(self, body: bytes, deadline: float, timeout: float) -> Any:
-        for attempt in (1, 2):
-            fresh = self._connection is None
-            try:
-                connection = self._connection or self._connect(deadline)
-                self._connection = connection
-                return self._response(*self._exchange(connection, body, deadline))
-            except ServiceFailed:
-                raise
-            except socket.timeout as error:
-                if not self._owed:  # part of a request cannot be taken back
-                    self._disconnect()
-                raise PeerTimeout(f"service {self.name}", timeout) from error
-            except OSError as error:
+            self._connection = self._connection or self._connect(deadline)
+            return self._response(*self._exchange(self._connection, body, deadline))
+        except ServiceFailed:
+            raise
+        except socket.timeout:
+            if not self._owed:  # part of a request cannot be taken back
                 self._disconnect()
-                if fresh or attempt == 2 or not self._reconnects:
-                    raise ServiceLost(f"service {self.name} is gone: {error}") from error
-            except BaseException:
-                self._disconnect()
-                raise
-        raise AssertionError("not reached")
+            raise
+        except OSError:
+            self._disconnect()
+            if is_old and self._reconnects:
+                return self._call_kept(body, deadline)
+            raise
+        except BaseException:
+            self._disconnect()
+            raise
 
     def _disconnect(self) -> None:
         with self._state_lock:
@@ -320,6 +297,25 @@ class ServiceClient:
         text = body.decode("utf-8", "replace")
         raise ServiceFailed(text[len(_PREFIX) :] if text.startswith(_PREFIX) else text)
 
+    def _connect(self, deadline: float) -> TcprosConnection:
+        self.address = self._find()
+        uri = self.address.replace("rosrpc://", "http://")
+        host, port = rosgraph.network.parse_http_host_and_port(uri)
+        seconds = max(_LEAST_WAIT, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
+        header = {
+            "service": self.name,
+            "md5sum": self._class._md5sum,
+            "type": self._class._type,
+            "callerid": self._master.caller,
+            **({"persistent": "1"} if self._persistent else {}),
+        }
+        connection = TcprosConnection(host, port, seconds)
+        try:
+            connection.shake_hands(f"service {self.name}", header, deadline)
+        except ConnectionRefused as error:
+            raise ServiceFailed(str(error)) from error
+        return connection
+
     def _find(self) -> str:
         """Ask the master for the address; while that is away the last one serves."""
         if self.address and not self._reconnects:
@@ -332,28 +328,3 @@ class ServiceClient:
             if not self.address:
                 raise
             return self.address
-
-    def _connect(self, deadline: float) -> TcprosConnection:
-        self.address = self._find()
-        uri = self.address.replace("rosrpc://", "http://")
-        host, port = rosgraph.network.parse_http_host_and_port(uri)
-        seconds = max(0.001, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
-        connection = TcprosConnection(host, port, seconds)
-        try:
-            connection.shake_hands(f"service {self.name}", self._header(), deadline)
-        except ConnectionRefused as error:
-            connection.close()
-            raise ServiceFailed(str(error)) from error
-        except BaseException:
-            connection.close()
-            raise
-        return connection
-
-    def _header(self) -> Dict[str, str]:
-        header = {
-            "service": self.name,
-            "md5sum": self._class._md5sum,
-            "type": self._class._type,
-            "callerid": self._master.caller,
-        }
-        return {**header, "persistent": "1"} if self._persistent else header

@@ -9,11 +9,11 @@ connection and reads the messages from it.
 
 from __future__ import annotations
 
-import functools
 import logging
 import socket
 import threading
 import time
+from functools import partial
 from typing import Any, Callable, Optional
 
 from dyknow.errors import PeerTimeout
@@ -39,14 +39,7 @@ class TopicReader:
     def __init__(
         self, master: Master, publisher: str, topic: str, message_class: Any, timeout: float
     ) -> None:
-        """Connect.
-
-        Args:
-            master: the master that knows the node.
-            publisher: global name of the node.
-            topic: global name of the topic.
-            message_class: generated class of the message.
-            timeout: seconds for the whole of it.
+        """Connect within ``timeout`` seconds.
 
         Raises:
             LookupError: the node is unknown, or does not publish the topic.
@@ -54,7 +47,7 @@ class TopicReader:
             PeerTimeout: it does not answer in time.
             OSError: the connection broke.
         """
-        self._what = f"topic {topic} of {publisher}"
+        what = f"topic {topic} of {publisher}"
         self._class = message_class
         deadline = time.monotonic() + timeout
         node = Master(master.caller, master.ask("lookupNode", publisher), _left(deadline))
@@ -62,12 +55,19 @@ class TopicReader:
         if not offer:
             raise LookupError(f"{publisher} offers no TCPROS connection for {topic}")
         _, host, port = offer
+        fields = {
+            "topic": topic,
+            "type": message_class._type,
+            "md5sum": message_class._md5sum,
+            "callerid": master.caller,
+            "tcp_nodelay": "1",
+        }
         try:
             self._connection = TcprosConnection(host, port, _left(deadline))
             self._connection.keep_alive()
-            self._shake_hands(master.caller, topic, deadline)
+            self._connection.shake_hands(what, fields, deadline)
         except socket.timeout as error:
-            raise PeerTimeout(self._what, timeout) from error
+            raise PeerTimeout(what, timeout) from error
 
     def __enter__(self) -> TopicReader:
         return self
@@ -76,11 +76,7 @@ class TopicReader:
         self.close()
 
     def read(self, timeout: float, last_only: bool = False) -> Optional[Any]:
-        """Return the next message, or None if there is none in time.
-
-        Args:
-            timeout: seconds to wait.
-            last_only: of several that have come, return the last.
+        """Return the next message, or the last that has come; None if there is none in time.
 
         Raises:
             OSError: the connection broke; the publisher may be gone.
@@ -96,10 +92,7 @@ class TopicReader:
         self._connection.interrupt()
 
     def close(self) -> None:
-        """Disconnect."""
         self._connection.close()
-
-    # Inside
 
     def _frame(self, deadline: float) -> Optional[bytes]:
         try:
@@ -107,27 +100,13 @@ class TopicReader:
         except socket.timeout:
             return None
 
-    def _shake_hands(self, caller: str, topic: str, deadline: float) -> None:
-        fields = {
-            "topic": topic,
-            "type": self._class._type,
-            "md5sum": self._class._md5sum,
-            "callerid": caller,
-            "tcp_nodelay": "1",
-        }
-        try:
-            self._connection.shake_hands(self._what, fields, deadline)
-        except BaseException:
-            self.close()
-            raise
-
 
 class TopicFollower:
     """Passes on the messages of a node's topic, over one connection after the other.
 
-    A connection that is lost is made again for as long as it takes. Of several messages that have
-    arrived meanwhile only the last is handed on if ``last_only`` says so, and the next only after
-    a pause: reading large messages must not take all of the time.
+    A connection that is lost is made again for as long as it takes. With ``last_only`` only the
+    last of several messages that have arrived is handed on, and the next after a pause: reading
+    large messages must not take all of the time.
     """
 
     def __init__(
@@ -139,10 +118,7 @@ class TopicFollower:
         hand_on: Callable[[Any], None],
         last_only: bool = False,
     ) -> None:
-        """Prepare; ``start`` starts the thread that calls ``hand_on`` with each message."""
-        self._open: Callable[[], TopicReader] = lambda: TopicReader(
-            master, publisher, topic, message_class, _CONNECTING
-        )
+        self._open = partial(TopicReader, master, publisher, topic, message_class, _CONNECTING)
         self._what = f"following {topic}"
         self._hand_on = hand_on
         self._last_only = last_only
@@ -153,11 +129,10 @@ class TopicFollower:
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a connection now."""
         return self._reader is not None
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that calls ``hand_on`` with each message."""
         in_background(self._what, self._run)
 
     def reconnect(self) -> None:
@@ -188,7 +163,7 @@ class TopicFollower:
                 while not (self._is_left.is_set() or self._closed.is_set()):
                     message = reader.read(_READING, self._last_only)
                     if message is not None:
-                        attempt(self._what, functools.partial(self._hand_on, message))
+                        attempt(self._what, partial(self._hand_on, message))
                         self._closed.wait(_PAUSE if self._last_only else 0.0)
         except ConnectionRefused as error:
             if str(error) != self._refusal:

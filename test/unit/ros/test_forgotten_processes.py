@@ -24,8 +24,7 @@ from dyknow.ros.hosting.external import External
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.process.logs import LogTail
-from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.wire.master import Master
 
 

@@ -25,8 +25,7 @@ from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.process import os_process
-from dyknow.ros.process.logs import LogTail
-from dyknow.ros.process.os_process import ProcessId
+from dyknow.ros.process.os_process import LogTail, ProcessId
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
 STUBBORN = (
