@@ -9,6 +9,7 @@ statements are listed in `warnings`.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Dict, FrozenSet, Iterable, List, Sequence, Tuple
 
 from dyknow.errors import IndividualsError, LabelsError, Problem, UnknownConcept
@@ -27,7 +28,7 @@ class Ontology:
     `BallObject(nao1)` are names. All names of a class or individual are equivalent.
 
     Attributes:
-        warnings: Statements that were skipped, and doubtful ones.
+        warnings: statements that were skipped, and doubtful ones.
     """
 
     def __init__(
@@ -41,17 +42,17 @@ class Ontology:
         """Use `load_ontology`, which reads the files."""
         self.warnings: Tuple[Problem, ...] = tuple(warnings)
         self._hierarchy = statements.hierarchy
-        shared: Dict[FrozenSet[str], FrozenSet[str]] = {}
-        self._types: Dict[str, FrozenSet[str]] = {}
         self._labels = labels
         self._classes = classes
         self._individuals = individuals
-        self._instances: Dict[str, List[str]] = {}
+        self._types: Dict[str, FrozenSet[str]] = {}
+        self._instances: Dict[str, List[str]] = defaultdict(list)
+        shared: Dict[FrozenSet[str], FrozenSet[str]] = {}
         for individual, stated in statements.types.items():
             types = frozenset(stated)
             self._types[individual] = shared.setdefault(types, types)
             for each in types:
-                self._instances.setdefault(each, []).append(individual)
+                self._instances[each].append(individual)
         self._above: Dict[str, FrozenSet[str]] = {}
         self._above_classes: Dict[FrozenSet[str], FrozenSet[str]] = {}
 
@@ -62,14 +63,14 @@ class Ontology:
         in the preferred language counts, as `Labels` says.
 
         Args:
-            concept: The URI of the class.
+            concept: the URI of the class.
 
         Returns:
             The terms, sorted; empty if there is no individual.
 
         Raises:
-            UnknownConcept: No class has this URI.
-            IndividualsError: An individual has several labels in one language, or none and the
+            UnknownConcept: no class has this URI.
+            IndividualsError: an individual has several labels in one language, or none and the
                 last part of its URI names another one too. It names all such individuals.
         """
         reasons: List[str] = []
@@ -95,7 +96,7 @@ class Ontology:
         """Return the URIs of the individuals of a class that have no label.
 
         Raises:
-            UnknownConcept: No class has this URI.
+            UnknownConcept: no class has this URI.
         """
         return tuple(each for each in self._of(concept) if not self._labels.terms(each))
 
@@ -168,14 +169,12 @@ class Ontology:
             raise UnknownConcept(concept)
         certain, possible = self._hierarchy.below(concept)
         found = {each for kind in certain for each in self._instances.get(kind, ())}
-        is_in: Dict[FrozenSet[str], bool] = {}
-        for each in {each for kind in possible for each in self._instances.get(kind, ())} - found:
-            types = self._types[each]
-            if types not in is_in:
-                is_in[types] = concept in self._hierarchy.above(types)
-            if is_in[types]:
-                found.add(each)
-        return sorted(found)
+        candidates = {each for kind in possible for each in self._instances.get(kind, ())} - found
+        in_class = {
+            types: concept in self._hierarchy.above(types)
+            for types in {self._types[each] for each in candidates}
+        }
+        return sorted(found | {each for each in candidates if in_class[self._types[each]]})
 
 
 def load_ontology(
@@ -187,41 +186,35 @@ def load_ontology(
     """Read an ontology from local files.
 
     Args:
-        paths: The files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
-        limits: The caps on each file.
-        language: The language of the labels that are preferred as names.
-        catalogues: Files that say where imported ontologies are, beside the file
+        paths: the files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
+        limits: the caps on each file.
+        language: the language of the labels that are preferred as names.
+        catalogues: files that say where imported ontologies are, beside the file
             catalog-v001.xml next to each file.
 
     Raises:
-        OntologyFileError: A file cannot be read, or is not of its extension's format.
-        LabelsError: Two classes, or two individuals, have the same label, in the preferred
+        OntologyFileError: a file cannot be read, or is not of its extension's format.
+        LabelsError: two classes, or two individuals, have the same label, in the preferred
             language or in none.
-        OntologyError: The language is none.
+        OntologyError: the language is none.
     """
     labels = Labels(language)
-    files = OntologyFiles(paths, catalogues, limits)
-    statements = OntologyStatements()
-    remarks = Remarks(files.files)
-    for file in files.files:
-        for expression in statements.read(file):
-            remarks.not_read(file.path, expression)
-        labels.read(file.path, file.graph)
+    imported = OntologyFiles(paths, catalogues, limits)
+    for file in imported.files:
+        labels.read(file)
+    statements = OntologyStatements(imported.files)
     hierarchy = statements.hierarchy
-    if not statements.complete():
-        remarks.too_many_unions()
     named = [each for each in hierarchy if not is_blank(each)]
-    labels.leave_shared(named, hierarchy.are_equivalent)
-    labels.leave_shared(statements.types, lambda one, other: one == other)
-    classes = Naming("classes", named, labels)
-    individuals = Naming("individuals", statements.types, labels)
-    refused = [
-        *(each for each in classes.refused if not hierarchy.are_equivalent(each.one, each.other)),
-        *individuals.refused,
-    ]
-    if refused:
-        raise LabelsError([str(each) for each in refused])
-    for uri, importer in files.missing:
+    classes = Naming("classes", named, labels, hierarchy.are_equivalent)
+    individuals = Naming("individuals", statements.types, labels, str.__eq__)
+    if classes.refused or individuals.refused:
+        raise LabelsError([*classes.refused, *individuals.refused])
+    remarks = Remarks(imported.files)
+    for each in statements.unread:
+        remarks.unread(*each)
+    if not statements.is_complete:
+        remarks.too_many_unions()
+    for uri, importer in imported.missing:
         remarks.not_imported(importer, uri)
     remarks.names(labels, classes, individuals)
     return Ontology(statements, labels, classes, individuals, remarks.problems())

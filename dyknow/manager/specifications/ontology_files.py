@@ -14,7 +14,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 from urllib.parse import unquote, urljoin, urlsplit
 from xml.parsers import expat
 
@@ -25,211 +25,7 @@ from rdflib import OWL, RDF
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.limits import SpecificationLimits
 
-_REFERENCE = re.compile(rb"&([^;&<>#\s]+);")
-_WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00<", b"<\x00")
-
-
-class _Begun(Exception):
-    """The first element has begun: entities are only declared before it."""
-
-
-def check_entities(data: bytes, limits: SpecificationLimits) -> None:
-    """Refuse a text with dangerous entities before anything is expanded.
-
-    A text that is not well-formed passes: the parser that follows refuses it.
-
-    Raises:
-        ValueError: entities contain entities, or expand to more than the limit.
-    """
-    sizes = _declared(data)
-    if not sizes:
-        return
-    if data[:2] in _WIDE:
-        raise ValueError("entities in UTF-16; expected UTF-8")
-    counts = Counter(match.group(1) for match in _REFERENCE.finditer(data))
-    expanded = sum(count * sizes.get(name, 0) for name, count in counts.items())
-    if expanded > limits.expanded_entities:
-        raise ValueError(
-            f"its entities expand to {expanded} bytes; expected at most {limits.expanded_entities}"
-        )
-
-
-def _declared(data: bytes) -> Dict[bytes, int]:
-    """Sizes in bytes of the entities that a text declares, by name."""
-    sizes: Dict[bytes, int] = {}
-
-    def note(name: str, is_parameter: bool, value: str | None, *_: object) -> None:
-        if value is None:
-            return
-        if is_parameter or "&" in value:
-            what = "is one for declarations" if is_parameter else "contains others"
-            raise ValueError(f"the entity '{name[:60]}' {what}; expected plain text in it")
-        sizes.setdefault(name.encode("utf-8"), len(value.encode("utf-8")))
-
-    def begin(*_: object) -> None:
-        raise _Begun
-
-    parser = expat.ParserCreate()
-    parser.EntityDeclHandler = note
-    parser.StartElementHandler = begin
-    with contextlib.suppress(_Begun, expat.ExpatError):
-        parser.Parse(data, True)
-    return sizes
-
-
-BESIDE = "catalog-v001.xml"
-"""The catalogue that is read where an ontology lies."""
-
-_NAMESPACE = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
-#: The entries that are read, in groups too, with `xml:base`; each must have these attributes.
-_ENTRIES = {
-    "uri": ("name", "uri"),
-    "rewriteURI": ("uriStartString", "rewritePrefix"),
-    "nextCatalog": ("catalog",),
-}
-
-
-class Catalogue:
-    """URIs of ontologies and their places, as an OASIS XML catalogue lists them.
-
-    Attributes:
-        following: Paths of the catalogues to ask next.
-    """
-
-    def __init__(self, path: str, limits: SpecificationLimits) -> None:
-        """Read a catalogue.
-
-        Raises:
-            OntologyFileError: It cannot be read, or is not a catalogue.
-        """
-        self.following: List[str] = []
-        self._path = path
-        self._uris: Dict[str, str] = {}
-        self._prefixes: List[Tuple[str, str]] = []
-        parser = etree.XMLParser(resolve_entities=False, load_dtd=False, no_network=True)
-        data = read_bytes(path, limits.text_size)
-        try:
-            root = etree.fromstring(data, parser, base_url=Path(path).absolute().as_uri())
-            if root.tag != f"{_NAMESPACE}catalog":
-                found = etree.QName(root).localname
-                raise self._error(root, f"begins with <{found}>; expected an OASIS <catalog>")
-            dtd = root.getroottree().docinfo.internalDTD
-            for entity in dtd.iterentities() if dtd is not None else ():
-                raise self._error(root, f"declares the entity '{entity.name[:60]}'; expected none")
-            for name, attributes in _ENTRIES.items():
-                for entry in root.iter(_NAMESPACE + name):
-                    self._add(name, entry, [entry.get(each) for each in attributes])
-        except (etree.XMLSyntaxError, ValueError) as error:  # of XML, of URIs
-            raise OntologyFileError(path, f"is not a valid catalogue: {error}") from error
-
-    def find(self, uri: str) -> Optional[str]:
-        """Return the URI where an ontology is; None if it is not listed."""
-        if uri in self._uris:
-            return self._uris[uri]
-        fitting = [each for each in self._prefixes if uri.startswith(each[0])]
-        if not fitting:
-            return None
-        start, prefix = max(fitting, key=lambda each: len(each[0]))
-        return prefix + uri[len(start) :]
-
-    def _add(self, name: str, entry: etree._Element, values: List[Optional[str]]) -> None:
-        if None in values:
-            expected = " and ".join(_ENTRIES[name])
-            raise self._error(
-                entry, f"<{name}> without all of its attributes; expected {expected}"
-            )
-        *names, target = [str(value) for value in values]
-        target = urljoin(entry.base or "", target)
-        if name == "uri":
-            self._uris.setdefault(names[0], target)
-        elif name == "rewriteURI":
-            self._prefixes.append((names[0], target))
-        else:
-            path = local_path(target)
-            if path is None:
-                raise self._error(entry, f"the next catalogue <{target}>; expected a local file")
-            self.following.append(os.path.realpath(path))
-
-    def _error(self, element: etree._Element, reason: str) -> OntologyFileError:
-        return OntologyFileError(self._path, f"line {element.sourceline}: {reason}")
-
-
-class Catalogues:
-    """Every catalogue that is asked, each read once."""
-
-    def __init__(self, paths: Iterable[str], limits: SpecificationLimits) -> None:
-        """Take the catalogues that are asked about all imports, in this order.
-
-        Raises:
-            OntologyFileError: one cannot be read.
-        """
-        self._limits = limits
-        self._read: Dict[str, Catalogue] = {}
-        self._paths = tuple(paths)
-        for path in self._paths:
-            self._get(path)
-
-    def find(self, uri: str, importer: str) -> Optional[str]:
-        """Return the local file of an ontology; None if no catalogue names one.
-
-        Args:
-            uri: URI of the imported ontology.
-            importer: the file that imports it; the catalogue beside it is asked too.
-
-        Raises:
-            OntologyFileError: a catalogue cannot be read.
-        """
-        beside = Path(importer).absolute().parent / BESIDE
-        waiting = [*self._paths, *([str(beside)] if beside.is_file() else [])]
-        asked = set()
-        while waiting:
-            path = waiting.pop(0)
-            if path in asked:
-                continue
-            asked.add(path)
-            catalogue = self._get(path)
-            found = catalogue.find(uri)
-            if found is not None:
-                return local_path(found)
-            waiting[:0] = catalogue.following
-        return None
-
-    def _get(self, path: str) -> Catalogue:
-        if path not in self._read:
-            self._read[path] = Catalogue(path, self._limits)
-        return self._read[path]
-
-
-def local_path(uri: str) -> Optional[str]:
-    """Return the path of a file's URI; None if it is none of this host."""
-    try:
-        parts = urlsplit(uri)
-    except ValueError:
-        return None
-    path = unquote(parts.path)
-    is_local = parts.scheme == "file" and parts.netloc in ("", "localhost")
-    return path if is_local and "\0" not in path else None
-
-
-def read_bytes(path: str, limit: int) -> bytes:
-    """Read a file.
-
-    Raises:
-        OntologyFileError: it cannot be read, or is larger than the limit.
-    """
-    try:
-        with open(path, "rb") as file:
-            data = file.read(limit + 1)
-    except OSError as error:
-        raise OntologyFileError(path, f"cannot be read: {error.strerror or error}") from error
-    if len(data) > limit:
-        raise OntologyFileError(path, f"is too large; expected at most {limit} bytes")
-    return data
-
-
-FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
-"""The formats that are read, by the file's extension."""
-
+_FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 _NAMES = {"turtle": "Turtle", "xml": "RDF/XML", "nt": "N-Triples"}
 _XML = r"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*"
 #: How files begin, their format, and its name.
@@ -240,8 +36,21 @@ _BEGINNINGS = (
     (r"(@prefix|@base|PREFIX|BASE)\s", "turtle", "Turtle, whose ending is .ttl"),
     (_XML + r"<rdf:RDF\b", "xml", "RDF/XML, whose endings are .owl and .rdf"),
 )
-#: Bytes that are looked at to find the format.
+#: Bytes in which the beginning is searched.
 _BEGINNING = 10_000
+
+_REFERENCE = re.compile(rb"&([^;&<>#\s]+);")
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff", b"\x00<", b"<\x00")
+
+#: The catalogue that is read where an ontology lies.
+_BESIDE = "catalog-v001.xml"
+_NAMESPACE = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
+#: The entries of catalogues that are read, in groups too; each must have these attributes.
+_ENTRIES = {
+    "uri": ("name", "uri"),
+    "rewriteURI": ("uriStartString", "rewritePrefix"),
+    "nextCatalog": ("catalog",),
+}
 
 
 class OntologyFile(NamedTuple):
@@ -252,12 +61,18 @@ class OntologyFile(NamedTuple):
     graph: rdflib.Graph
 
 
+def merged(files: Sequence[OntologyFile]) -> rdflib.Graph:
+    """Return a view of all statements of the files."""
+    graphs = [file.graph for file in files] or [rdflib.Graph()]
+    return rdflib.graph.ReadOnlyGraphAggregate(graphs)
+
+
 class OntologyFiles:
     """The files of an ontology.
 
     Attributes:
         files: those that are named, then those that they import.
-        missing: imports that no file satisfies, with the paths of the files that ask for them.
+        missing: imports that no file satisfies, with the paths of the importing files.
     """
 
     def __init__(
@@ -274,34 +89,29 @@ class OntologyFiles:
             OntologyFileError: a file cannot be read, or is not of its extension's format.
         """
         self._limits = limits
-        self._catalogues = Catalogues(catalogues, limits)
-        self._by_path: Dict[str, OntologyFile] = {}
+        self._read_catalogues: Dict[str, _Catalogue] = {}
+        self._catalogues = tuple(catalogues)
+        for path in self._catalogues:
+            self._catalogue(path)
+        self.files: List[OntologyFile] = []
+        self._paths: Set[str] = set()
         self._known: Set[str] = set()
         for path in paths:
             self._read(os.fspath(path))
         imports: List[Tuple[str, str]] = []
-        for file in self._growing():
+        for file in self.files:  # it grows meanwhile
             imports += self._follow(file)
-        self.files = list(self._by_path.values())
         self.missing = [each for each in imports if _plain(each[0]) not in self._known]
 
-    def _growing(self) -> Iterator[OntologyFile]:
-        """Go through the files, those included that are read meanwhile."""
-        done = 0
-        while done < len(self._by_path):
-            files = list(self._by_path.values())[done:]
-            done += len(files)
-            yield from files
-
     def _follow(self, file: OntologyFile) -> List[Tuple[str, str]]:
-        """Read the files that a file imports; return its imports that none is found for."""
+        """Read the imports of a file; return those for which no file is found."""
         missing = []
         for uri in sorted(str(each) for each in file.graph.objects(None, OWL.imports)):
             if _plain(uri) in self._known:
                 continue
-            path = self._catalogues.find(uri, file.path)
+            path = self._find(uri, file.path)
             if path is None:
-                path = local_path(uri)
+                path = _local_path(uri)
                 if path is None or not os.path.exists(path):
                     missing.append((uri, file.path))
                     continue
@@ -311,9 +121,9 @@ class OntologyFiles:
 
     def _read(self, path: str, why: str = "") -> None:
         real = os.path.realpath(path)
-        if real in self._by_path:
+        if real in self._paths:
             return
-        if len(self._by_path) == self._limits.ontology_files:
+        if len(self.files) == self._limits.ontology_files:
             raise OntologyFileError(
                 path, f"is one file too many{why}; expected at most {self._limits.ontology_files}"
             )
@@ -321,10 +131,90 @@ class OntologyFiles:
             file = _parse(path, self._limits)
         except OntologyFileError as error:
             raise OntologyFileError(path, error.reason + why) from error
-        self._by_path[real] = file
+        self._paths.add(real)
+        self.files.append(file)
         for node in file.graph.subjects(RDF.type, OWL.Ontology):
             self._known.add(_plain(str(node)))
             self._known.update(map(_plain, map(str, file.graph.objects(node, OWL.versionIRI))))
+
+    def _find(self, uri: str, importer: str) -> Optional[str]:
+        """Return the local file that a catalogue names for an import."""
+        beside = Path(importer).absolute().parent / _BESIDE
+        waiting = [*self._catalogues, *([str(beside)] if beside.is_file() else [])]
+        asked = set()
+        while waiting:
+            path = waiting.pop(0)
+            if path in asked:
+                continue
+            asked.add(path)
+            catalogue = self._catalogue(path)
+            found = catalogue.find(uri)
+            if found is not None:
+                return _local_path(found)
+            waiting[:0] = catalogue.following
+        return None
+
+    def _catalogue(self, path: str) -> _Catalogue:
+        if path not in self._read_catalogues:
+            self._read_catalogues[path] = _Catalogue(path, self._limits)
+        return self._read_catalogues[path]
+
+
+class _Catalogue:
+    """URIs of ontologies and their places, as an OASIS XML catalogue lists them.
+
+    Attributes:
+        following: paths of the catalogues to ask next.
+    """
+
+    def __init__(self, path: str, limits: SpecificationLimits) -> None:
+        self.following: List[str] = []
+        self._path = path
+        self._uris: Dict[str, str] = {}
+        self._prefixes: Dict[str, str] = {}
+        parser = etree.XMLParser(resolve_entities=False, load_dtd=False, no_network=True)
+        data = _read_bytes(path, limits.text_size)
+        try:
+            root = etree.fromstring(data, parser, base_url=Path(path).absolute().as_uri())
+            if root.tag != f"{_NAMESPACE}catalog":
+                found = etree.QName(root).localname
+                raise self._error(root, f"begins with <{found}>; expected an OASIS <catalog>")
+            dtd = root.getroottree().docinfo.internalDTD
+            for entity in dtd.iterentities() if dtd is not None else ():
+                raise self._error(root, f"declares the entity '{entity.name[:60]}'; expected none")
+            for name in _ENTRIES:
+                for entry in root.iter(_NAMESPACE + name):
+                    self._add(name, entry)
+        except (etree.XMLSyntaxError, ValueError) as error:  # of XML, of URIs
+            raise OntologyFileError(path, f"is not a valid catalogue: {error}") from error
+
+    def _add(self, name: str, entry: etree._Element) -> None:
+        values = [entry.get(each) for each in _ENTRIES[name]]
+        if None in values:
+            expected = " and ".join(_ENTRIES[name])
+            raise self._error(
+                entry, f"<{name}> without all of its attributes; expected {expected}"
+            )
+        target = urljoin(entry.base or "", values[-1])
+        if name == "uri":
+            self._uris.setdefault(values[0], target)
+        elif name == "rewriteURI":
+            self._prefixes.setdefault(values[0], target)
+        else:
+            path = _local_path(target)
+            if path is None:
+                raise self._error(entry, f"the next catalogue <{target}>; expected a local file")
+            self.following.append(os.path.realpath(path))
+
+    def find(self, uri: str) -> Optional[str]:
+        """Return the URI where an ontology is; None if it is not listed."""
+        if uri in self._uris:
+            return self._uris[uri]
+        longest = max(filter(uri.startswith, self._prefixes), key=len, default=None)
+        return None if longest is None else self._prefixes[longest] + uri[len(longest) :]
+
+    def _error(self, element: etree._Element, reason: str) -> OntologyFileError:
+        return OntologyFileError(self._path, f"line {element.sourceline}: {reason}")
 
 
 def _plain(uri: str) -> str:
@@ -332,29 +222,38 @@ def _plain(uri: str) -> str:
     return uri.rstrip("#")
 
 
-def _check_format(path: str, data: bytes, kind: str) -> None:
-    """Refuse a file that begins as one in another format than its ending says.
+def _local_path(uri: str) -> Optional[str]:
+    """Return the path of a file's URI; None if it is none of this host."""
+    try:
+        parts = urlsplit(uri)
+    except ValueError:
+        return None
+    path = unquote(parts.path)
+    is_local = parts.scheme == "file" and parts.netloc in ("", "localhost")
+    return path if is_local and "\0" not in path else None
 
-    Raises:
-        OntologyFileError: it does.
-    """
-    lines = (line.strip() for line in data[:_BEGINNING].decode("utf-8", "replace").splitlines())
-    text = "\n".join(line for line in lines if line and not line.startswith("#"))
-    for beginning, its_kind, name in _BEGINNINGS:
-        if its_kind != kind and re.match(beginning, text):
-            raise OntologyFileError(path, f"is in {name}; expected {_NAMES[kind]}")
+
+def _read_bytes(path: str, limit: int) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            data = file.read(limit + 1)
+    except OSError as error:
+        raise OntologyFileError(path, f"cannot be read: {error.strerror or error}") from error
+    if len(data) > limit:
+        raise OntologyFileError(path, f"is too large; expected at most {limit} bytes")
+    return data
 
 
 def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
-    kind = FORMATS.get(Path(path).suffix.lower())
+    kind = _FORMATS.get(Path(path).suffix.lower())
     if kind is None:
-        raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")
-    data = read_bytes(path, limits.ontology_size)
+        raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(_FORMATS))}")
+    data = _read_bytes(path, limits.ontology_size)
     _check_format(path, data, kind)
     graph = rdflib.Graph()
     try:
         if kind == "xml":
-            check_entities(data, limits)
+            _check_entities(data, limits)
         # Given bytes instead of a location, rdflib has nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
     except RecursionError as error:
@@ -363,3 +262,52 @@ def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
         reason = " ".join(str(error).split())
         raise OntologyFileError(path, f"is not valid {kind}: {reason[:300]}") from error
     return OntologyFile(path, data, graph)
+
+
+def _check_format(path: str, data: bytes, kind: str) -> None:
+    """Refuse a file that begins as one in another format than its ending says."""
+    lines = (line.strip() for line in data[:_BEGINNING].decode("utf-8", "replace").splitlines())
+    text = "\n".join(line for line in lines if line and not line.startswith("#"))
+    for beginning, its_kind, name in _BEGINNINGS:
+        if its_kind != kind and re.match(beginning, text):
+            raise OntologyFileError(path, f"is in {name}; expected {_NAMES[kind]}")
+
+
+class _Begun(Exception):
+    """The first element has begun: entities are only declared before it."""
+
+
+def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
+    """Refuse a text with dangerous entities before anything is expanded.
+
+    A text that is not well-formed passes: the parser that follows refuses it.
+
+    Raises:
+        ValueError: entities contain entities, or expand to more than the limit.
+    """
+    sizes: Dict[bytes, int] = {}
+
+    def declare(name: str, is_parameter: bool, value: Optional[str], *_: object) -> None:
+        if value is None:  # an external entity, which is not read
+            return
+        if is_parameter or "&" in value:
+            what = "is one for declarations" if is_parameter else "contains others"
+            raise ValueError(f"the entity '{name[:60]}' {what}; expected plain text in it")
+        sizes.setdefault(name.encode("utf-8"), len(value.encode("utf-8")))
+
+    def begin(*_: object) -> None:
+        raise _Begun
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = declare
+    parser.StartElementHandler = begin
+    with contextlib.suppress(_Begun, expat.ExpatError):
+        parser.Parse(data, True)
+    if sizes and data[:2] in _UTF_16:
+        raise ValueError("entities in UTF-16; expected UTF-8")
+    counts = Counter(match.group(1) for match in _REFERENCE.finditer(data)) if sizes else {}
+    expanded = sum(count * sizes.get(name, 0) for name, count in counts.items())
+    if expanded > limits.expanded_entities:
+        raise ValueError(
+            f"its entities expand to {expanded} bytes; expected at most {limits.expanded_entities}"
+        )

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import bisect
 import re
-from typing import Dict, List, NamedTuple, Sequence, Set, Tuple
+from collections import defaultdict
+from typing import Dict, List, NamedTuple, Sequence, Set
 
 import rdflib
 
 from dyknow.errors import Problem
 from dyknow.manager.specifications.ontology_files import OntologyFile
 from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
-from dyknow.manager.specifications.ontology_statements import UnreadExpression
 
-#: The most remarks that are listed for one file.
-LISTED = 100
-#: The URIs that one remark lists.
+#: Most remarks that are listed for one file.
+_LISTED = 100
+#: Most URIs that one remark lists.
 _URIS = 5
 _KINDS = {"": "a class expression", "Restriction": "an owl:Restriction"}
 
@@ -39,17 +39,14 @@ class Remarks:
     """The warnings about the files of an ontology."""
 
     def __init__(self, files: Sequence[OntologyFile]) -> None:
-        self._files = {file.path: file for file in files}
-        self._remarks: Dict[str, Set[_Remark]] = {path: set() for path in self._files}
+        self._files = files
+        self._remarks: Dict[str, Set[_Remark]] = defaultdict(set)
 
-    def not_read(self, path: str, expression: UnreadExpression) -> None:
-        """Note an expression that is not read."""
-        what = _KINDS.get(expression.word, f"owl:{expression.word}")
-        message = f"{what} in the description of <{expression.owner}> is not read"
-        self._note(path, expression.owner, expression.word, message)
+    def unread(self, path: str, owner: str, word: str) -> None:
+        what = _KINDS.get(word, f"owl:{word}")
+        self._note(path, owner, word, f"{what} in the description of <{owner}> is not read")
 
     def not_imported(self, path: str, uri: str) -> None:
-        """Note an import that no file satisfies."""
         message = (
             f"owl:imports of <{uri}> is not followed: no file that was named is this ontology, "
             "and no catalogue names a local file for it"
@@ -57,19 +54,19 @@ class Remarks:
         self._note(path, uri, "imports", message)
 
     def too_many_unions(self) -> None:
-        """Note that not all superclasses of unions were looked for."""
         message = "too many unions to find all superclasses that the parts of each have in common"
-        self._note(next(iter(self._files)), "unionOf", "", message)
+        self._note(self._files[0].path, "unionOf", "", message)
 
     def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
         """Note the names that are not labels in the preferred language."""
-        for label, entities in labels.left.items():
+        for label, entities in labels.dropped.items():
             for entity in entities:
                 message = (
                     f"the label '{label.text}' of <{entity}> in '{label.language}' is that of "
                     f"another one too, and there is none in '{labels.language}'; it does not count"
                 )
                 self._note(label.file, entity, "label", message)
+        unlabelled: Dict[str, List[str]] = defaultdict(list)
         for naming in (classes, individuals):
             for entity, found in labels.fallbacks(naming):
                 languages = ", ".join(sorted({label.language for label in found}))
@@ -81,13 +78,12 @@ class Remarks:
             for name, entities in naming.ambiguous.items():
                 message = f"{_uris(entities)} have no label, and '{name}' names none of them"
                 self._note(self._home(entities[0]), entities[0], "", message)
+            for entity in naming.unlabelled:
+                unlabelled[self._home(entity)].append(entity)
         for name in classes.shared_with(individuals):
-            kind = classes.get(name)
+            kind = str(classes.get(name))
             message = f"'{name}' names the class <{kind}> and the individual "
-            self._note(self._home(str(kind)), str(kind), "", f"{message}<{individuals.get(name)}>")
-        unlabelled: Dict[str, List[str]] = {}
-        for entity in (*classes.unlabelled, *individuals.unlabelled):
-            unlabelled.setdefault(self._home(entity), []).append(entity)
+            self._note(self._home(kind), kind, "", f"{message}<{individuals.get(name)}>")
         for path, entities in unlabelled.items():
             message = f"no label, so that the last part of the URI is the name: {_uris(entities)}"
             self._note(path, entities[0], "", message)
@@ -96,8 +92,8 @@ class Remarks:
         """Return the warnings of each file by line, those without a line last."""
         return [
             problem
-            for path, remarks in self._remarks.items()
-            for problem in _placed(self._files[path], sorted(remarks))
+            for file in self._files
+            for problem in _placed(file, sorted(self._remarks[file.path]))
         ]
 
     def _note(self, path: str, term: str, word: str, message: str) -> None:
@@ -105,12 +101,12 @@ class Remarks:
 
     def _home(self, entity: str) -> str:
         """Return the first file that states something of an entity, else the first one."""
-        if len(self._files) > 1 and not is_blank(entity):
+        if not is_blank(entity):
             node = rdflib.URIRef(entity)
-            for path, file in self._files.items():
+            for file in self._files:
                 if (node, None, None) in file.graph:
-                    return path
-        return next(iter(self._files))
+                    return file.path
+        return self._files[0].path
 
 
 def _uris(entities: Sequence[str]) -> str:
@@ -121,50 +117,45 @@ def _uris(entities: Sequence[str]) -> str:
 def _placed(file: OntologyFile, remarks: Sequence[_Remark]) -> List[Problem]:
     if not remarks:
         return []
-    places = _Places(file.data.decode("utf-8", "replace"))
+    lines = _Lines(file.data.decode("utf-8", "replace"))
     problems = [
-        Problem(file.path, places.line(local_name(each.term), each.word), each.message)
-        for each in remarks[:LISTED]
+        Problem(file.path, lines.find(local_name(each.term), each.word), each.message)
+        for each in remarks[:_LISTED]
     ]
-    if len(remarks) > LISTED:
-        message = f"{len(remarks) - LISTED} more such remarks"
-        problems.append(Problem(file.path, 0, message))
+    if len(remarks) > _LISTED:
+        problems.append(Problem(file.path, 0, f"{len(remarks) - _LISTED} more such remarks"))
     return sorted(problems, key=lambda problem: (problem.line == 0, problem.line))
 
 
-class _Places:
-    """Finds lines of a text."""
+class _Lines:
+    """Finds the lines of words in a text."""
 
     def __init__(self, text: str) -> None:
         self._text = text
         self._ends = [found.start() for found in re.finditer("\n", text)]
-        self._numbers: Dict[str, List[int]] = {}
+        self._known: Dict[str, List[int]] = {"": []}
 
-    def line(self, term: str, word: str) -> int:
-        """The line of the word's first occurrence after the term; that of the term if none is."""
-        mentions = self._of(term)
-        words = self._of(word) if word else []
-        best: Tuple[int, int] = (len(self._ends) + 2, 0)
-        for mention in mentions:
-            place = bisect.bisect_left(words, mention)
-            if place < len(words):
-                best = min(best, (words[place] - mention, words[place]))
-        return best[1] or next(iter(mentions), 0)
+    def find(self, term: str, word: str) -> int:
+        """Return the line of the word that follows the term soonest; else that of the term."""
+        mentions, words = self._of(term), self._of(word)
+        following = [
+            (words[place] - mention, words[place])
+            for mention in mentions
+            for place in [bisect.bisect_left(words, mention)]
+            if place < len(words)
+        ]
+        return min(following)[1] if following else next(iter(mentions), 0)
 
     def _of(self, word: str) -> List[int]:
-        """The lines that have the word, not as a part of a longer one."""
-        if word not in self._numbers:
-            text = self._text
-            lines: Dict[int, None] = {}
-            place = text.find(word) if word else -1  # an empty text is everywhere
-            while place >= 0:
-                end = place + len(word)
-                if not (_in_word(text[place - 1 : place]) or _in_word(text[end : end + 1])):
-                    lines[bisect.bisect_left(self._ends, place) + 1] = None
-                place = text.find(word, end)
-            self._numbers[word] = list(lines)
-        return self._numbers[word]
-
-
-def _in_word(character: str) -> bool:
-    return character.isalnum() or character in ("_", "-")
+        """Return the lines that have the word, not as a part of a longer one."""
+        if word not in self._known:
+            places = (
+                found.start() for found in re.finditer(f"{re.escape(word)}(?![\\w-])", self._text)
+            )
+            lines = {
+                bisect.bisect_left(self._ends, place) + 1
+                for place in places
+                if not re.match(r"[\w-]", self._text[place - 1 : place])
+            }
+            self._known[word] = sorted(lines)
+        return self._known[word]
