@@ -3,8 +3,7 @@
 
 """Completion: argcomplete finds the argument at the cursor, this module its possible values.
 
-`argument` adds an argument with its completer. It asks the manager and the master,
-and offers nothing if they do not answer quickly.
+They ask the manager and the master, and offer nothing if these do not answer quickly.
 """
 
 from __future__ import annotations
@@ -13,10 +12,11 @@ import argparse
 import functools
 import os
 import signal
-from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
+from dyknow.cli.shell import Completer
 from dyknow.datatypes import types_fit
 from dyknow.errors import CannotLaunch, DyKnowError
 from dyknow.model.graph import PortRef
@@ -32,40 +32,6 @@ if TYPE_CHECKING:
 _TIMEOUT = 0.2
 #: Seconds after which completion ends without an answer; 100,000 labels would take longer.
 _LIMIT = 1.0
-
-#: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
-Completer = Callable[..., List[str]]
-
-
-#: An option that takes several values, and may be repeated.
-SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
-
-
-def argument(
-    parser: Any,
-    names: str,
-    metavar: Optional[str],
-    help_text: str,
-    completer: Optional[Completer] = None,
-    **kwds: Any,
-) -> None:
-    """Add an argument.
-
-    Args:
-        parser: gets it.
-        names: its name, or its options, separated by blanks.
-        metavar: placeholder of its value in the help.
-        help_text: its description.
-        completer: returns possible values.
-        **kwds: as argparse takes them.
-    """
-    kwds.update(metavar=metavar, help=help_text)
-    parser.add_argument(*names.split(), **kwds).completer = completer
-
-
-def flag(parser: Any, names: str, help_text: str) -> None:
-    """Add an option without a value; `names` are separated by blanks."""
-    parser.add_argument(*names.split(), action="store_true", help=help_text)
 
 
 def autocomplete(parser: argparse.ArgumentParser) -> None:

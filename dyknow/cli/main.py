@@ -24,8 +24,17 @@ from dyknow.cli.arguments import (
     seconds,
 )
 from dyknow.cli.commands import GROUPS
-from dyknow.cli.completion import argument
-from dyknow.cli.shell import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, UNREACHABLE, Command, Shell
+from dyknow.cli.shell import (
+    BROKEN_PIPE,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    UNREACHABLE,
+    Command,
+    Group,
+    Shell,
+    argument,
+)
 from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.similar import did_you_mean
 
@@ -42,10 +51,39 @@ _ENVIRONMENT = {
     "__hostname": "ROS_HOSTNAME",
 }
 
-_COMMON = """\
+_CLOSING = """\
 Relative names of nodelets and topics begin in the namespace of the manager.
 Exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no manager or master.
 """
+
+# Without defaults: those would override an option that stands before the command.
+_COMMON = Group(
+    (
+        argument(
+            "--json",
+            None,
+            "print the result as JSON",
+            action="store_true",
+            default=argparse.SUPPRESS,
+        ),
+        argument(
+            "--manager-node",
+            "NAME",
+            f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
+            completion.managers,
+            type=manager_node,
+            default=argparse.SUPPRESS,
+        ),
+        argument(
+            "--timeout",
+            "SECONDS",
+            "how long each answer may take (default: 5, changes 60)",
+            type=seconds,
+            default=argparse.SUPPRESS,
+        ),
+    ),
+    "options of every command",
+)
 
 
 def all_commands() -> Dict[str, Command]:
@@ -65,12 +103,10 @@ def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"dyknow {__version__}")
-    _add_common(parser)
+    _COMMON.add_to(parser)
     chosen = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
     chosen.required = True
-    parsers = {}
-    for command in all_commands().values():
-        parsers[command.name] = _add(chosen, command)
+    parsers = {name: _add(chosen, command) for name, command in all_commands().items()}
     return parser, parsers
 
 
@@ -85,7 +121,9 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     words = _without_ros_words(parser, words)
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
-    _check_command(parser, words)
+    if not words[0].startswith("-") and words[0] not in all_commands():
+        hint = did_you_mean(words[0], all_commands())
+        parser.error(f"there is no command '{words[0]}'{hint}")
     arguments = parser.parse_args(words)
     arguments.json = getattr(arguments, "json", False)
     arguments.timeout = getattr(arguments, "timeout", None)
@@ -136,55 +174,20 @@ def _instead(command: str, word: str) -> str:
     return f"'dyknow {command}' takes neither remappings nor parameters"
 
 
-def _check_command(parser: Parser, words: Sequence[str]) -> None:
-    known = all_commands()
-    first = words[0]
-    if first.startswith("-") or first in known:
-        return
-    parser.error(f"there is no command '{first}'{did_you_mean(first, known)}")
-
-
 def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser:
     epilog = "Examples:\n" + "".join(f"  {line}\n" for line in command.examples.splitlines())
     parser = chosen.add_parser(
         command.name,
         prog=f"dyknow {command.name}",
+        usage=command.usage,
         description=command.description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    command.add_arguments(parser)
-    _add_common(parser)
+    for each in (*command.arguments, _COMMON):
+        each.add_to(parser)
     return parser
-
-
-def _add_common(parser: argparse.ArgumentParser) -> None:
-    # Without defaults: those would override an option that stands before the command.
-    group = parser.add_argument_group("options of every command")
-    group.add_argument(
-        "--json",
-        action="store_true",
-        default=argparse.SUPPRESS,
-        help="print the result as JSON",
-    )
-    argument(
-        group,
-        "--manager-node",
-        "NAME",
-        f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
-        completion.managers,
-        type=manager_node,
-        default=argparse.SUPPRESS,
-    )
-    argument(
-        group,
-        "--timeout",
-        "SECONDS",
-        "how long each answer may take (default: 5, changes 60)",
-        type=seconds,
-        default=argparse.SUPPRESS,
-    )
 
 
 def _epilog() -> str:
@@ -194,19 +197,7 @@ def _epilog() -> str:
         lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
         lines.append("")
     lines.append("'dyknow COMMAND --help' shows the arguments of a command, with examples.")
-    return "\n".join(lines) + "\n" + _COMMON
-
-
-class _Warnings(logging.Handler):
-    """Prints the warnings of the client as those of the command."""
-
-    def __init__(self, shell: Shell) -> None:
-        super().__init__(logging.WARNING)
-        self._shell = shell
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print one."""
-        self._shell.warn(record.getMessage())
+    return "\n".join(lines) + "\n" + _CLOSING
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
@@ -252,7 +243,9 @@ def _run(words: Sequence[str]) -> int:
         return ShellClient(arguments.manager_node, arguments.timeout)
 
     shell = Shell(connect, arguments.json)
-    warnings, logger = _Warnings(shell), logging.getLogger("rosout.dyknow")
+    # The client's warnings are the command's.
+    warnings, logger = logging.Handler(logging.WARNING), logging.getLogger("rosout.dyknow")
+    warnings.emit = lambda record: shell.warn(record.getMessage())  # type: ignore[method-assign]
     logger.addHandler(warnings)
     try:
         code = execute(arguments, shell)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A command of `dyknow`, and the environment in which it runs."""
+"""A command of `dyknow`, its arguments, and the environment in which it runs."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, TextIO
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Optional,
+    Sequence,
+    TextIO,
+    Union,
+)
 
 from dyknow import names
 from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import ShellClient
-
 
 DONE = 0
 FAILED = 1
@@ -25,12 +35,23 @@ UNREACHABLE = 3
 INTERRUPTED = 130
 BROKEN_PIPE = 141
 
+#: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
+Completer = Callable[..., List[str]]
+#: Options of an option that takes several values, and may be repeated.
+SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
+
 
 class Shell:
     """The client and the output of one command.
 
     Results go to `out`, as lines or as one JSON value; everything else to `err`, in lines that
     begin with the program's name.
+
+    Args:
+        connect: makes the client, when it is first needed.
+        as_json: print results as JSON.
+        out: where results go; by default standard output.
+        err: where errors and warnings go; by default standard error.
     """
 
     def __init__(
@@ -40,14 +61,6 @@ class Shell:
         out: Optional[TextIO] = None,
         err: Optional[TextIO] = None,
     ) -> None:
-        """Set up the environment; the client is made when it is first needed.
-
-        Args:
-            connect: makes the client.
-            as_json: print results as JSON.
-            out: where results go; by default standard output.
-            err: where errors and warnings go; by default standard error.
-        """
         self.as_json = as_json
         self.out = sys.stdout if out is None else out
         self.err = sys.stderr if err is None else err
@@ -76,16 +89,9 @@ class Shell:
     def for_each(
         self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], object]
     ) -> Optional[int]:
-        """Act on every subject, also after one was refused, and show the outcome.
+        """Act on every subject, also after one was refused; return the exit code.
 
-        Args:
-            kind: the kind of the subjects, which is the key in the JSON of a failure.
-            done: the outcome, in words and as key.
-            subjects: names, labels or ids.
-            act: acts on one; raises DyKnowError.
-
-        Returns:
-            The exit code.
+        In JSON, ``done`` is the key of the subjects, and ``kind`` that of each in a failure.
         """
         acted: List[str] = []
         failed: List[Dict[str, str]] = []
@@ -103,13 +109,68 @@ class Shell:
         return FAILED if failed else None
 
     def error(self, message: object) -> None:
-        """Print an error."""
         self.out.flush()
         self.err.write(f"dyknow: {message}\n")
 
     def warn(self, message: object) -> None:
-        """Print a warning."""
         self.error(f"warning: {message}")
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of a command: its name, or its options, separated by blanks."""
+
+    names: str
+    options: Dict[str, Any]  # as argparse takes them
+    completer: Optional[Completer]
+
+    def add_to(self, parser: Any) -> None:
+        parser.add_argument(*self.names.split(), **self.options).completer = self.completer
+
+
+@dataclass(frozen=True)
+class Group:
+    """Arguments with a title in the help; without a title, at most one of them may be given."""
+
+    arguments: Sequence[Argument]
+    title: str = ""
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        if self.title:
+            group: Any = parser.add_argument_group(self.title)
+        else:
+            group = parser.add_mutually_exclusive_group()
+        for each in self.arguments:
+            each.add_to(group)
+
+
+def argument(
+    names: str,
+    metavar: Optional[str],
+    help_text: str,
+    completer: Optional[Completer] = None,
+    **options: Any,
+) -> Argument:
+    """Declare an argument.
+
+    Args:
+        names: its name, or its options, separated by blanks.
+        metavar: placeholder of its value in the help.
+        help_text: its description.
+        completer: returns possible values.
+        **options: as argparse takes them.
+    """
+    shown = {} if metavar is None else {"metavar": metavar}
+    return Argument(names, {**options, **shown, "help": help_text}, completer)
+
+
+def flag(names: str, help_text: str) -> Argument:
+    """Declare an option without a value."""
+    return argument(names, None, help_text, action="store_true")
+
+
+Run = Callable[[argparse.Namespace, Shell], Optional[int]]
+Problem = Callable[[argparse.Namespace], str]
 
 
 @dataclass(frozen=True)
@@ -121,15 +182,29 @@ class Command:
         summary: half a line for the list of commands.
         description: a paragraph for its own help.
         examples: command lines, one a line.
-        add_arguments: declares its arguments, besides those that all commands have.
+        arguments: those that it has besides those of all commands.
         run: runs the command; returns the exit code, None for success. Raises DyKnowError.
         problem: explains why arguments do not go together; empty if they do.
+        usage: the first line of its help, by default argparse's.
     """
 
     name: str
     summary: str
     description: str
     examples: str
-    add_arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace, Shell], Optional[int]]
-    problem: Callable[[argparse.Namespace], str] = lambda arguments: ""
+    arguments: Sequence[Union[Argument, Group]]
+    run: Run
+    problem: Problem = lambda arguments: ""
+    usage: Optional[str] = None
+
+
+def command(
+    name: str,
+    summary: str,
+    description: str,
+    examples: str,
+    *arguments: Union[Argument, Group],
+    **more: Any,
+) -> Callable[[Run], Command]:
+    """Make a command of the function that runs it; the arguments are those of `Command`."""
+    return lambda run: Command(name, summary, description, examples, arguments, run, **more)

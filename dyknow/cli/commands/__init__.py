@@ -25,7 +25,8 @@ _MODULES = (
     *(inspect, graph, nodelets, programs, launch),
     *(connect, streams, acquire, library, save_load),
 )
-_BY_NAME = {each.name: each for module in _MODULES for each in module.COMMANDS}
+_FOUND = (each for module in _MODULES for each in vars(module).values())
+_BY_NAME = {each.name: each for each in _FOUND if isinstance(each, Command)}
 
 #: Titles and commands, in the order of the help.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = tuple(

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import hertz, seconds, seconds_or_none
-from dyknow.cli.completion import SEVERAL, argument, flag
 from dyknow.cli.output import event_json, stream_json
-from dyknow.cli.shell import FAILED, Command, Shell
+from dyknow.cli.shell import FAILED, SEVERAL, Shell, argument, command, flag
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
 from dyknow.model.streams import StreamRequest
 
@@ -26,67 +25,59 @@ if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import EventReader
 
 
-def demand_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+#: The arguments of a request.
+DEMAND = (
     argument(
-        parser,
-        "tag",
-        "TAG",
-        "the tag of the stream, such as 'FieldPosition(ball)'",
-        completion.tags,
-    )
+        "tag", "TAG", "the tag of the stream, such as 'FieldPosition(ball)'", completion.tags
+    ),
     argument(
-        parser,
         "--datatype",
         "TYPE",
         "the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
         default="",
-    )
+    ),
     argument(
-        parser,
         "--exclude",
         "LABEL",
         "transformations that must not be used",
         completion.labels,
         **SEVERAL,
-    )
-
+    ),
     argument(
-        parser,
         "--min-rate",
         "HZ",
         "how many messages a second there have to be (default: any number)",
         type=hertz,
         default=0.0,
-    )
+    ),
     argument(
-        parser,
         "--max-age",
         "SECONDS",
         "how old messages may be when they are sent, by their headers' stamps (default: any age)",
         type=seconds,
         default=0.0,
-    )
-    for option, what in (
-        ("--prefer", "use these where there is a choice"),
-        ("--avoid", "use these only where there is no choice"),
-    ):
+    ),
+    *(
         argument(
-            parser,
             option,
             "NAME",
             f"{what}: transformations by label, or concepts of their tags",
             completion.labels,
             **SEVERAL,
         )
+        for option, what in (
+            ("--prefer", "use these where there is a choice"),
+            ("--avoid", "use these only where there is no choice"),
+        )
+    ),
     argument(
-        parser,
         "--budget",
         "SECONDS",
         "how long the plan may be improved (default: 0.1 s)",
         type=seconds,
         default=0.0,
-    )
+    ),
+)
 
 
 def request_of(
@@ -115,26 +106,31 @@ _RENEWAL = 3.0
 _RETRY = 1.0
 
 
-def _acquire_arguments(parser: argparse.ArgumentParser) -> None:
-    demand_arguments(parser)
+@command(
+    "acquire",
+    "ask for a stream and hold it",
+    "Ask for a stream by its tag. Missing nodelets are spawned and connected, and maintained "
+    "while the command runs; each change of state is printed. Ctrl-C releases the stream.",
+    "dyknow acquire 'FieldPosition(ball)'\n"
+    "dyknow acquire 'Undistorted(?camera)' --datatype sensor_msgs/Image --max-silence 1\n"
+    "dyknow acquire 'FieldPosition(ball)' --wait --json\n"
+    "dyknow acquire 'FieldPosition(ball)' --lease 60",
+    *DEMAND,
     argument(
-        parser,
         "--max-silence",
         "SECONDS",
         "how long the stream may be silent before it is repaired (default: repair only what died)",
         type=seconds,
         default=0.0,
-    )
-    flag(parser, "--wait", "wait if the stream cannot be made now, until it can")
+    ),
+    flag("--wait", "wait if the stream cannot be made now, until it can"),
     argument(
-        parser,
         "--lease",
         "SECONDS",
         "do not hold the stream: leave a claim that lasts so long (0: until 'release')",
         type=seconds_or_none,
-    )
-
-
+    ),
+)
 def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     if arguments.lease is not None:
         claim, answer = _ask(arguments, shell, arguments.lease)
@@ -283,19 +279,3 @@ def _clock(stamp: float) -> str:
 
 def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
-
-
-COMMANDS = (
-    Command(
-        "acquire",
-        "ask for a stream and hold it",
-        "Ask for a stream by its tag. Missing nodelets are spawned and connected, and maintained "
-        "while the command runs; each change of state is printed. Ctrl-C releases the stream.",
-        "dyknow acquire 'FieldPosition(ball)'\n"
-        "dyknow acquire 'Undistorted(?camera)' --datatype sensor_msgs/Image --max-silence 1\n"
-        "dyknow acquire 'FieldPosition(ball)' --wait --json\n"
-        "dyknow acquire 'FieldPosition(ball)' --lease 60",
-        _acquire_arguments,
-        _acquire,
-    ),
-)

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
-from dyknow.cli.completion import argument
 from dyknow.cli.output import Json, state_of, unknown_nodelet
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import Shell, argument, command
 from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
@@ -34,33 +33,6 @@ class PortMove:
     after: str
 
 
-def _connect_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser,
-        "source",
-        "FROM",
-        "where the stream comes from: an out-port, NODELET:PORT, or a topic",
-        completion.stream_sources,
-        type=port_or_topic,
-    )
-    argument(
-        parser,
-        "target",
-        "TO",
-        "where it goes to: an in-port, NODELET:PORT, or a topic",
-        completion.stream_targets,
-        type=port_or_topic,
-    )
-    argument(
-        parser,
-        "--topic",
-        "T",
-        "the topic between two ports (default: the out-port's, else the in-port's, else /A/OUT)",
-        completion.topics,
-        type=graph_name,
-    )
-
-
 def _connect_problem(arguments: argparse.Namespace) -> str:
     ends = arguments.source, arguments.target
     if all(isinstance(end, str) for end in ends):
@@ -73,6 +45,39 @@ def _connect_problem(arguments: argparse.Namespace) -> str:
     return ""
 
 
+@command(
+    "connect",
+    "connect ports to each other, or to topics",
+    "Connect an out-port to an in-port, a topic to an in-port, or an out-port to a topic, "
+    "while the nodelets run. Directions and types are checked first; of two ports the in-port "
+    "is moved first, and moved back if the out-port cannot be.",
+    "dyknow connect camera:image undistort:rawcamera\n"
+    "dyknow connect camera:image undistort:rawcamera --topic /camera/image_raw\n"
+    "dyknow connect /usb_cam/image_raw undistort:rawcamera\n"
+    "dyknow connect undistort:undist /image_rect",
+    argument(
+        "source",
+        "FROM",
+        "where the stream comes from: an out-port, NODELET:PORT, or a topic",
+        completion.stream_sources,
+        type=port_or_topic,
+    ),
+    argument(
+        "target",
+        "TO",
+        "where it goes to: an in-port, NODELET:PORT, or a topic",
+        completion.stream_targets,
+        type=port_or_topic,
+    ),
+    argument(
+        "--topic",
+        "T",
+        "the topic between two ports (default: the out-port's, else the in-port's, else /A/OUT)",
+        completion.topics,
+        type=graph_name,
+    ),
+    problem=_connect_problem,
+)
 def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     source, target = _end(shell, arguments.source), _end(shell, arguments.target)
     if isinstance(source, str) and isinstance(target, PortRef):
@@ -140,18 +145,20 @@ def _connect_to_topic(
     return _apply(client, [PortMove(reference, port.topic, topic)])
 
 
-def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
+@command(
+    "disconnect",
+    "disconnect ports",
+    "Disconnect ports from their topics while their nodelets run.",
+    "dyknow disconnect undistort:rawcamera\ndyknow disconnect camera:image undistort:rawcamera",
     argument(
-        parser,
         "ports",
         "A:PORT",
         "a port: NODELET:PORT",
         completion.ports,
         nargs="+",
         type=port_reference,
-    )
-
-
+    ),
+)
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     references = dict.fromkeys(_resolved(shell, each) for each in arguments.ports)
     wanted = [PortMove(each, _find_port(shell.client, each).topic, "") for each in references]
@@ -241,30 +248,3 @@ def _reference_json(reference: PortRef) -> Json:
 
 def _move_json(move: PortMove) -> Json:
     return {**_reference_json(move.port), "before": move.before, "after": move.after}
-
-
-COMMANDS = (
-    Command(
-        "connect",
-        "connect ports to each other, or to topics",
-        "Connect an out-port to an in-port, a topic to an in-port, or an out-port to a topic, "
-        "while the nodelets run. Directions and types are checked first; of two ports the in-port "
-        "is moved first, and moved back if the out-port cannot be.",
-        "dyknow connect camera:image undistort:rawcamera\n"
-        "dyknow connect camera:image undistort:rawcamera --topic /camera/image_raw\n"
-        "dyknow connect /usb_cam/image_raw undistort:rawcamera\n"
-        "dyknow connect undistort:undist /image_rect",
-        _connect_arguments,
-        _connect,
-        _connect_problem,
-    ),
-    Command(
-        "disconnect",
-        "disconnect ports",
-        "Disconnect ports from their topics while their nodelets run.",
-        "dyknow disconnect undistort:rawcamera\n"
-        "dyknow disconnect camera:image undistort:rawcamera",
-        _disconnect_arguments,
-        _disconnect,
-    ),
-)

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import namespace
-from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import nodelet_json, state_of, write_file
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import Group, Shell, argument, command, flag
 from dyknow.graphviz import CannotDraw, quote, render
 from dyknow.model.graph import PortRef
 from dyknow.wiring.ports import Topic, by_name, topics_of
@@ -30,21 +29,28 @@ if TYPE_CHECKING:
 _TIMEOUT = 120.0
 
 
-def _arguments(parser: argparse.ArgumentParser) -> None:
-    form = parser.add_mutually_exclusive_group()
-    flag(form, "--dot", "print it in graphviz's DOT language")
-    for kind in ("svg", "png"):
-        argument(form, f"--{kind}", "FILE", f"draw it into a file ({kind})", completion.files)
+@command(
+    "graph",
+    "show or draw the computation graph",
+    "Show which ports are connected by which topics, or draw it: nodelets as ovals, topics as "
+    "rectangles, from left to right, with boxes around namespaces. SVG and PNG need graphviz.",
+    "dyknow graph\ndyknow graph --svg graph.svg\ndyknow graph --namespace /robot --dot | "
+    "dot -Tpdf -o robot.pdf",
+    Group(
+        (
+            flag("--dot", "print it in graphviz's DOT language"),
+            argument("--svg", "FILE", "draw it into a file (svg)", completion.files),
+            argument("--png", "FILE", "draw it into a file (png)", completion.files),
+        )
+    ),
     argument(
-        parser,
         "--namespace",
         "NS",
         "only nodelets of this namespace, with the topics that they are connected to",
         completion.namespaces,
         type=namespace,
-    )
-
-
+    ),
+)
 def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
     snapshot = shell.client.get_graph()
     if arguments.namespace:
@@ -190,17 +196,3 @@ def _boxes(space: str, spaces: Sequence[str], inside: Dict[str, List[str]]) -> I
 
 def _id(kind: str, name: str) -> str:
     return quote(kind + name)
-
-
-COMMANDS = (
-    Command(
-        "graph",
-        "show or draw the computation graph",
-        "Show which ports are connected by which topics, or draw it: nodelets as ovals, topics as "
-        "rectangles, from left to right, with boxes around namespaces. SVG and PNG need graphviz.",
-        "dyknow graph\ndyknow graph --svg graph.svg\ndyknow graph --namespace /robot --dot | "
-        "dot -Tpdf -o robot.pdf",
-        _arguments,
-        _graph,
-    ),
-)

@@ -23,7 +23,6 @@ from typing import (
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, namespace, positive, seconds
-from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import (
     Screen,
     columns,
@@ -33,7 +32,7 @@ from dyknow.cli.output import (
     statistics_json,
     unknown_nodelet,
 )
-from dyknow.cli.shell import FAILED, Command, Shell
+from dyknow.cli.shell import FAILED, Shell, argument, command, flag
 from dyknow.errors import DyKnowError, NodeletUnreachable, Refused
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import by_name
@@ -46,19 +45,22 @@ if TYPE_CHECKING:
 _Ends = Dict[str, List[Tuple[str, str, str]]]
 
 
-def _list_arguments(parser: argparse.ArgumentParser) -> None:
+@command(
+    "list",
+    "list the nodelets",
+    "List the nodelets that the manager knows of, one name a line.",
+    "dyknow list\ndyknow list -l\ndyknow list /robot\n"
+    "dyknow list --json | jq -r '.nodelets[] | select(.state != \"running\") | .name'",
     argument(
-        parser,
         "namespace",
         None,
         "list only nodelets of this namespace",
         completion.namespaces,
         nargs="?",
         type=namespace,
-    )
-    flag(parser, "-l --long", "show transformation, state, ports and manager")
-
-
+    ),
+    flag("-l --long", "show transformation, state, ports and manager"),
+)
 def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     nodelets = shell.client.get_graph().nodelets
     if arguments.namespace:
@@ -91,10 +93,14 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
     return [*columns(rows, right=(3, 4)), *details]
 
 
-def _info_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(parser, "names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
-
-
+@command(
+    "info",
+    "show nodelets, their ports and connections",
+    "Show nodelets: transformation, manager, state, and each port with its type, topic, "
+    "tags and the ports at the other end.",
+    "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",
+    argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name),
+)
 def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     snapshot = shell.client.get_graph()
     wanted = [shell.resolve(name) for name in arguments.names]
@@ -163,34 +169,40 @@ _HEAD = (
 Answer = Union["NodeletStatistics", DyKnowError]
 
 
-def _stats_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser,
-        "names",
-        "NAME",
-        "nodelets (default: all)",
-        completion.nodelets,
-        nargs="*",
-        type=graph_name,
-    )
-    argument(
-        parser,
-        "-w --watch",
-        "SECONDS",
-        f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
-        type=seconds,
-        nargs="?",
-        const=_PERIOD,
-    )
-    argument(parser, "-n --count", "N", "with --watch: end after N times", type=positive)
-
-
 def _stats_problem(arguments: argparse.Namespace) -> str:
     if arguments.count is not None and arguments.watch is None:
         return "--count says how often --watch shows; expected both, or neither"
     return ""
 
 
+@command(
+    "stats",
+    "show the rates of the ports",
+    "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, "
+    "messages that were DROPPED from the full queue of an in-port, or are UNSENT because an "
+    "out-port was disconnected, mean and longest callback of an in-port in ms, and the number "
+    "of callback errors of the nodelet.",
+    "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
+    "dyknow stats --watch 0.5 --count 10 --json",
+    argument(
+        "names",
+        "NAME",
+        "nodelets (default: all)",
+        completion.nodelets,
+        nargs="*",
+        type=graph_name,
+    ),
+    argument(
+        "-w --watch",
+        "SECONDS",
+        f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
+        type=seconds,
+        nargs="?",
+        const=_PERIOD,
+    ),
+    argument("-n --count", "N", "with --watch: end after N times", type=positive),
+    problem=_stats_problem,
+)
 def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     names = [shell.resolve(name) for name in arguments.names]
     if arguments.watch is None:
@@ -297,10 +309,17 @@ def _milliseconds(duration: Optional[float]) -> str:
     return f"{duration * 1000:.2f}" if duration else "-"
 
 
-def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    flag(parser, "-q --quiet", "do not list the checks without a finding")
-
-
+@command(
+    "doctor",
+    "find the defects of a system, and their cures",
+    "Examine the system: names of hosts, dead registrations, processes that another ROS "
+    "master knows, nodelets and streams that fail or hang, missing guards, unknown sources "
+    "and types, parameters that nothing reads, processes of another version, file "
+    "descriptors and disks. Nothing is changed. The exit code is 1 if anything was found.",
+    "dyknow doctor\ndyknow doctor --quiet\n"
+    "dyknow doctor --json | jq -r '.findings[] | select(.is_error) | .cure'",
+    flag("-q --quiet", "do not list the checks without a finding"),
+)
 def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     from dyknow.ros.shell.doctor import Doctor, Finding  # rospy takes its time to import
 
@@ -337,50 +356,3 @@ def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         lines,
     )
     return FAILED if findings else None
-
-
-COMMANDS = (
-    Command(
-        "list",
-        "list the nodelets",
-        "List the nodelets that the manager knows of, one name a line.",
-        "dyknow list\ndyknow list -l\ndyknow list /robot\n"
-        "dyknow list --json | jq -r '.nodelets[] | select(.state != \"running\") | .name'",
-        _list_arguments,
-        _list,
-    ),
-    Command(
-        "info",
-        "show nodelets, their ports and connections",
-        "Show nodelets: transformation, manager, state, and each port with its type, topic, "
-        "tags and the ports at the other end.",
-        "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",
-        _info_arguments,
-        _info,
-    ),
-    Command(
-        "stats",
-        "show the rates of the ports",
-        "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, "
-        "messages that were DROPPED from the full queue of an in-port, or are UNSENT because an "
-        "out-port was disconnected, mean and longest callback of an in-port in ms, and the number "
-        "of callback errors of the nodelet.",
-        "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
-        "dyknow stats --watch 0.5 --count 10 --json",
-        _stats_arguments,
-        _stats,
-        _stats_problem,
-    ),
-    Command(
-        "doctor",
-        "find the defects of a system, and their cures",
-        "Examine the system: names of hosts, dead registrations, processes that another ROS "
-        "master knows, nodelets and streams that fail or hang, missing guards, unknown sources "
-        "and types, parameters that nothing reads, processes of another version, file "
-        "descriptors and disks. Nothing is changed. The exit code is 1 if anything was found.",
-        "dyknow doctor\ndyknow doctor --quiet\n"
-        "dyknow doctor --json | jq -r '.findings[] | select(.is_error) | .cure'",
-        _doctor_arguments,
-        _doctor,
-    ),
-)

@@ -11,69 +11,13 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import positive, seconds
-from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import columns, count
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import Group, Shell, argument, command, flag
 from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
     from dyknow.cli.launching import NodeFilter, Treatment
-
-
-def _launch_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = "dyknow launch [OPTION ...] [PKG] FILE ... [NAME:=VALUE ...]"
-    argument(
-        parser,
-        "words",
-        "FILE",
-        "launch files, the first of PKG if that is given; - is standard input. "
-        "NAME:=VALUE are their arguments",
-        completion.launch_words,
-        nargs="+",
-    )
-    parser.add_argument("--given", action="append", default=[], help=argparse.SUPPRESS)
-    argument(
-        parser,
-        "--only",
-        "PATTERN",
-        "leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
-        action="append",
-        default=[],
-    )
-    argument(
-        parser,
-        "--except",
-        "PATTERN",
-        "leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
-        dest="except_",
-        action="append",
-        default=[],
-    )
-    flag(parser, "--dry-run", "show what would become of each node, and end")
-    _roslaunch_arguments(parser.add_argument_group("options of roslaunch"))
-
-
-def _roslaunch_arguments(group: Any) -> None:
-    flag(group, "--screen", "output of all nodes to the screen")
-    flag(group, "--log", "output of all nodes to the log")
-    flag(group, "--required", "every node is required")
-    flag(group, "--local", "do not start nodes of other machines")
-    flag(group, "--wait", "wait for the master")
-    argument(group, "-p --port", "PORT", "port of the master, if it starts one", type=positive)
-    argument(group, "--pid", "FILE", "write its process id there", completion.files, default="")
-    argument(group, "--run_id", "ID", "id of the run")
-    flag(group, "-v --verbose", "say what is read")
-    flag(group, "--no-summary", "no summary of roslaunch's")
-    flag(group, "--skip-log-check", "do not look how large the logs are")
-    flag(group, "--disable-title", "leave the terminal's title alone")
-    for name in ("sigint", "sigterm"):
-        group.add_argument(
-            f"--{name}-timeout",
-            metavar="SECONDS",
-            type=seconds,
-            help=f"time that a node has to end after {name.upper()}",
-        )
 
 
 def _problem(arguments: argparse.Namespace) -> str:
@@ -84,6 +28,72 @@ def _problem(arguments: argparse.Namespace) -> str:
     return ""
 
 
+_ROSLAUNCH = Group(
+    (
+        flag("--screen", "output of all nodes to the screen"),
+        flag("--log", "output of all nodes to the log"),
+        flag("--required", "every node is required"),
+        flag("--local", "do not start nodes of other machines"),
+        flag("--wait", "wait for the master"),
+        argument("-p --port", "PORT", "port of the master, if it starts one", type=positive),
+        argument("--pid", "FILE", "write its process id there", completion.files, default=""),
+        argument("--run_id", "ID", "id of the run"),
+        flag("-v --verbose", "say what is read"),
+        flag("--no-summary", "no summary of roslaunch's"),
+        flag("--skip-log-check", "do not look how large the logs are"),
+        flag("--disable-title", "leave the terminal's title alone"),
+        *(
+            argument(
+                f"--{name}-timeout",
+                "SECONDS",
+                f"time that a node has to end after {name.upper()}",
+                type=seconds,
+            )
+            for name in ("sigint", "sigterm")
+        ),
+    ),
+    "options of roslaunch",
+)
+
+
+@command(
+    "launch",
+    "start launch files with every node re-wirable",
+    "Starts launch files as roslaunch does. The nodes then have ports that can be connected "
+    "elsewhere while they run; nothing else is changed. What is left alone, and why, is said "
+    "at the start. PATTERN is as of a shell; quote it.",
+    "dyknow launch my_robot robot.launch camera:=left --screen\n"
+    "dyknow launch my_robot robot.launch --dry-run\n"
+    "dyknow launch robot.launch --except '/arm/*' --except 'usb_cam/*'",
+    argument(
+        "words",
+        "FILE",
+        "launch files, the first of PKG if that is given; - is standard input. "
+        "NAME:=VALUE are their arguments",
+        completion.launch_words,
+        nargs="+",
+    ),
+    argument("--given", None, argparse.SUPPRESS, action="append", default=[]),
+    argument(
+        "--only",
+        "PATTERN",
+        "leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
+        action="append",
+        default=[],
+    ),
+    argument(
+        "--except",
+        "PATTERN",
+        "leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
+        dest="except_",
+        action="append",
+        default=[],
+    ),
+    flag("--dry-run", "show what would become of each node, and end"),
+    _ROSLAUNCH,
+    problem=_problem,
+    usage="dyknow launch [OPTION ...] [PKG] FILE ... [NAME:=VALUE ...]",
+)
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli import launching
     from dyknow.cli.launch_files import find_files, unknown_arguments
@@ -150,20 +160,3 @@ def _as_json(each: Treatment) -> Dict[str, Any]:
         "why": each.why,
         "launch_prefix": each.prefix,
     }
-
-
-COMMANDS = (
-    Command(
-        "launch",
-        "start launch files with every node re-wirable",
-        "Starts launch files as roslaunch does. The nodes then have ports that can be connected "
-        "elsewhere while they run; nothing else is changed. What is left alone, and why, is said "
-        "at the start. PATTERN is as of a shell; quote it.",
-        "dyknow launch my_robot robot.launch camera:=left --screen\n"
-        "dyknow launch my_robot robot.launch --dry-run\n"
-        "dyknow launch robot.launch --except '/arm/*' --except 'usb_cam/*'",
-        _launch_arguments,
-        _launch,
-        _problem,
-    ),
-)

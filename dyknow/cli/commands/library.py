@@ -11,9 +11,8 @@ import sys
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.cli import completion
-from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import columns, count, transformation_json, write_file
-from dyknow.cli.shell import FAILED, Command, Shell
+from dyknow.cli.shell import FAILED, Argument, Shell, argument, command, flag
 from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.similar import did_you_mean
@@ -25,26 +24,27 @@ if TYPE_CHECKING:
 STDIN = "-"
 
 
-def _labels(parser: argparse.ArgumentParser, nargs: str, text: str) -> None:
-    argument(parser, "labels", "LABEL", text, completion.labels, nargs=nargs)
+def _labels(nargs: str, text: str) -> Argument:
+    return argument("labels", "LABEL", text, completion.labels, nargs=nargs)
 
 
-def _files(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser,
-        "files",
-        "FILE",
-        f"specifications; {STDIN} for standard input",
-        completion.files,
-        nargs="+",
-    )
+_FILES = argument(
+    "files",
+    "FILE",
+    f"specifications; {STDIN} for standard input",
+    completion.files,
+    nargs="+",
+)
 
 
-def _library_arguments(parser: argparse.ArgumentParser) -> None:
-    _labels(parser, "*", "show the specification (default: list the labels)")
-    flag(parser, "-l --long", "show source, ports and cost")
-
-
+@command(
+    "library",
+    "list the transformations, or show specifications",
+    "List the labels of the transformations, one a line, or show the specifications of some.",
+    "dyknow library\ndyknow library -l\ndyknow library 'undistort(cam1)'",
+    _labels("*", "show the specification (default: list the labels)"),
+    flag("-l --long", "show source, ports and cost"),
+)
 def _library(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
     if arguments.long:
@@ -78,6 +78,14 @@ def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
     return [known[label] for label in dict.fromkeys(labels)]
 
 
+@command(
+    "import",
+    "add transformations from specification files",
+    "Add the transformations that files specify. One under an existing label replaces it; "
+    "nodelets keep the one that they were made from. A file with a problem adds nothing.",
+    "dyknow import cameras.xml\ndyknow export | ROS_MASTER_URI=http://other:11311 dyknow import -",
+    _FILES,
+)
 def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     imported: List[Dict[str, Any]] = []
     failed: List[Dict[str, Any]] = []
@@ -124,11 +132,14 @@ def _named(file: str, words: str) -> str:
     return re.sub(r"^specification(?=:)", lambda _: file, words, flags=re.MULTILINE)
 
 
-def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    _labels(parser, "*", "what to export (default: all)")
-    argument(parser, "-o --output", "FILE", "write here (default: print)", completion.files)
-
-
+@command(
+    "export",
+    "write transformations as a specification file",
+    "Write transformations as one specification, which 'import' reads.",
+    "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
+    _labels("*", "what to export (default: all)"),
+    argument("-o --output", "FILE", "write here (default: print)", completion.files),
+)
 def _export(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
     text = specification_text(chosen)
@@ -149,43 +160,48 @@ def specification_text(transformations: Iterable[Transformation]) -> str:
     return f"<transformations>\n{inside}</transformations>\n"
 
 
-def _remove_arguments(parser: argparse.ArgumentParser) -> None:
-    _labels(parser, "+", "what to remove; nodelets made from it run on")
-
-
+@command(
+    "remove",
+    "remove transformations",
+    "Remove transformations from the library. Nodelets that were made from them run on.",
+    "dyknow remove 'undistort(cam1)'",
+    _labels("+", "what to remove; nodelets made from it run on"),
+)
 def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return shell.for_each("label", "removed", arguments.labels, shell.client.remove_transformation)
 
 
-def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    _files(parser)
+@command(
+    "check",
+    "check specification files without a manager",
+    "Find all problems of specification files, with file and line, without a manager or a "
+    "master. The exit code is 1 if there are problems; warnings are none: nodelet types, "
+    "programs and message types, for instance, that this machine does not have.",
+    "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
+    _FILES,
     argument(
-        parser,
         "--ontology",
         "OWL",
         "file in which templates find the individuals of a concept; may be repeated",
         completion.files,
         action="append",
         default=[],
-    )
+    ),
     argument(
-        parser,
         "--catalogue",
         "XML",
         "XML catalogue of the ontologies that these import; may be repeated",
         completion.files,
         action="append",
         default=[],
-    )
+    ),
     argument(
-        parser,
         "--language",
         "CODE",
         "language of the labels that are preferred as names (default: %(default)s)",
         default="en",
-    )
-
-
+    ),
+)
 def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     ontology = _ontology(arguments)
     unread = ontology.warnings if ontology is not None else ()
@@ -246,51 +262,3 @@ def _report(
 
 def _with_warning(problem: Problem) -> str:
     return str(problem._replace(message=f"warning: {problem.message}"))
-
-
-COMMANDS = (
-    Command(
-        "library",
-        "list the transformations, or show specifications",
-        "List the labels of the transformations, one a line, or show the specifications of some.",
-        "dyknow library\ndyknow library -l\ndyknow library 'undistort(cam1)'",
-        _library_arguments,
-        _library,
-    ),
-    Command(
-        "import",
-        "add transformations from specification files",
-        "Add the transformations that files specify. One under an existing label replaces it; "
-        "nodelets keep the one that they were made from. A file with a problem adds nothing.",
-        "dyknow import cameras.xml\ndyknow export | ROS_MASTER_URI=http://other:11311 dyknow "
-        "import -",
-        _files,
-        _import,
-    ),
-    Command(
-        "export",
-        "write transformations as a specification file",
-        "Write transformations as one specification, which 'import' reads.",
-        "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
-        _export_arguments,
-        _export,
-    ),
-    Command(
-        "remove",
-        "remove transformations",
-        "Remove transformations from the library. Nodelets that were made from them run on.",
-        "dyknow remove 'undistort(cam1)'",
-        _remove_arguments,
-        _remove,
-    ),
-    Command(
-        "check",
-        "check specification files without a manager",
-        "Find all problems of specification files, with file and line, without a manager or a "
-        "master. The exit code is 1 if there are problems; warnings are none: nodelet types, "
-        "programs and message types, for instance, that this machine does not have.",
-        "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
-        _check_arguments,
-        _check,
-    ),
-)

@@ -10,41 +10,48 @@ from typing import TYPE_CHECKING, Dict, Optional
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import given_parameter, graph_name, port_topic
-from dyknow.cli.completion import SEVERAL, argument, flag
 from dyknow.cli.output import nodelet_json, state_of
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import SEVERAL, Shell, argument, command, flag
 from dyknow.errors import DuplicatePort
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
 
 
-def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
+_NAMES = argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
+
+
+@command(
+    "spawn",
+    "make a nodelet from a transformation",
+    "Make a nodelet from a transformation. If the exit code is 0, the nodelet runs and is "
+    "connected; otherwise nothing of it is left.",
+    "dyknow spawn relay slow\n"
+    "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
+    "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
+    "dyknow spawn detector ball --isolated\n"
+    "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
+    "dyknow spawn tracker tracker _rate:=5",
+    argument("label", "LABEL", "the transformation to make it from", completion.spawnable_labels),
+    argument("name", "NAME", "its name", type=graph_name),
+    flag("--protected", "refuse to destroy it before 'unprotect'"),
+    flag("--isolated", "give it a process of its own"),
     argument(
-        parser, "label", "LABEL", "the transformation to make it from", completion.spawnable_labels
-    )
-    argument(parser, "name", "NAME", "its name", type=graph_name)
-    flag(parser, "--protected", "refuse to destroy it before 'unprotect'")
-    flag(parser, "--isolated", "give it a process of its own")
-    argument(
-        parser,
         "--manager",
         "M",
         "the nodelet manager to load it into (default: the DyKnow manager's choice)",
         completion.nodelet_managers,
         type=graph_name,
-    )
+    ),
     argument(
-        parser,
         "--connect",
         "PORT:TOPIC",
         "connect its ports from the start; relative topics begin in its own namespace",
         completion.ports_of_label,
         type=port_topic,
         **SEVERAL,
-    )
+    ),
     argument(
-        parser,
         "--param",
         "NAME=VALUE",
         "override parameters of the transformation; '?camera=cam1' says what ?camera "
@@ -52,9 +59,8 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
         completion.parameters_of_label,
         type=given_parameter,
         **SEVERAL,
-    )
-
-
+    ),
+)
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     config: Dict[str, str] = {}
     for port, topic in arguments.connect:
@@ -89,61 +95,42 @@ def _runs(model: Model, name: str) -> bool:
     return nodelet is not None and state_of(nodelet) != "starting"
 
 
-def _names_argument(parser: argparse.ArgumentParser) -> None:
-    argument(parser, "names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
-
-
+@command(
+    "destroy",
+    "destroy nodelets",
+    "Destroy nodelets. A protected one is refused.",
+    "dyknow destroy slow\ndyknow destroy $(dyknow list /cam1)",
+    _NAMES,
+)
 def _destroy(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     names = map(shell.resolve, arguments.names)
     return shell.for_each("nodelet", "destroyed", names, shell.client.destroy)
 
 
-def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    """Do what `protect` and `unprotect` are for."""
-    done, names = f"{arguments.command}ed", map(shell.resolve, arguments.names)
-    is_protected = arguments.command == "protect"
-    return shell.for_each(
-        "nodelet", done, names, lambda name: shell.client.set_protection(name, is_protected)
-    )
-
-
-COMMANDS = (
-    Command(
-        "spawn",
-        "make a nodelet from a transformation",
-        "Make a nodelet from a transformation. If the exit code is 0, the nodelet runs and is "
-        "connected; otherwise nothing of it is left.",
-        "dyknow spawn relay slow\n"
-        "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
-        "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
-        "dyknow spawn detector ball --isolated\n"
-        "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
-        "dyknow spawn tracker tracker _rate:=5",
-        _spawn_arguments,
-        _spawn,
-    ),
-    Command(
-        "destroy",
-        "destroy nodelets",
-        "Destroy nodelets. A protected one is refused.",
-        "dyknow destroy slow\ndyknow destroy $(dyknow list /cam1)",
-        _names_argument,
-        _destroy,
-    ),
-    Command(
-        "protect",
-        "protect nodelets from being destroyed",
-        "Protect nodelets from being destroyed.",
-        "dyknow protect camera",
-        _names_argument,
-        _protect,
-    ),
-    Command(
-        "unprotect",
-        "let protected nodelets be destroyed again",
-        "Let protected nodelets be destroyed again.",
-        "dyknow unprotect camera",
-        _names_argument,
-        _protect,
-    ),
+@command(
+    "protect",
+    "protect nodelets from being destroyed",
+    "Protect nodelets from being destroyed.",
+    "dyknow protect camera",
+    _NAMES,
 )
+def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    return _set_protection(arguments, shell, True)
+
+
+@command(
+    "unprotect",
+    "let protected nodelets be destroyed again",
+    "Let protected nodelets be destroyed again.",
+    "dyknow unprotect camera",
+    _NAMES,
+)
+def _unprotect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    return _set_protection(arguments, shell, False)
+
+
+def _set_protection(arguments: argparse.Namespace, shell: Shell, value: bool) -> Optional[int]:
+    done, names = f"{arguments.command}ed", map(shell.resolve, arguments.names)
+    return shell.for_each(
+        "nodelet", done, names, lambda name: shell.client.set_protection(name, value)
+    )

@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
 from dyknow import names
 from dyknow.cli import completion
 from dyknow.cli.arguments import seconds
-from dyknow.cli.completion import argument
 from dyknow.cli.output import transformation_json
 from dyknow.cli.rewirable import become
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import Shell, argument, command
 from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
@@ -32,19 +31,31 @@ if TYPE_CHECKING:
     from dyknow.ros.wire.master import Master
 
 
-def program_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare a program and its arguments, as for rosrun."""
-    argument(parser, "package", "PKG", "a package", completion.packages)
-    argument(parser, "executable", "EXECUTABLE", "a program of it")
+#: A program and its arguments, as for rosrun.
+_PROGRAM = (
+    argument("package", "PKG", "a package", completion.packages),
+    argument("executable", "EXECUTABLE", "a program of it"),
     argument(
-        parser,
         "words",
         "ARGUMENT",
         "its arguments, remappings and parameters, as for rosrun",
         nargs=argparse.REMAINDER,
-    )
+    ),
+)
 
 
+@command(
+    "run",
+    "run a node so that its ports can be connected elsewhere",
+    "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports "
+    "that can be connected elsewhere while it runs, and is shown with the nodelets. Anything "
+    "else runs as it is, and says so. In a launch file the same is done by "
+    'launch-prefix="rosrun dyknow rewirable".',
+    "dyknow run topic_tools relay /scan /copy __name:=copier\n"
+    "dyknow run topic_tools transform /numbers /doubled std_msgs/Float64 'm.data * 2'\n"
+    "dyknow run nodelet nodelet standalone image_proc/resize image:=/camera/image_raw",
+    *_PROGRAM,
+)
 def _run(arguments: argparse.Namespace, shell: Shell) -> None:
     become([find_program(arguments.package, arguments.executable), *arguments.words])
 
@@ -64,26 +75,32 @@ _SHARED = re.compile(
 )
 
 
-def _probe_arguments(parser: argparse.ArgumentParser) -> None:
+@command(
+    "probe",
+    "run a node once, and write its specification",
+    "Runs a program of a package once, in a namespace of its own, until its ports are there, "
+    "and prints a transformation to begin with: its ports with their types, and the "
+    "parameters in its own namespace. Ports that come later, such as those that a lazy node "
+    "makes when somebody listens, are missing; tags are to be added. Nothing is spawned, and "
+    "no manager is needed. Options come before PKG.",
+    "dyknow probe topic_tools relay /scan /copy > copier.xml\n"
+    "dyknow probe --settle 5 image_view image_saver image:=/camera/image",
     argument(
-        parser,
         "--settle",
         "S",
         "end when no port has come for so many seconds (default: %(default)s)",
         type=seconds,
         default=2.0,
-    )
+    ),
     argument(
-        parser,
         "--start",
         "S",
         "seconds that its first port may take (default: %(default)s)",
         type=seconds,
         default=20.0,
-    )
-    program_arguments(parser)
-
-
+    ),
+    *_PROGRAM,
+)
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.ros.process.programs import find_program
     from dyknow.ros.wire.master import Master
@@ -223,33 +240,3 @@ def _clean_up(master: Master, name: str) -> None:
         master.ask("deleteParam", names.parent(name))
     except (LookupError, PeerTimeout):
         return  # nothing is left, or no master
-
-
-COMMANDS = (
-    Command(
-        "run",
-        "run a node so that its ports can be connected elsewhere",
-        "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports "
-        "that can be connected elsewhere while it runs, and is shown with the nodelets. Anything "
-        "else runs as it is, and says so. In a launch file the same is done by "
-        'launch-prefix="rosrun dyknow rewirable".',
-        "dyknow run topic_tools relay /scan /copy __name:=copier\n"
-        "dyknow run topic_tools transform /numbers /doubled std_msgs/Float64 'm.data * 2'\n"
-        "dyknow run nodelet nodelet standalone image_proc/resize image:=/camera/image_raw",
-        program_arguments,
-        _run,
-    ),
-    Command(
-        "probe",
-        "run a node once, and write its specification",
-        "Runs a program of a package once, in a namespace of its own, until its ports are there, "
-        "and prints a transformation to begin with: its ports with their types, and the "
-        "parameters in its own namespace. Ports that come later, such as those that a lazy node "
-        "makes when somebody listens, are missing; tags are to be added. Nothing is spawned, and "
-        "no manager is needed. Options come before PKG.",
-        "dyknow probe topic_tools relay /scan /copy > copier.xml\n"
-        "dyknow probe --settle 5 image_view image_saver image:=/camera/image",
-        _probe_arguments,
-        _probe,
-    ),
-)

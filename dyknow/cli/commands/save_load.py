@@ -10,9 +10,8 @@ import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
 
 from dyknow.cli import completion
-from dyknow.cli.completion import argument, flag
 from dyknow.cli.output import count, write_file
-from dyknow.cli.shell import FAILED, Command, Shell
+from dyknow.cli.shell import FAILED, Shell, argument, command, flag
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.steps import carry_out
@@ -26,12 +25,14 @@ if TYPE_CHECKING:
 STDIO = "-"
 
 
-def _save_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser, "file", "FILE", f"where to write it; {STDIO} for standard output", completion.files
-    )
-
-
+@command(
+    "save",
+    "save the whole wiring in a file",
+    "Save what runs in one XML file: the nodelets, their connections, and the transformations "
+    "that they are made from.",
+    "dyknow save robot.xml\ndyknow save - | less",
+    argument("file", "FILE", f"where to write it; {STDIO} for standard output", completion.files),
+)
 def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     wiring, left_out = wiring_of(shell.client.get_model())
     for nodelet in left_out:
@@ -57,29 +58,31 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _load_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(
-        parser, "file", "FILE", f"what 'save' wrote; {STDIO} for standard input", completion.files
-    )
-    flag(parser, "--dry-run", "check, and show what would be changed")
+@command(
+    "load",
+    "load a saved wiring",
+    "Load a saved wiring. The whole file is checked before anything is changed. Running "
+    "nodelets that it names are kept, and connected and protected as it says; with "
+    "--replace those that were made differently are made again. Other nodelets are left "
+    "alone. When a step fails, the steps before it are undone.",
+    "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
+    "dyknow load robot.xml --keep-going --any-manager",
+    argument("file", "FILE", f"what 'save' wrote; {STDIO} for standard input", completion.files),
+    flag("--dry-run", "check, and show what would be changed"),
     flag(
-        parser,
         "--keep-going",
         "go on when a step fails, and keep what was done (default: undo everything)",
-    )
+    ),
     flag(
-        parser,
         "--replace",
         "replace transformations that differ, and make nodelets again that were made "
         "differently (default: refuse)",
-    )
+    ),
     flag(
-        parser,
         "--any-manager",
         "where a nodelet manager is not running, let the DyKnow manager choose another",
-    )
-
-
+    ),
+)
 def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     client = shell.client
     try:
@@ -182,28 +185,3 @@ def _lines(plan: LoadPlan, failed: List[str], dry_run: bool) -> Iterator[str]:
                 yield f"{thing[:-1]} {subject}: {words}{hint}"
     if empty:
         yield "nothing to load" if not failed else "nothing was loaded"
-
-
-COMMANDS = (
-    Command(
-        "save",
-        "save the whole wiring in a file",
-        "Save what runs in one XML file: the nodelets, their connections, and the transformations "
-        "that they are made from.",
-        "dyknow save robot.xml\ndyknow save - | less",
-        _save_arguments,
-        _save,
-    ),
-    Command(
-        "load",
-        "load a saved wiring",
-        "Load a saved wiring. The whole file is checked before anything is changed. Running "
-        "nodelets that it names are kept, and connected and protected as it says; with "
-        "--replace those that were made differently are made again. Other nodelets are left "
-        "alone. When a step fails, the steps before it are undone.",
-        "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
-        "dyknow load robot.xml --keep-going --any-manager",
-        _load_arguments,
-        _load,
-    ),
-)

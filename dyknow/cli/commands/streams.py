@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set
 
 from dyknow.cli import completion
-from dyknow.cli.commands.acquire import demand_arguments, request_of
-from dyknow.cli.completion import argument, flag
+from dyknow.cli.commands.acquire import DEMAND, request_of
 from dyknow.cli.output import columns, stream_json
-from dyknow.cli.shell import Command, Shell
+from dyknow.cli.shell import Shell, argument, command, flag
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.manager.specifications.tags import read_tags
@@ -42,12 +41,14 @@ class _Supply:
     bindings: Optional[List[Dict[str, str]]] = None
 
 
-def _tags_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "text", nargs="?", default="", help="list only tags that contain this, in any case"
-    )
-
-
+@command(
+    "tags",
+    "list the tags of streams",
+    "List the tags of out-ports: for which names the variables in them can stand now, their "
+    "types, the transformations and the running nodelets that supply them.",
+    "dyknow tags\ndyknow tags ball\ndyknow tags --json | jq -r '.tags[].tag'",
+    argument("text", None, "list only tags that contain this, in any case", nargs="?", default=""),
+)
 def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
     supplied = _supplied(shell.client.get_model())
     chosen = {
@@ -140,11 +141,17 @@ def _numbered(tag: str) -> str:
     return tag
 
 
-def _plan_arguments(parser: argparse.ArgumentParser) -> None:
-    demand_arguments(parser)
-    flag(parser, "--dot", "print the plan in graphviz's DOT language")
-
-
+@command(
+    "plan",
+    "explain how a stream would be made",
+    "Explain how a stream would be made now: what would be spawned, what would be reused, "
+    "and the cost. Nothing is changed.",
+    "dyknow plan 'FieldPosition(ball)'\n"
+    "dyknow plan 'BallObject(?robot)' --exclude bottom_camera\n"
+    "dyknow plan 'FieldPosition(ball)' --dot | dot -Tsvg -o plan.svg",
+    *DEMAND,
+    flag("--dot", "print the plan in graphviz's DOT language"),
+)
 def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.acquire_stream(request_of(arguments), dry_run=True)
     for warning in answer.warnings:
@@ -167,11 +174,15 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show(result, lines)
 
 
-def _streams_arguments(parser: argparse.ArgumentParser) -> None:
-    flag(parser, "-a --all", "list claims that ended recently, too")
-    flag(parser, "-l --long", "show client, nodelets and details, too")
-
-
+@command(
+    "streams",
+    "list the claimed streams",
+    "List the claims: tag, state, topic and details.",
+    "dyknow streams\ndyknow streams -l --all\n"
+    "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
+    flag("-a --all", "list claims that ended recently, too"),
+    flag("-l --long", "show client, nodelets and details, too"),
+)
 def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
     streams = [
         each for each in shell.client.list_streams() if arguments.all or not each.state.ended
@@ -215,10 +226,14 @@ def _stream_details(streams: Sequence[StreamStatus]) -> List[str]:
     return lines
 
 
-def _claims_argument(parser: argparse.ArgumentParser) -> None:
-    argument(parser, "claims", "ID", "a claim; see 'streams'", completion.claims, nargs="+")
-
-
+@command(
+    "release",
+    "end claims",
+    "End claims. Nodelets that were made for them and that no other claim needs are "
+    "destroyed after some seconds.",
+    "dyknow release 3f0c1a2b4d5e",
+    argument("claims", "ID", "a claim; see 'streams'", completion.claims, nargs="+"),
+)
 def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     known = {each.claim_id for each in shell.client.list_streams()}
 
@@ -230,11 +245,14 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return shell.for_each("claim", "released", arguments.claims, release)
 
 
-def _replan_arguments(parser: argparse.ArgumentParser) -> None:
-    argument(parser, "claim", "ID", "a claim; see 'streams'", completion.claims)
-    flag(parser, "-n --dry-run", "show the plan, change nothing")
-
-
+@command(
+    "replan",
+    "switch a stream to the cheapest plan",
+    "Switch a claimed stream to the plan that is the cheapest now. Its topic stays.",
+    "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
+    argument("claim", "ID", "a claim; see 'streams'", completion.claims),
+    flag("-n --dry-run", "show the plan, change nothing"),
+)
 def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.replan_stream(arguments.claim, arguments.dry_run)
     result = {
@@ -246,53 +264,3 @@ def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
         "plan": answer.plan,
     }
     shell.show(result, answer.plan.rstrip("\n").split("\n"))
-
-
-COMMANDS = (
-    Command(
-        "tags",
-        "list the tags of streams",
-        "List the tags of out-ports: for which names the variables in them can stand now, their "
-        "types, the transformations and the running nodelets that supply them.",
-        "dyknow tags\ndyknow tags ball\ndyknow tags --json | jq -r '.tags[].tag'",
-        _tags_arguments,
-        _tags,
-    ),
-    Command(
-        "plan",
-        "explain how a stream would be made",
-        "Explain how a stream would be made now: what would be spawned, what would be reused, "
-        "and the cost. Nothing is changed.",
-        "dyknow plan 'FieldPosition(ball)'\n"
-        "dyknow plan 'BallObject(?robot)' --exclude bottom_camera\n"
-        "dyknow plan 'FieldPosition(ball)' --dot | dot -Tsvg -o plan.svg",
-        _plan_arguments,
-        _plan,
-    ),
-    Command(
-        "streams",
-        "list the claimed streams",
-        "List the claims: tag, state, topic and details.",
-        "dyknow streams\ndyknow streams -l --all\n"
-        "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
-        _streams_arguments,
-        _streams,
-    ),
-    Command(
-        "release",
-        "end claims",
-        "End claims. Nodelets that were made for them and that no other claim needs are "
-        "destroyed after some seconds.",
-        "dyknow release 3f0c1a2b4d5e",
-        _claims_argument,
-        _release,
-    ),
-    Command(
-        "replan",
-        "switch a stream to the cheapest plan",
-        "Switch a claimed stream to the plan that is the cheapest now. Its topic stays.",
-        "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
-        _replan_arguments,
-        _replan,
-    ),
-)
