@@ -23,19 +23,26 @@ class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line and exits with code 2."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the error and exit."""
         sys.stderr.write(f"{self.prog}: {message} (see '{self.prog} --help')\n")
         raise SystemExit(2)
 
 
+def _expected(text: str, what: str) -> argparse.ArgumentTypeError:
+    return argparse.ArgumentTypeError(f"'{text}': expected {what}")
+
+
 def graph_name(text: str) -> str:
     """Read the name of a nodelet, a topic or a node."""
+    if text.startswith("~"):
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is a private name; expected a name such as camera or /robot/x"
+        )
+    return _checked(text)
+
+
+def _checked(text: str, *kind: str) -> str:
     try:
-        if text.startswith("~"):
-            raise argparse.ArgumentTypeError(
-                f"'{text}' is a private name; expected a name such as camera or /robot/x"
-            )
-        return names.check(text)
+        return names.check(text, *kind)
     except InvalidName as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
@@ -58,15 +65,13 @@ def default_manager() -> str:
 
 
 def namespace(text: str) -> str:
-    """Read a namespace, which may be `/`."""
     return text if text == "/" else graph_name(text)
 
 
 def port_reference(text: str) -> PortRef:
-    """Read `NODELET:PORT`."""
-    nodelet, colon, port = text.rpartition(":")
-    if not colon or not nodelet or not port:
-        raise argparse.ArgumentTypeError(f"'{text}': expected NODELET:PORT, such as camera:image")
+    nodelet, _, port = text.rpartition(":")
+    if not (nodelet and port):
+        raise _expected(text, "NODELET:PORT, such as camera:image")
     return PortRef(graph_name(nodelet), port)
 
 
@@ -76,35 +81,25 @@ def port_or_topic(text: str) -> Union[PortRef, str]:
 
 
 def port_topic(text: str) -> Tuple[str, str]:
-    """Read `PORT:TOPIC`."""
-    port, colon, topic = text.partition(":")
-    if not colon or not port or not topic:
-        raise argparse.ArgumentTypeError(
-            f"'{text}': expected PORT:TOPIC, such as in:/camera/image"
-        )
-    try:
-        return port, names.check(topic, "topic name")
-    except InvalidName as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+    port, _, topic = text.partition(":")
+    if not (port and topic):
+        raise _expected(text, "PORT:TOPIC, such as in:/camera/image")
+    return port, _checked(topic, "topic name")
 
 
 def given_parameter(text: str) -> Parameter:
     """Read `NAME=VALUE`; the type is left open."""
     name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise argparse.ArgumentTypeError(
-            f"'{text}': expected NAME=VALUE, such as rate=5 or '?camera=cam1'"
-        )
+    if not (name and equals):
+        raise _expected(text, "NAME=VALUE, such as rate=5 or '?camera=cam1'")
     return Parameter(name, "", value)
 
 
 def seconds(text: str) -> float:
-    """Read a duration above zero, in seconds."""
     return _above_zero(text, "seconds, such as 0.5")
 
 
 def hertz(text: str) -> float:
-    """Read a rate above zero, in Hz."""
     return _above_zero(text, "Hz above 0, such as 10")
 
 
@@ -114,7 +109,7 @@ def _above_zero(text: str, expected: str) -> float:
     except ValueError:
         value = math.nan
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}': expected {expected}")
+        raise _expected(text, expected)
     return value
 
 
@@ -124,7 +119,6 @@ def seconds_or_none(text: str) -> float:
 
 
 def positive(text: str) -> int:
-    """Read an integer of at least 1."""
     if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"'{text}': expected an integer of at least 1")
+        raise _expected(text, "an integer of at least 1")
     return int(text)

@@ -9,7 +9,6 @@ They ask the manager and the master, and offer nothing if these do not answer qu
 from __future__ import annotations
 
 import argparse
-import functools
 import os
 import signal
 from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
@@ -68,20 +67,21 @@ class _Cursor:
         return getattr(self._arguments, argument, None)
 
     def nodelets(self) -> Sequence[NodeletStatus]:
-        """The nodelets that run."""
         return self.client.get_graph().nodelets
 
     def topics(self) -> List[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
-        own = {topic.name for topic in topics_of(self.client.get_graph().nodelets)}
+        own = {topic.name for topic in topics_of(self.nodelets())}
         return sorted(own | set(self.client.topics()))
 
     def transformations(self) -> Sequence[Transformation]:
-        """The library."""
         return self.client.get_model().transformations
 
+    def chosen_transformation(self) -> Sequence[Transformation]:
+        """The transformation that is to be spawned, if there is one of that label."""
+        return [each for each in self.transformations() if each.label == self.given("label")]
+
     def resolve(self, name: str) -> str:
-        """Make a name global."""
         return name if name.startswith("/") else names.join(self.client.namespace, name)
 
     def as_typed(self, found: Iterable[str]) -> List[str]:
@@ -112,17 +112,17 @@ class _Cursor:
                 found.extend(f"{name}:{port}" for port in ports)
         return found
 
+    def topics_beside_ports(self) -> Iterable[str]:
+        return () if ":" in self.prefix else self.as_typed(self.topics())
+
     def type_of(self, reference: PortRef) -> str:
         """ROS type of a port, empty if it is not known."""
-        for nodelet in self.nodelets():
-            if nodelet.name == self.resolve(reference.nodelet):
-                port = nodelet.port(reference.port)
-                return port.datatype if port is not None else ""
-        return ""
+        nodelet = self.client.get_graph().nodelet(self.resolve(reference.nodelet))
+        port = nodelet.port(reference.port) if nodelet is not None else None
+        return port.datatype if port is not None else ""
 
 
 def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
-    @functools.wraps(find)
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> List[str]:
         node = getattr(parsed_args, "manager_node", None) or default_manager()
         try:
@@ -133,78 +133,49 @@ def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
     return complete
 
 
+topics = _completer(lambda cursor: cursor.as_typed(cursor.topics()))
+managers = _completer(lambda cursor: cursor.client.managers())
+nodelet_managers = _completer(lambda cursor: cursor.as_typed(cursor.client.nodelet_managers()))
+ports = _completer(lambda cursor: cursor.ports())
+stream_sources = _completer(lambda cursor: [*cursor.ports(OUT), *cursor.topics_beside_ports()])
+
+
 @_completer
 def nodelets(cursor: _Cursor) -> Iterable[str]:
-    """Names of nodelets that the command line does not name yet."""
+    """Nodelets that the command line does not name yet."""
     named = {cursor.resolve(name) for name in cursor.given("names") or ()}
     return cursor.as_typed(each.name for each in cursor.nodelets() if each.name not in named)
 
 
 @_completer
 def namespaces(cursor: _Cursor) -> Iterable[str]:
-    """Namespaces of nodelets."""
     spaces = {names.parent(each.name) for each in cursor.nodelets()}
-    return cursor.as_typed(space for space in spaces if space != "/")
+    return cursor.as_typed(spaces - {"/"})
 
 
 @_completer
 def labels(cursor: _Cursor) -> Iterable[str]:
     """Labels of the library that the command line does not name yet."""
-    found = {each.label for each in cursor.transformations()}
-    return found - set(cursor.given("labels") or ())
+    return {each.label for each in cursor.transformations()} - set(cursor.given("labels") or ())
 
 
 @_completer
 def spawnable_labels(cursor: _Cursor) -> Iterable[str]:
-    """Labels of transformations that nodelets can be made from."""
     return [each.label for each in cursor.transformations() if not each.is_described]
-
-
-@_completer
-def topics(cursor: _Cursor) -> Iterable[str]:
-    """Topics."""
-    return cursor.as_typed(cursor.topics())
-
-
-@_completer
-def nodelet_managers(cursor: _Cursor) -> Iterable[str]:
-    """Nodelet managers of this manager."""
-    return cursor.as_typed(cursor.client.nodelet_managers())
-
-
-@_completer
-def managers(cursor: _Cursor) -> Iterable[str]:
-    """DyKnow managers that the master knows."""
-    return cursor.client.managers()
 
 
 @_completer
 def claims(cursor: _Cursor) -> Iterable[str]:
     """Claims that have not ended and that the command line does not name yet."""
-    named = set(cursor.given("claims") or ())
-    return (
-        each.claim_id
-        for each in cursor.client.list_streams()
-        if not each.state.ended and each.claim_id not in named
-    )
+    running = {each.claim_id for each in cursor.client.list_streams() if not each.state.ended}
+    return running - set(cursor.given("claims") or ())
 
 
 @_completer
 def tags(cursor: _Cursor) -> Iterable[str]:
     """Tags that some transformation supplies."""
-    return (
-        tag
-        for each in cursor.transformations()
-        for port in each.ports
-        if port.direction == OUT
-        for tag in port.tags
-    )
-
-
-@_completer
-def ports(cursor: _Cursor) -> Iterable[str]:
-    """Ports of nodelets, `NODELET:PORT`."""
-    return cursor.ports()
+    ports = (port for each in cursor.transformations() for port in each.ports)
+    return (tag for port in ports if port.direction == OUT for tag in port.tags)
 
 
 @_completer
@@ -213,12 +184,7 @@ def ports_of_label(cursor: _Cursor) -> Iterable[str]:
     port, colon, _ = cursor.prefix.partition(":")
     if colon:
         return [f"{port}:{topic}" for topic in cursor.topics()]
-    return (
-        f"{port.name}:"
-        for each in cursor.transformations()
-        if each.label == cursor.given("label")
-        for port in each.ports
-    )
+    return (f"{port.name}:" for each in cursor.chosen_transformation() for port in each.ports)
 
 
 @_completer
@@ -228,16 +194,9 @@ def parameters_of_label(cursor: _Cursor) -> Iterable[str]:
 
     return (
         f"{name}="
-        for each in cursor.transformations()
-        if each.label == cursor.given("label")
+        for each in cursor.chosen_transformation()
         for name in (*[parameter.name for parameter in each.parameters], *variables(each))
     )
-
-
-@_completer
-def stream_sources(cursor: _Cursor) -> Iterable[str]:
-    """Out-ports, and topics."""
-    return [*cursor.ports(OUT), *_topics_beside_ports(cursor)]
 
 
 @_completer
@@ -245,16 +204,11 @@ def stream_targets(cursor: _Cursor) -> Iterable[str]:
     """In-ports that fit the source, and topics if the source is a port."""
     source = cursor.given("source")
     if isinstance(source, PortRef):
-        return [*cursor.ports(IN, cursor.type_of(source)), *_topics_beside_ports(cursor)]
+        return [*cursor.ports(IN, cursor.type_of(source)), *cursor.topics_beside_ports()]
     return cursor.ports(IN)
 
 
-def _topics_beside_ports(cursor: _Cursor) -> Iterable[str]:
-    return () if ":" in cursor.prefix else cursor.as_typed(cursor.topics())
-
-
 def packages(prefix: str, **_: object) -> List[str]:
-    """Packages on ROS_PACKAGE_PATH."""
     import rospkg
 
     return sorted(name for name in rospkg.RosPack().list() if name.startswith(prefix))

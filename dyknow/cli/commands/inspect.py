@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from typing import (
     TYPE_CHECKING,
-    Collection,
     Dict,
     Iterator,
     List,
@@ -24,6 +23,7 @@ from typing import (
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, namespace, positive, seconds
 from dyknow.cli.output import (
+    Json,
     Screen,
     columns,
     count,
@@ -40,9 +40,6 @@ from dyknow.wiring.ports import by_name
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
     from dyknow.model.statistics import NodeletStatistics
-
-
-_Ends = Dict[str, List[Tuple[str, str, str]]]
 
 
 @command(
@@ -103,16 +100,20 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
 )
 def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     snapshot = shell.client.get_graph()
-    wanted = [shell.resolve(name) for name in arguments.names]
-    found = [snapshot.nodelet(name) for name in wanted]
-    for name, nodelet in zip(wanted, found):
-        if nodelet is None:
-            shell.error(unknown_nodelet(name, snapshot))
-    present = [nodelet for nodelet in found if nodelet is not None]
-    if present or len(wanted) > 1:
+    present = _named(shell, arguments.names, snapshot)
+    if present or len(arguments.names) > 1:
         lines = (line for nodelet in present for line in _describe(nodelet, snapshot))
         shell.show({"nodelets": [nodelet_json(nodelet) for nodelet in present]}, lines)
-    return None if len(present) == len(wanted) else FAILED
+    return None if len(present) == len(arguments.names) else FAILED
+
+
+def _named(shell: Shell, names: Sequence[str], snapshot: Model) -> List[NodeletStatus]:
+    """Return the nodelets of these names; the other names are reported."""
+    wanted = [shell.resolve(name) for name in names]
+    for name in wanted:
+        if snapshot.nodelet(name) is None:
+            shell.error(unknown_nodelet(name, snapshot))
+    return [nodelet for nodelet in map(snapshot.nodelet, wanted) if nodelet is not None]
 
 
 def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
@@ -131,8 +132,7 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
         yield f"Parameters given at the spawn: {given}"
     if nodelet.is_fixed:
         yield "Re-wiring: its topics are fixed (its nodelet manager has no live ports)"
-    ends = _ends(snapshot)
-    for direction, title in ((IN, "In-ports"), (OUT, "Out-ports")):
+    for direction, title, to in ((IN, "In-ports", "from"), (OUT, "Out-ports", "to")):
         yield ""
         ports = [port for port in by_name(nodelet.ports) if port.direction == direction]
         yield f"{title}:" if ports else f"{title}: none"
@@ -141,20 +141,11 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
             yield f"    topic: {port.topic or '(disconnected)'}"
             for tag in port.tags:
                 yield f"    tag: {tag}"
-            others = [end for end in ends.get(port.topic, []) if end[0] != direction]
-            for _, other, name in others:
-                yield f"    {'from' if direction == IN else 'to'}: {other}:{name}"
+            for other in snapshot.nodelets if port.topic else ():
+                for end in other.ports:
+                    if end.topic == port.topic and end.direction != direction:
+                        yield f"    {to}: {other.name}:{end.name}"
     yield ""
-
-
-def _ends(snapshot: Model) -> _Ends:
-    """The ports on each topic: direction, nodelet and port."""
-    ends: _Ends = {}
-    for nodelet in snapshot.nodelets:
-        for port in nodelet.ports:
-            if port.topic:
-                ends.setdefault(port.topic, []).append((port.direction, nodelet.name, port.name))
-    return ends
 
 
 _WORKERS = 16
@@ -204,15 +195,14 @@ def _stats_problem(arguments: argparse.Namespace) -> str:
     problem=_stats_problem,
 )
 def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    names = [shell.resolve(name) for name in arguments.names]
     if arguments.watch is None:
-        return _show_once(shell, names)
+        return _show_once(shell, arguments.names)
+    names = [shell.resolve(name) for name in arguments.names]
     screen = Screen(shell, arguments.watch)
     shown = 0
     while True:
         begin = time.monotonic()
-        answers = _ask(shell, _present(shell, names))
-        screen.show(_stats_json(answers), [*statistics_table(answers), *_details(shell, answers)])
+        screen.show(*_counts(shell, _ask(shell, names or _all(shell.client.get_graph()))))
         shown += 1
         if arguments.count is not None and shown >= arguments.count:
             return None
@@ -221,23 +211,19 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
     snapshot = shell.client.get_graph()
-    present = [name for name in names if snapshot.nodelet(name) is not None]
-    for name in names:
-        if name not in present:
-            shell.error(unknown_nodelet(name, snapshot))
+    present = [each.name for each in _named(shell, names, snapshot)]
     if names and not present:
         return FAILED
-    answers = _ask(shell, present or [each.name for each in snapshot.nodelets])
-    for answer in answers.values():
-        if isinstance(answer, DyKnowError):
-            shell.error(answer)
-    shell.show(_stats_json(answers), [*statistics_table(answers), *_details(shell, answers)])
-    silent = any(isinstance(answer, DyKnowError) for answer in answers.values())
+    answers = _ask(shell, present or _all(snapshot))
+    silent = [answer for answer in answers.values() if isinstance(answer, DyKnowError)]
+    for error in silent:
+        shell.error(error)
+    shell.show(*_counts(shell, answers))
     return FAILED if silent or len(present) < len(names) else None
 
 
-def _present(shell: Shell, names: Sequence[str]) -> List[str]:
-    return list(names) or [each.name for each in shell.client.get_graph().nodelets]
+def _all(snapshot: Model) -> List[str]:
+    return [each.name for each in snapshot.nodelets]
 
 
 def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
@@ -254,8 +240,9 @@ def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
         return dict(pool.map(ask, unique))
 
 
-def _stats_json(answers: Dict[str, Answer]) -> dict[str, object]:
-    return {
+def _counts(shell: Shell, answers: Dict[str, Answer]) -> Tuple[Json, List[str]]:
+    """Write statistics as JSON, and as a table with the details of their nodelets below."""
+    value = {
         "nodelets": [
             statistics_json(name, answer)
             for name, answer in answers.items()
@@ -263,9 +250,15 @@ def _stats_json(answers: Dict[str, Answer]) -> dict[str, object]:
         ],
         "silent": [name for name, answer in answers.items() if isinstance(answer, DyKnowError)],
     }
+    details = [
+        f"{each.name}: {each.detail}"
+        for each in shell.client.get_graph().nodelets
+        if each.detail and each.name in answers
+    ]
+    return value, [*_statistics_table(answers), *details]
 
 
-def statistics_table(answers: Dict[str, Answer]) -> List[str]:
+def _statistics_table(answers: Dict[str, Answer]) -> List[str]:
     """Write a line of statistics for each port; times in milliseconds."""
     rows: List[Tuple[str, ...]] = [_HEAD]
     for name, answer in answers.items():
@@ -292,13 +285,6 @@ def statistics_table(answers: Dict[str, Answer]) -> List[str]:
                 )
             )
     return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
-
-
-def _details(shell: Shell, names: Collection[str]) -> List[str]:
-    nodelets = shell.client.get_graph().nodelets
-    return [
-        f"{each.name}: {each.detail}" for each in nodelets if each.detail and each.name in names
-    ]
 
 
 def _count(number: Optional[int]) -> str:
