@@ -13,7 +13,7 @@ import threading
 import time
 import uuid
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional, Protocol
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional
 
 import rospy
 from bond.msg import Constants, Status
@@ -22,12 +22,14 @@ from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.locks import state_lock, turn_lock
-from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.bonding.bond_table import Announcement
 from dyknow.ros.bonding.bonds import TOPIC, status_message
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.messages import event_from
+
+if TYPE_CHECKING:
+    from dyknow.ros.acquiring import AcquiredStream
 
 #: A lease is renewed when this fraction of it has passed.
 _RENEWED_AFTER = 1 / 3
@@ -42,18 +44,14 @@ _CLOSE_PATIENCE = 1.0
 
 
 class ClientBond(rospy.SubscribeListener):
-    """The client's end of the bond that its claims depend on.
+    """The client's end of the bond ``bond_id`` that its claims depend on.
 
     It only publishes heartbeats: to each new subscriber at once, and to all of them once a second.
     A client learns from its leases that the manager is gone, and goes on meanwhile, so a manager
     that was killed finds its clients alive when it is back.
-
-    Attributes:
-        bond_id: id of the bond.
     """
 
     def __init__(self, manager: str) -> None:
-        """Start the heartbeats for a manager of this global name."""
         self.bond_id = str(uuid.uuid4())
         self._instance_id = str(uuid.uuid4())
         self._closed = threading.Event()
@@ -88,26 +86,6 @@ class ClientBond(rospy.SubscribeListener):
         return status_message(Announcement(self.bond_id, self._instance_id, active))
 
 
-class KeptStream(Protocol):
-    """A stream that a session keeps alive."""
-
-    claim_id: str
-    lease: float
-
-    @property
-    def events(self) -> int:
-        """Number of changes seen."""
-
-    def on_event(self, event: StreamEvent) -> None:
-        """Apply a change."""
-
-    def on_status(self, status: StreamStatus, events: int) -> None:
-        """Apply the status of the claim as of so many changes."""
-
-    def on_lost(self, why: str) -> None:
-        """Mark the claim as ended: the manager no longer knows it."""
-
-
 class StreamSession:
     """Keeps the claims of this process alive; every method is safe from any thread."""
 
@@ -118,9 +96,9 @@ class StreamSession:
     def open(cls, client: ManagerClient) -> StreamSession:
         """Return the session for the client's manager; each call needs a ``close``."""
         with cls._sessions_lock:
-            session = cls._sessions.get(client.manager)
-            if session is None:
-                session = cls._sessions[client.manager] = cls(client)
+            if client.manager not in cls._sessions:
+                cls._sessions[client.manager] = cls(client)
+            session = cls._sessions[client.manager]
             session._users += 1
         try:
             session._start()
@@ -135,7 +113,7 @@ class StreamSession:
         self._users = 0
         self._turn = turn_lock("opening of a stream session")
         self._state_lock = state_lock("streams of a session")
-        self._streams: Dict[str, KeptStream] = {}
+        self._streams: Dict[str, AcquiredStream] = {}
         self._due: Dict[str, float] = {}
         self._bond: Optional[ClientBond] = None
         self._subscriber: Any = None
@@ -147,7 +125,7 @@ class StreamSession:
         assert self._bond is not None
         return self._bond.bond_id
 
-    def add(self, stream: KeptStream) -> None:
+    def add(self, stream: AcquiredStream) -> None:
         """Keep a stream's claim alive, and pass on its changes."""
         with self._state_lock:
             self._streams[stream.claim_id] = stream
@@ -182,22 +160,12 @@ class StreamSession:
             if self._bond is None:
                 self._bond = ClientBond(self._client.manager)
             if self._subscriber is None:
-                self._subscriber = rospy.Subscriber(
-                    names.join(self._client.manager, "stream_events"),
-                    StreamEventMessage,
-                    self._on_event,
-                )
-                self._await_connection()
+                topic = names.join(self._client.manager, "stream_events")
+                self._subscriber = rospy.Subscriber(topic, StreamEventMessage, self._on_event)
+                deadline = time.monotonic() + _CONNECT_PATIENCE
+                while not self._subscriber.get_num_connections() and time.monotonic() < deadline:
+                    time.sleep(_POLL)
         self._worker.start()
-
-    def _await_connection(self) -> None:
-        deadline = time.monotonic() + _CONNECT_PATIENCE
-        while not self._subscriber.get_num_connections() and time.monotonic() < deadline:
-            time.sleep(_POLL)
-
-    @staticmethod
-    def _next_due(stream: KeptStream) -> float:
-        return time.monotonic() + stream.lease * _RENEWED_AFTER
 
     def _on_event(self, message: Any) -> None:
         with self._state_lock:
@@ -221,22 +189,21 @@ class StreamSession:
             soonest = min(self._due.values(), default=None)
         return None if soonest is None else max(0.0, soonest - time.monotonic())
 
-    def _renew(self, stream: KeptStream) -> None:
-        self._put_off(stream, time.monotonic() + _RETRY)  # for any failure
-        next_due = self._next_due(stream)
+    def _renew(self, stream: AcquiredStream) -> None:
+        began = time.monotonic()
+        self._put_off(stream, began + _RETRY)  # for any failure
         try:
             self._client.renew_stream(stream.claim_id, stream.lease)
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know why it ended
             self.remove(stream.claim_id)
             stream.on_lost(str(error))
-            return
         except (HostError, PeerTimeout) as error:
             rospy.logwarn_throttle(10, f"the lease of stream {stream.claim_id}: {error}")
         else:
-            self._put_off(stream, next_due)
+            self._put_off(stream, began + stream.lease * _RENEWED_AFTER)
 
-    def _put_off(self, stream: KeptStream, due: float) -> None:
+    def _put_off(self, stream: AcquiredStream, due: float) -> None:
         with self._state_lock:
             if stream.claim_id in self._due:
                 self._due[stream.claim_id] = due

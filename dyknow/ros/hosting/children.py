@@ -17,25 +17,31 @@ import collections
 import itertools
 import logging
 import time
+from dataclasses import replace
 from functools import partial
 from typing import Deque, Dict, List, Optional, Tuple
 
 from dyknow import names
-from dyknow.errors import HostError, NameTaken
+from dyknow.backoff import Backoff
+from dyknow.errors import HostError, NameTaken, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
-from dyknow.ros.hosting.child import PATIENCE, START_TIMEOUT, Child, ChildKeeper
+from dyknow.ros.hosting.child import PATIENCE, START_TIMEOUT, Child, incarnation_of
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.process.os_process import ProcessId
 
 #: Crashes that are remembered.
 _CRASHES = 100
 #: Seconds to wait for a child of an earlier manager, which may just have been started.
 _ADOPTION_TIMEOUT = 5.0
+#: Seconds before a nodelet manager that died twice is started again.
+_FIRST_PAUSE = 0.25
+_STEP = 0.02
 _BASES = {
     NodeletKind.PYTHON: "dyknow_nodelet_manager",
     NodeletKind.CPP: "dyknow_cpp_nodelet_manager",
@@ -62,19 +68,18 @@ class Children:
         self._launcher = launcher
         self._namespace = namespace
         self._path = path
+        #: Held while a child is changed, and notified of it.
         self._changed = state_condition("children")
         self._writing_turn = turn_lock("records of children")
-        self._keeper = ChildKeeper(launcher, self._changed, self._write, self._note)
         self._children: Dict[str, Child] = {}
         self._crashes: Deque[Crash] = collections.deque(maxlen=_CRASHES)
         self._ending = False
         self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> List[str]:
-        """Take over the running children of an earlier manager; clean up after the dead ones.
+        """Take over the running children of an earlier manager, and return their names.
 
-        Returns:
-            Names of the running ones.
+        What dead ones left is cleaned up.
         """
         try:
             records = child_records.read(self._path)
@@ -103,15 +108,13 @@ class Children:
         with self._changed:
             return [self._children[name] for name in sorted(self._children)]
 
+    def find(self, name: str) -> Optional[Child]:
+        return self._children.get(name)
+
     def want(self, kind: NodeletKind, count: int) -> None:
         """Have so many shared children; they come up in the background."""
-        have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
-        for _ in range(count - len(have)):
+        for _ in range(count - len(self._hosts(kind, ""))):
             self._add(Child(self._context, ChildRecord(self._free_name(kind), kind)))
-
-    def find(self, name: str) -> Optional[Child]:
-        """Return the child of that name, if there is one."""
-        return self._children.get(name)
 
     def ensure(self, kind: NodeletKind, isolated_for: str) -> str:
         """Return the name of a child that is up, starting one if there is none that answers.
@@ -124,26 +127,21 @@ class Children:
             HostError: it does not come up.
         """
         deadline = time.monotonic() + START_TIMEOUT
-        with self._changed:
-            same = [
-                child
-                for child in self._children.values()
-                if child.record.kind is kind and child.record.isolated_for == isolated_for
-            ]
-            fitting = [each for each in same if each.wanted and each.responsive]
+        hosts = self._hosts(kind, isolated_for)
+        fitting = [each for each in hosts if each.wanted and each.state.responsive]
         up = [child for child in fitting if child.up]
         if up:
             return min(child.name for child in up)
         if not fitting:
             if isolated_for:
-                for child in (each for each in same if not each.wanted):
+                for child in (each for each in hosts if not each.wanted):
                     child.gone.wait(deadline - time.monotonic())  # then its name is free again
             name = self._free_name(kind, isolated_for)
             fitting = [self._add(Child(self._context, ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
 
     def check_free(self, node: str) -> None:
-        """Check that no node bears a name; raises ``NameTaken`` if one does."""
+        """Raise `NameTaken` if a node bears a name."""
         child = self.find(node)
         if child is not None and not child.wanted:
             child.gone.wait(START_TIMEOUT)
@@ -207,7 +205,11 @@ class Children:
         for child in self.all():
             child.echo()
 
-    # Starting
+    # Inside
+
+    def _hosts(self, kind: NodeletKind, isolated_for: str) -> List[Child]:
+        of = (kind, isolated_for)
+        return [each for each in self.all() if (each.record.kind, each.record.isolated_for) == of]
 
     def _add(self, child: Child) -> Child:
         name = child.name
@@ -218,7 +220,7 @@ class Children:
             if present is not None:
                 return present
             self._children[name] = child
-        in_background(f"child {name}", partial(self._keep, child))
+        in_background(f"child {name}", partial(self._run, child))
         return child
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
@@ -240,28 +242,7 @@ class Children:
             self._changed.wait_for(lambda: child.up or child.gone.is_set(), left)
             if child.up:
                 return child.name
-        reason = child.trouble or "it does not come up"
-        raise HostError(f"{child.title}: {reason}")
-
-    # Keeping, on a thread for each child
-
-    def _keep(self, child: Child) -> None:
-        try:
-            self._keeper.keep(child)
-        finally:
-            with self._changed:
-                self._children.pop(child.name, None)
-                child.gone.set()
-                self._changed.notify_all()
-        child.close()
-        self._write()
-        self._context.on_change()
-
-    def _note(self, crash: Crash) -> None:
-        with self._changed:
-            self._crashes.append(crash)
-
-    # Ending
+        raise HostError(f"{child.title}: {child.trouble or 'it does not come up'}")
 
     def _end(self, children: List[Child]) -> None:
         with self._changed:
@@ -286,3 +267,106 @@ class Children:
                 self._unwritten = True
             else:
                 self._unwritten = False
+
+    # The life of a child, on a thread of its own
+
+    def _run(self, child: Child) -> None:
+        try:
+            self._keep(child)
+            self._launcher.clean_up(child.record)
+        finally:
+            with self._changed:
+                self._children.pop(child.name, None)
+                child.gone.set()
+                self._changed.notify_all()
+        child.close()
+        self._write()
+        self._context.on_change()
+
+    def _keep(self, child: Child) -> None:
+        """Run a child, and start it again when it dies, until it is not wanted any more."""
+        deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
+        while child.wanted:
+            begin = time.monotonic()
+            try:
+                self._live(child)
+            except (OSError, HostError, PeerTimeout, LookupError) as error:
+                child.trouble = str(error)
+                _log.error("%s: %s", child.title, error)
+            except Exception as error:  # the boundary of the thread: the next start may succeed
+                child.trouble = str(error)
+                _log.exception("%s", child.title)
+            if child.wanted:
+                deaths.served(child.name, time.monotonic() - begin)
+                deaths.failed(child.name)
+                pause = deaths.remaining(child.name)
+                with self._changed:
+                    self._changed.wait_for(lambda: not child.wanted, pause)
+
+    def _live(self, child: Child) -> None:
+        try:
+            if child.record.process is None:
+                self._launch(child)
+            found = child.record.process
+            assert found is not None
+            self._await_services(child, found)
+            if not child.wanted:
+                child.end()
+            status = found.wait_for_rest()
+            if child.wanted:
+                _log.warning("%s (process %d) has died", child.title, found.pid)
+                crash = self._launcher.examine(child.record.kind, child.name, found.pid, status)
+                if crash is not None:  # it is known before its child is shown as dead
+                    with self._changed:
+                        self._crashes.append(replace(crash, incarnation=incarnation_of(found)))
+        finally:
+            with self._changed:
+                child.up, child.adopted = False, False
+                child.wanted &= not child.record.isolated_for  # that one is not started again
+                child.record = replace(child.record, process=None)
+                self._changed.notify_all()
+        child.echo()
+        self._context.on_change()
+
+    def _launch(self, child: Child) -> None:
+        if self._launcher.living(child.name) is not None:
+            raise HostError("another node has that name")
+        child.stale = self._launcher.registered(child.name)
+        self._write()  # on disk before it is there: nothing of it is left if we are killed
+        found, child.log = self._launcher.launch(child.record, child.command)
+        with self._changed:
+            child.record = replace(child.record, process=found)
+        self._write()
+
+    def _await_services(self, child: Child, found: ProcessId) -> None:
+        """Wait until its services are offered; end a process that is late and lost."""
+        if child.adopted:
+            child.log = self._launcher.follow(child.name)
+        deadline = time.monotonic() + child.start_timeout
+        kind = child.record.kind
+        while not self._launcher.is_up(kind, child.name, child.stale):
+            if not found.alive or not child.wanted:
+                child.trouble = "it ended at its start"
+                return
+            if time.monotonic() > deadline and self._is_lost(child):
+                child.end()
+                what = "offered no ports" if kind.is_node else "not come up"
+                raise HostError(f"it has {what} within {child.start_timeout:g} s")
+            time.sleep(_STEP)
+        rewirable = self._launcher.is_rewirable(kind, child.name)
+        with self._changed:
+            child.rewirable = rewirable
+            child.up = child.wanted
+            self._changed.notify_all()
+        self._context.on_change()
+
+    def _is_lost(self, child: Child) -> bool:
+        """Whether a process that is late will never come up.
+
+        An adopted one may be suspended, and go on later. One that the master does not know belongs
+        to an earlier master, and is lost.
+        """
+        try:
+            return not child.adopted or not self._launcher.registered(child.name)
+        except PeerTimeout:
+            return False

@@ -67,7 +67,6 @@ class CountClient:
     """Asks one process for counts, one request after the other."""
 
     def __init__(self, master: Master, name: str) -> None:
-        """Prepare; the thread is started with the first request."""
         self._proxies = ProxyClient(master)
         self._client = ServiceClient(master, names.join(name, SERVICE), GetCounts, True)
         self._state_lock = state_lock("counts")
@@ -124,20 +123,16 @@ class CountClient:
         except (ServiceLost, ServiceFailed):  # it may be one without this service
             return self._one_by_one(nodelets)
         answered = self._answered = time.monotonic()
+
+        def count(port: Any) -> Count:
+            age = None if math.isnan(port.age) else port.age
+            return Count(port.messages, asked, answered, port.latched, age)
+
         found: Counts = dict.fromkeys(nodelets)
         for each in answer.nodelets:
             if each.nodelet in found:
-                found[each.nodelet] = {
-                    port.port: Count(
-                        port.messages,
-                        asked,
-                        answered,
-                        port.latched,
-                        None if math.isnan(port.age) else port.age,
-                    )
-                    for port in each.ports
-                    if port.direction == Port.OUT
-                }
+                out_ports = (port for port in each.ports if port.direction == Port.OUT)
+                found[each.nodelet] = {port.port: count(port) for port in out_ports}
         return found
 
     def _one_by_one(self, nodelets: List[str]) -> Counts:

@@ -57,13 +57,9 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class Process:
-    """The process that bears a name.
+    """The process that bears a name: address of its node, process id, and kind of its nodelets.
 
-    Attributes:
-        uri: address of its node.
-        pid: its process id.
-        kind: kind of its nodelets, or of the node; None for a stock C++ nodelet manager, whose
-            nodelets have no ports.
+    The kind is None for a stock C++ nodelet manager, whose nodelets have no ports.
     """
 
     uri: str
@@ -122,45 +118,40 @@ class External(NodeletPeer):
         self._on_gone = on_gone
         self._master = context.master
         self._state_lock = state_lock("external process")
-        self._presence = Presence()
         self._client = ListClient(self._master, name, is_node=is_node)
+        #: Present knowledge of its process, and that which was logged.
+        self.presence = self._reported = Presence()
         #: Processes that bore the name before and do not know yet that they lost it.
         self.displaced: List[Process] = []
-        self._reported = Presence()
         self._expected_until = time.monotonic() + _NODE_PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
         self._period: Optional[float] = 0.0
+        self._title = f"{'node' if is_node else 'nodelet manager'} '{name}'"
         self._worker = PeriodicWorker(
             f"looking for {self._title}", self._round, lambda: self._period, pause=0.0
         )
         self.start = self._worker.start
 
     @property
-    def presence(self) -> Presence:
-        """Present knowledge of its process."""
-        return self._presence
-
-    @property
     def state(self) -> ProcessState:
-        """The same as the manager sees it."""
-        known = self._presence
-        kind = known.process.kind if known.process is not None else NodeletKind.PYTHON
+        known = self.presence
+        process = known.process or Process("", 0, NodeletKind.PYTHON)
         return ProcessState(
             self.name,
-            kind or NodeletKind.CPP,
-            known.process.incarnation if known.process is not None else "",
+            process.kind or NodeletKind.CPP,
+            process.incarnation if process.uri else "",
             own=False,
             responsive=not known.trouble,
             away=known.away,
             unseen=known.unseen,
-            rewirable=kind is not None,
-            host=host_of(known.process.uri) if known.process is not None else "",
+            rewirable=process.kind is not None,
+            host=host_of(process.uri),
         )
 
     @property
     def may_publish(self) -> bool:
         """Whether it may hold a lease; one that has ended publishes no more."""
-        known = self._presence
+        known = self.presence
         return (not known.trouble or known.away) and super().may_publish
 
     def check(self) -> None:
@@ -170,19 +161,18 @@ class External(NodeletPeer):
             HostTimeout: it did not answer the last time.
             HostError: it is not there.
         """
-        self._refuse_if_missed(self._presence)
+        self._refuse_if_missed(self.presence)
 
     def list(self, incarnation: str = "") -> List[str]:
         """Ask for its nodelets, if it answers at all."""
         while True:
             with self._state_lock:
-                client, known = self._client, self._presence
+                client, known = self._client, self.presence
             self._refuse_if_missed(known)
-            assert known.process is not None
-            if incarnation not in ("", known.process.incarnation):
+            if known.process is None or incarnation not in ("", known.process.incarnation):
                 raise HostError(f"{self._title} is another process by now")
             try:
-                names = client.list()
+                nodelets = client.list()
             except (HostError, PeerTimeout) as error:
                 # A lost connection does not prove that it has ended: the thread finds out.
                 self._miss(client, error, away=self.is_node or may_be_there(error))
@@ -190,18 +180,15 @@ class External(NodeletPeer):
                 continue  # now there is a new connection, or trouble
             with self._state_lock:
                 if client is self._client:
-                    self._presence = replace(self._presence, nodelets=frozenset(names))
-            return names
+                    self.presence = replace(self.presence, nodelets=frozenset(nodelets))
+            return nodelets
 
     def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
         """Probe it once more, if it was not found the last time, and wait for the outcome.
 
         One that does not answer is not waited for.
-
-        Args:
-            timeout: seconds to wait at most.
         """
-        known = self._presence
+        known = self.presence
         if known.unseen or (known.trouble and not known.away):
             self._worker.wait_for(self._worker.wake(), timeout)
 
@@ -214,14 +201,14 @@ class External(NodeletPeer):
     def forget(self, nodelet: str) -> None:
         """Note that a nodelet which it ran is loaded elsewhere now."""
         with self._state_lock:
-            nodelets = self._presence.nodelets - {nodelet}
-            self._presence = replace(self._presence, nodelets=nodelets)
+            nodelets = self.presence.nodelets - {nodelet}
+            self.presence = replace(self.presence, nodelets=nodelets)
 
     def look(self) -> None:
         """Find out whether it is there, and which process it is."""
-        if self._presence.trouble or not self.is_node:
+        if self.presence.trouble or not self.is_node:
             self._find()
-        if not self._presence.trouble:
+        if not self.presence.trouble:
             self.displaced = [each for each in self.displaced if not self._end(each)]
 
     def close(self) -> None:
@@ -232,14 +219,10 @@ class External(NodeletPeer):
 
     # Inside
 
-    @property
-    def _title(self) -> str:
-        return f"{'node' if self.is_node else 'nodelet manager'} '{self.name}'"
-
     def _round(self) -> None:
         self.look()
         self._report()
-        known = self._presence
+        known = self.presence
         if known.trouble or self.displaced:
             self._backoff.failed(self.name)
             self._period = self._backoff.remaining(self.name)
@@ -251,7 +234,7 @@ class External(NodeletPeer):
 
     def _report(self) -> None:
         """Log a change, and report it."""
-        before, now = self._reported, self._presence
+        before, now = self._reported, self.presence
         self._reported = now
         was, is_now = before.process, now.process
         if (was, bool(before.trouble), before.away) == (is_now, bool(now.trouble), now.away):
@@ -263,7 +246,7 @@ class External(NodeletPeer):
             _log.warning("%s cannot be asked: %s", title, now.trouble)
         elif was is not None:
             _log.info("%s is gone", title)
-            self.withdraw_guards()
+            self.guarding.withdraw()
         self.context.on_change()
 
     def _refuse_if_missed(self, known: Presence) -> None:
@@ -276,14 +259,14 @@ class External(NodeletPeer):
         with self._state_lock:
             if client is not self._client:
                 return
-            known = self._presence
+            known = self.presence
             process = known.process if away else None
             if not known.trouble:
                 self._expected_until = time.monotonic() + _NODE_PATIENCE
-            self._presence = Presence(process, str(trouble), away, known.nodelets, unseen=False)
+            self.presence = Presence(process, str(trouble), away, known.nodelets, unseen=False)
 
     def _find(self) -> None:
-        known = self._presence
+        known = self.presence
         try:
             uri = self._master.node(self.name)
         except PeerTimeout as error:
@@ -304,8 +287,8 @@ class External(NodeletPeer):
             self._miss(self._client, error, may_be_there(error))
             return
         with self._state_lock:
-            before, old, self._client = self._presence, self._client, client
-            self._presence = Presence(found, "", False, nodelets, unseen=False)
+            before, old, self._client = self.presence, self._client, client
+            self.presence = Presence(found, "", False, nodelets, unseen=False)
         old.close()
         if before.process is not None and before.process.uri != uri:
             self.displaced.append(before.process)
@@ -323,7 +306,7 @@ class External(NodeletPeer):
         return NodeletKind(kind)
 
     def _end(self, displaced: Process) -> bool:
-        """Tell a process to end whose name another one bears now; returns whether it knows."""
+        """End a process whose name another one bears now; returns whether it needs no more."""
         reason = f"another node bears the name {self.name}"
         try:
             if self._master.pid(self.name, displaced.uri, LIST_TIMEOUT) == displaced.pid:
@@ -370,11 +353,13 @@ class Externals:
 
     def listen(self) -> None:
         """Listen for re-wirable nodes from now on."""
-        self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, self._announced)
+        self._subscriber = rospy.Subscriber(
+            NODES_TOPIC, NodeletChanges, lambda message: self._expect(message.nodelets)
+        )
 
     def look_for(self, nodes: Iterable[str]) -> None:
         """Find nodes that may run, before they announce their names; waits for the outcome."""
-        for each in [self._expect(name) for name in nodes if not self._is_child(name)]:
+        for each in self._expect(nodes):
             each.look_now()
 
     def all(self) -> List[External]:
@@ -386,9 +371,8 @@ class Externals:
     def find(self, name: str) -> Optional[External]:
         """Return the one of that name; None if there is none, or if it is a node and gone."""
         found = self._externals.get(name)
-        if found is not None and found.is_node and found.presence.process is None:
-            return None
-        return found
+        is_gone = found is not None and found.is_node and found.presence.process is None
+        return None if is_gone else found
 
     def hosting(self, nodelet: str) -> Optional[External]:
         """Return the one that ran a nodelet the last time, if there is one."""
@@ -401,17 +385,15 @@ class Externals:
         for each in list(self._externals.values()):
             each.close()
 
-    def _announced(self, message: NodeletChanges) -> None:
-        """Note nodes that announce themselves, on rospy's threads."""
-        for name in message.nodelets:
+    def _expect(self, nodes: Iterable[str]) -> List[External]:
+        """Look for nodes that are not our children."""
+        found = []
+        for name in nodes:
             if not self._is_child(name):
-                self._expect(name)
-
-    def _expect(self, name: str) -> External:
-        made = External(self._context, name, is_node=True, on_gone=self._drop)
-        with self._state_lock:
-            found = self._externals.setdefault(name, made)
-        found.expect()
+                made = External(self._context, name, is_node=True, on_gone=self._drop)
+                with self._state_lock:
+                    found.append(self._externals.setdefault(name, made))
+                found[-1].expect()
         return found
 
     def _drop(self, gone: External) -> None:

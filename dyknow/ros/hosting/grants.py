@@ -82,13 +82,7 @@ class Lease:
     """
 
     def __init__(self, context: PeerContext, name: str, answers: Callable[[], bool]) -> None:
-        """Grant none yet.
-
-        Args:
-            context: has the topics and their producers.
-            name: of the process.
-            answers: whether the process answers otherwise; if not, nothing is renewed.
-        """
+        """Grant none yet; nothing is renewed while the process does not answer otherwise."""
         self._context = context
         self._name = name
         self._answers = answers
@@ -114,14 +108,14 @@ class Lease:
         return self._context.running() - self._answered < DURATION
 
     def grant(self) -> None:
-        """Renew it now, and again and again."""
+        """Renew it now, and periodically from then on."""
         if self._answered is None:
             self._answered = self._context.running()
         self._worker.start()
         self._worker.wake()
 
     def release(self) -> None:
-        """Renew it no more, and take it back, so that all may go on."""
+        """Renew it no more, and take it back, so that publishing goes on without it."""
         self._worker.close()
         if not self._answers():
             return
@@ -188,17 +182,14 @@ class Guarding:
     def __init__(self, context: PeerContext, name: str) -> None:
         self._context = context
         self._name = name
+        self._key = names.join(name, guards_key(context.master.caller))
         #: Incarnation that has the guards, and the nodelets named to it.
         self._done: object = None
         self._seen = 0.0
         self._trouble = ""
 
-    @property
-    def _key(self) -> str:
-        return names.join(self._name, guards_key(self._context.master.caller))
-
     def hand_over(self, state: ProcessState) -> None:
-        """Hand them over, unless the process has them; a failure is logged."""
+        """Hand them over, unless the process has them; a failure is logged, and tried again."""
         if not state.alive or not state.rewirable:
             return
         now = self._context.clock.now()
@@ -225,7 +216,7 @@ class Guarding:
             _log.warning("%s: the guards were missing or changed, and are set again", self._name)
 
     def check(self) -> None:
-        """Raise ``HostError`` if they could not be handed over."""
+        """Raise ``HostError`` if they could not be handed over: nothing may be loaded then."""
         if self._trouble:
             raise HostError(
                 f"nodelet manager '{self._name}' does not have the guards yet: {self._trouble}"

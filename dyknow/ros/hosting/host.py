@@ -13,7 +13,6 @@ import contextlib
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
-    Any,
     Callable,
     Collection,
     Dict,
@@ -41,7 +40,7 @@ from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.counts import MessageCounter, counts_of
 from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.nodelet_types import NodeletTypes
+from dyknow.ros.hosting.installed import NodeletTypes
 from dyknow.ros.hosting.peer import LoadFailure, NodeletPeer, host_errors
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
@@ -85,23 +84,16 @@ class RosHost(Host):
         self._proxies = ProxyClient(context.master)
         self._children = children
         self._external = Externals(context, external, lambda name: children.find(name) is not None)
+        #: Look for the external nodelet managers, and listen for re-wirable nodes, from now on.
+        self.start = self._external.start
+        self.listen_for_nodes = self._external.listen
+        #: Find re-wirable nodes of these names that run already.
+        self.look_for_nodes = self._external.look_for
         self._types = NodeletTypes()
         #: Older guards or producers must not replace newer ones.
         self._grants_turn = turn_lock("grants to processes")
         self._counter = MessageCounter(registrar)
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
-
-    def look_for_nodes(self, nodes: Iterable[str]) -> None:
-        """Find re-wirable nodes of these names that run already."""
-        self._external.look_for(nodes)
-
-    def start(self) -> None:
-        """Look for the external nodelet managers from now on."""
-        self._external.start()
-
-    def listen_for_nodes(self) -> None:
-        """Listen for re-wirable nodes from now on."""
-        self._external.listen()
 
     def note_detail(self, manager: str, nodelet: str, detail: str) -> None:
         """Note the problem of a nodelet, as its process announced it; empty for none."""
@@ -114,13 +106,11 @@ class RosHost(Host):
     # Processes
 
     def kind_of(self, transformation: Transformation) -> NodeletKind:
-        """Look the type up in the packages' exports, or look at the program."""
         if transformation.type == NODE:
             return programs.kind_of(Program.of(transformation.source))
         return self._types.kind_of(transformation.source)
 
     def states(self) -> Dict[str, ProcessState]:
-        """Return our children, the external nodelet managers and nodes."""
         return {peer.name: peer.state for peer in self._peers()}
 
     def poll(self) -> HostReport:
@@ -133,13 +123,11 @@ class RosHost(Host):
         return HostReport(states, nodelets, crashes)
 
     def look_for(self, manager: str) -> None:
-        """Wait for one fresh probe of an external one."""
         external = self._external.find(manager)
         if external is not None:
             external.look_now()
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """Start a child if need be; a node is one as soon as it is loaded."""
         return isolated_for if kind.is_node else self._children.ensure(kind, isolated_for)
 
     def hand_over(self, protected: Callable[[], Mapping[str, Sequence[str]]]) -> None:
@@ -152,10 +140,9 @@ class RosHost(Host):
         with self._grants_turn:
             self._context.protected = protected()
             for peer in self._peers():
-                peer.hand_over()
+                peer.guarding.hand_over(peer.state)
 
     def retire(self, manager: str) -> None:
-        """End a child."""
         self._children.end(manager)
 
     def grant(self, granted: Callable[[], Tuple[Mapping[str, str], Collection[str]]]) -> None:
@@ -175,26 +162,21 @@ class RosHost(Host):
                     peer.lease.grant()
 
     def may_publish(self, manager: str) -> bool:
-        """Whether it may hold a lease; one that has ended publishes no more."""
         peer = self._peer(manager)
         return peer.may_publish if peer is not None else self._context.is_young
 
     def list(self, manager: str) -> List[str]:
-        """Ask over the kept connection."""
         return self._list(self._known(manager))
 
     # Nodelets
 
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
-        """Set the parameters and load; a node is started."""
         if request.kind.is_node:
             self._start_node(request, timeout)
             return
         self._children.await_up(manager, timeout)
         peer = self._known(manager)
-        with self._grants_turn:
-            peer.hand_over()
-        peer.check_guards()
+        self._guard(peer)
         # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
             raise NameTaken(request.name)
@@ -208,9 +190,7 @@ class RosHost(Host):
             program = Program.of(request.source)
             type_, arguments = programs.SCRIPT, [program.name, *program.arguments]
         try:
-            self._call(
-                f"{manager}/load_nodelet",
-                NodeletLoad,
+            ServiceClient(self._master, f"{manager}/load_nodelet", NodeletLoad).call(
                 timeout,
                 name=request.name,
                 type=type_,
@@ -234,8 +214,9 @@ class RosHost(Host):
             HostError: it is a node in a process of its own, which is not ours to end.
         """
         peer = self._known(manager)
-        if peer.state.kind.is_node:
-            if not peer.state.own:
+        state = peer.state
+        if state.kind.is_node:
+            if not state.own:
                 raise HostError(
                     f"'{name}' is a node in a process of its own; end it with: rosnode kill {name}"
                 )
@@ -244,12 +225,12 @@ class RosHost(Host):
         if peer.failures.get(name) is LoadFailure.REFUSED:
             del peer.failures[name]
             raise HostError(f"nodelet '{name}' was not loaded")
-        state = peer.state
         if not state.responsive:
             self._list(peer)  # fails at once while it hangs
+        service = ServiceClient(self._master, f"{manager}/unload_nodelet", NodeletUnload)
         try:
             with host_errors(manager):
-                self._call(f"{manager}/unload_nodelet", NodeletUnload, _UNLOAD_TIMEOUT, name)
+                service.call(_UNLOAD_TIMEOUT, name)
         except ServiceLost:
             if state.own and state.alive:
                 self._children.await_end(manager, state.incarnation, _DEATH_TIMEOUT)
@@ -265,22 +246,18 @@ class RosHost(Host):
                     self._delete_parameter(name)
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
-        """Ask the proxy."""
         with self._asking(name):
             return self._proxies.get_config(name, _PORTS_TIMEOUT)
 
     def detail(self, name: str) -> str:
-        """Return the last announcement."""
         details = (peer.details.get(name) for peer in self._peers())
         return "; ".join(filter(None, details))
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
-        """Call the proxy."""
         with self._asking(name):
             self._proxies.set_config(name, config, _CONNECT_TIMEOUT)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Ask the master."""
         wanted = frozenset(topics)
         if not wanted:
             return wanted
@@ -291,18 +268,15 @@ class RosHost(Host):
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
-        """Ask over the kept connections; nodelets of unknown processes are not there."""
         peers = {manager: self._peer(manager) for manager in wanted}
         gone = [name for each in wanted if peers[each] is None for name in wanted[each]]
         there = ((peer.counts, wanted[each]) for each, peer in peers.items() if peer is not None)
         return {**dict.fromkeys(gone), **counts_of(there)}
 
     def is_stamped(self, datatype: str) -> Optional[bool]:
-        """Look the message class up."""
         return ages.is_stamped(datatype)
 
     def listen(self, topic: str) -> Listening:
-        """Subscribe."""
         return self._counter.listen(topic)
 
     def close(self) -> None:
@@ -319,7 +293,7 @@ class RosHost(Host):
             if peer.lease.is_granted:
                 peer.lease.release()
         for external in self._external.all():
-            external.withdraw_guards()
+            external.guarding.withdraw()
 
     # Inside
 
@@ -333,15 +307,17 @@ class RosHost(Host):
         return self._children.find(name) or self._external.find(name)
 
     def _known(self, name: str) -> NodeletPeer:
-        """Return the process of a name.
-
-        Raises:
-            HostError: there is none.
-        """
+        """Return the process of a name; raises ``HostError`` if there is none."""
         found = self._peer(name)
         if found is None:
             raise HostError(f"nodelet manager '{name}' is not running")
         return found
+
+    def _guard(self, peer: NodeletPeer) -> None:
+        """Hand the guards over; raises ``HostError`` if that fails."""
+        with self._grants_turn:
+            peer.guarding.hand_over(peer.state)
+        peer.guarding.check()
 
     def _nodelets_of(self, state: ProcessState) -> Optional[List[str]]:
         try:
@@ -384,15 +360,7 @@ class RosHost(Host):
         self._set_parameters(request.name, request.parameters)
         command = (path, *program.arguments, *remappings)
         self._children.start_node(request.kind, request.name, command, timeout)
-        peer = self._known(request.name)
-        with self._grants_turn:
-            peer.hand_over()
-        peer.check_guards()
-
-    def _call(
-        self, service: str, service_class: Any, timeout: float, *args: Any, **kwds: Any
-    ) -> Any:
-        return ServiceClient(self._master, service, service_class).call(timeout, *args, **kwds)
+        self._guard(self._known(request.name))
 
     def _set_parameters(self, name: str, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:

@@ -1,21 +1,91 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Compares transformations with the packages on this machine.
+"""The nodelet types, programs and message types that the packages on this machine have.
 
-A missing nodelet type, program or message type is a warning, not an error: a nodelet manager on
-another machine may have it, or the package may be built later.
+Python classes are exported as ``<dyknow plugin=…>``, C++ ones as ``<nodelet plugin=…>``. A missing
+one is a warning, not an error: a nodelet manager on another machine may have it, or the package
+may be built later.
 """
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Iterator, Sequence, Set
+import logging
+from pathlib import Path
+from typing import Dict, Iterable, Iterator, Mapping, Sequence, Set
+
+from lxml import etree
 
 from dyknow.errors import HostError, Problem
+from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
-from dyknow.ros.hosting.nodelet_types import NodeletTypes
+from dyknow.nodelet.plugins import Plugins
+from dyknow.ros.nodelets.packages import exported_files, plugin_files
 from dyknow.ros.process import programs
 from dyknow.similar import did_you_mean
+
+_BASE_CLASS = "nodelet::Nodelet"
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class NodeletTypes:
+    """The declared types; packages are read for the first request of an unknown type."""
+
+    def __init__(self) -> None:
+        self._plugins = Plugins(plugin_files)
+        self._kinds: Mapping[str, NodeletKind] = {}
+
+    def kind_of(self, source: str) -> NodeletKind:
+        """Return the kind of a type; one that is declared in both languages is Python.
+
+        Raises:
+            HostError: no package declares it.
+        """
+        declared = self._declared({source})
+        if source not in declared:
+            raise HostError(_explanation(source, declared))
+        return declared[source]
+
+    def undeclared(self, sources: Iterable[str]) -> Dict[str, str]:
+        """Return the sources that no package declares, each with an explanation."""
+        wanted = set(sources)
+        declared = self._declared(wanted)
+        return {each: _explanation(each, declared) for each in sorted(wanted - declared.keys())}
+
+    def _declared(self, wanted: Set[str]) -> Mapping[str, NodeletKind]:
+        if not self._kinds.keys() >= wanted:
+            python = [each.name for each in self._plugins.declared()]
+            self._kinds = {
+                **dict.fromkeys(cpp_classes(), NodeletKind.CPP),
+                **dict.fromkeys(python, NodeletKind.PYTHON),
+            }
+        return self._kinds
+
+
+def _explanation(source: str, declared: Iterable[str]) -> str:
+    return (
+        f"no package declares a nodelet type '{source}': expected it in a <dyknow plugin> or a "
+        "<nodelet plugin> export of a package on ROS_PACKAGE_PATH" + did_you_mean(source, declared)
+    )
+
+
+def cpp_classes() -> Iterator[str]:
+    """List the C++ nodelets that packages declare; broken descriptions are logged and left out."""
+    for plugin_file in exported_files("nodelet"):
+        try:
+            yield from _read(plugin_file.file)
+        except (OSError, etree.XMLSyntaxError) as error:
+            _log.warning("plugin description '%s': %s", plugin_file.file, error)
+
+
+def _read(file: Path) -> Iterator[str]:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
+    root = etree.fromstring(file.read_bytes(), parser)
+    for element in root.iter("class") if root is not None else ():
+        name = element.get("name") or element.get("type")
+        if name and element.get("base_class_type") == _BASE_CLASS:
+            yield name
 
 
 def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterator[Problem]:
@@ -28,9 +98,12 @@ def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterat
         transformations: compared with the installed packages.
     """
     made = [each for each in transformations if each.type != TOPIC and not each.is_described]
-    nodelets = {each.source for each in made if each.type != NODE}
-    missing = NodeletTypes().undeclared(nodelets)
-    missing.update(_missing_programs({each.source for each in made if each.type == NODE}))
+    missing = NodeletTypes().undeclared(each.source for each in made if each.type != NODE)
+    for source in {each.source for each in made if each.type == NODE}:
+        try:
+            programs.kind_of(Program.of(source))
+        except HostError as error:
+            missing[source] = str(error)
     datatypes = _missing_types({port.datatype for each in transformations for port in each.ports})
     for each in transformations:
         words = [missing.pop(each.source, "")] if each in made else []
@@ -39,18 +112,8 @@ def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterat
             yield Problem(file, 0, f"transformation '{each.label}': {text}")
 
 
-def _missing_programs(sources: Iterable[str]) -> Dict[str, str]:
-    found = {}
-    for source in sources:
-        try:
-            programs.kind_of(Program.of(source))
-        except HostError as error:
-            found[source] = str(error)
-    return found
-
-
 def _missing_types(datatypes: Set[str]) -> Dict[str, str]:
-    import roslib.message  # here: what only asks for nodelet types does not wait for it
+    import roslib.message  # here: a request for nodelet types alone does not wait for it
 
     found = {}
     for datatype in datatypes - {"", "*"}:
@@ -72,9 +135,5 @@ def _types_beside(datatype: str) -> Sequence[str]:
     rospack = rospkg.RosPack()
     package = datatype.partition("/")[0]
     packages = [name for name, _ in rosmsg.iterate_packages(rospack, rosmsg.MODE_MSG)]
-    return [
-        each
-        for name in packages
-        if name == package or package not in packages
-        for each in rosmsg.list_msgs(name, rospack)
-    ]
+    chosen = [package] if package in packages else packages
+    return [each for name in chosen for each in rosmsg.list_msgs(name, rospack)]

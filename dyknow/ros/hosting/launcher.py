@@ -113,7 +113,7 @@ class Launcher:
         return found, LogTail(output)
 
     def follow(self, name: str) -> LogTail:
-        """Follow the output of one that runs already."""
+        """Return the tail of the output of one that runs already."""
         return LogTail(self._used_output(name), at_end=True)
 
     def last_line(self, name: str) -> str:
@@ -131,11 +131,7 @@ class Launcher:
     ) -> Optional[Crash]:
         """Return the crash of a process; None if it ended without a fault of its own.
 
-        Args:
-            kind: kind of the nodelets that it hosted.
-            name: its name.
-            pid: its id.
-            status: its exit code, or the negative number of a signal; None if unknown.
+        ``status`` is its exit code, or the negative number of a signal; None if unknown.
         """
         if status is None or (status < 0 and -status not in _FAULTS):
             return None
@@ -207,20 +203,16 @@ class Launcher:
         """Return the address that the master has of a node, dead or alive; else empty."""
         return self._master.node(name)
 
-    def address(self, kind: NodeletKind, name: str, stale: str) -> str:
-        """Return the address of a nodelet manager or node once it offers its services; else empty.
-
-        The address ``stale`` of a dead predecessor does not count.
-        """
+    def is_up(self, kind: NodeletKind, name: str, stale: str) -> bool:
+        """Whether one offers its services, and not at the address of a dead predecessor."""
         try:
-            found = self._master.node(name)
-            if found == stale:
-                return ""
+            if self._master.node(name) in ("", stale):
+                return False
             for service in ("get_config", COUNTS) if kind.is_node else ("list",):
                 self._master.ask("lookupService", names.join(name, service))
-            return found
+            return True
         except (LookupError, PeerTimeout):
-            return ""
+            return False
 
     def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
         """Whether the running manager supports live rewiring.
@@ -243,17 +235,10 @@ class Launcher:
         return True
 
     def _watch(self, found: ProcessId, output: str) -> None:
-        """Start a process that ends one that knows no owner when it is orphaned."""
-        lock, timeout = self._owner.path, str(self._orphan_timeout)
-        command = (
-            sys.executable,
-            "-m",
-            "dyknow.ros.nodelets.owner",
-            lock,
-            timeout,
-            str(found.pid),
-        )
-        watcher = os_process.start(command, output, rospkg.get_ros_home())
+        """Start a watchdog that ends a process without such a thread when it is orphaned."""
+        program = (sys.executable, "-m", "dyknow.ros.nodelets.owner")
+        arguments = (self._owner.path, str(self._orphan_timeout), str(found.pid))
+        watcher = os_process.start((*program, *arguments), output, rospkg.get_ros_home())
         in_background(f"watcher of {found.pid}", watcher.wait)
 
     def _parameters_of(self, kind: NodeletKind, name: str) -> Mapping[str, Any]:

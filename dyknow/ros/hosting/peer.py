@@ -44,6 +44,7 @@ class NodeletPeer(ABC):
         name: its global node name.
         counts: how many messages its nodelets have sent.
         lease: lets it publish on topics of claims.
+        guarding: its guards.
         failures: loads that failed, by nodelet.
         details: problems of its nodelets, as it announced them.
     """
@@ -54,9 +55,9 @@ class NodeletPeer(ABC):
         self.context = context
         self.counts = CountClient(context.master, name)
         self.lease = Lease(context, name, lambda: self.answers)
+        self.guarding = Guarding(context, name)
         self.failures: Dict[str, LoadFailure] = {}
         self.details: Dict[str, str] = {}
-        self._guarding = Guarding(context, name)
 
     @property
     @abstractmethod
@@ -86,27 +87,8 @@ class NodeletPeer(ABC):
         """Whether it may hold a lease; while it may, it must not be taken for lost."""
         return self.lease.may_be_held
 
-    def hand_over(self) -> None:
-        """Hand the guards over, unless it has them as they are now.
-
-        A failure is logged, and tried again by the next call.
-        """
-        self._guarding.hand_over(self.state)
-
-    def check_guards(self) -> None:
-        """Refuse to load where the guards could not be handed over.
-
-        Raises:
-            HostError: they could not.
-        """
-        self._guarding.check()
-
-    def withdraw_guards(self) -> None:
-        """Remove the guards, as far as the master answers."""
-        self._guarding.withdraw()
-
     def close(self) -> None:
-        """Close the connections."""
+        """Close the connections; the process goes on."""
         self.counts.close()
         self.lease.close()
 
@@ -121,18 +103,12 @@ class ListClient:
     def __init__(
         self, master: Master, name: str, reconnects: bool = True, is_node: bool = False
     ) -> None:
-        """Prepare.
-
-        Args:
-            master: where the process is looked up.
-            name: its global name.
-            reconnects: whether to connect again when the connection is lost.
-            is_node: whether it is a node; that answers for as long as it runs itself.
-        """
+        """Prepare; a node answers for as long as it runs itself, by its counts."""
         service, question = (COUNTS, GetCounts) if is_node else ("list", NodeletList)
         self._client = ServiceClient(
             master, names.join(name, service), question, persistent=True, reconnects=reconnects
         )
+        self.close = self._client.close
         self._node = name if is_node else ""
         self._address = ""
         #: Whether the last question was answered in time.
@@ -146,24 +122,16 @@ class ListClient:
             HostError: it is not there, or another process has its name.
         """
         try:
-            if self._node:
-                self._client.call(timeout, [self._node])
-                found = [self._node]
-            else:
-                found = self._client.call(timeout).nodelets
+            answer = self._client.call(timeout, *([[self._node]] if self._node else ()))
         except PeerTimeout:
             self.answers = False
             raise
         self.answers = True
         self._address = self._address or self._client.address
         if self._client.address != self._address:
-            self._client.close()
+            self.close()
             raise HostError("another process has that name now")
-        return sorted(found)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._client.close()
+        return [self._node] if self._node else sorted(answer.nodelets)
 
 
 @contextlib.contextmanager

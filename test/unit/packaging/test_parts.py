@@ -33,7 +33,7 @@ print(len(names))
 LOOK_UP = """
 from dyknow.errors import UnknownNodeletType
 from dyknow.nodelet.plugins import Plugins
-from dyknow.ros.hosting.nodelet_types import cpp_classes
+from dyknow.ros.hosting.installed import cpp_classes
 from dyknow.ros.nodelets.packages import plugin_files
 try:
     Plugins(plugin_files).find("none/Such")

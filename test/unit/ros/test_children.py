@@ -130,8 +130,8 @@ class FakeLauncher:
     def follow(self, name: str) -> None:
         return None
 
-    def address(self, kind: NodeletKind, name: str, stale: str) -> str:
-        return "http://here:1"
+    def is_up(self, kind: NodeletKind, name: str, stale: str) -> bool:
+        return True
 
     def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
         return True

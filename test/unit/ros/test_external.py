@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-from types import SimpleNamespace
 from typing import Iterator, List
 
 import pytest
@@ -275,7 +274,7 @@ def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph: Smal
     )
     try:
         for name in (FAR, "/manager", "/child"):
-            nodes._announced(SimpleNamespace(nodelets=[name]))
+            nodes._expect([name])
         assert sorted(nodes._externals) == [FAR, "/manager"]
         graph.nodes[FAR] = SmallManager("node")
         eventually(lambda: [each.name for each in nodes.all()] == [FAR])
