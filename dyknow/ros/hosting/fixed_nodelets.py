@@ -31,11 +31,7 @@ class FixedProxy:
         return [replace(port, tags=()) for port in self._record().ports]
 
     def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
-        """Refuse.
-
-        Raises:
-            FixedTopics: always; the text says how to get live ports.
-        """
+        """Raise `FixedTopics`, whose text says how to get live ports."""
         raise FixedTopics(self.name, self._record().manager)
 
     def get_statistics(self) -> NodeletStatistics:
@@ -54,17 +50,17 @@ class FixedNodelets:
     """Offers the services of all spawned nodelets with fixed topics."""
 
     def __init__(self, manager: Manager) -> None:
-        """Start without services."""
         self._manager = manager
         self._turn = turn_lock("services of fixed nodelets")
         self._offered: Dict[str, ProxyServices] = {}
+        self._closed = False
 
     def follow(self) -> None:
-        """Offer the services of the present nodelets alone."""
+        """Offer the services of the present nodelets alone, until it is closed."""
         with self._turn:
             wanted = [
                 record.name
-                for record in self._manager.graph.all()
+                for record in (() if self._closed else self._manager.graph.all())
                 if record.is_fixed
                 and record.is_spawned
                 and (record.state is State.RUNNING or record.name in self._offered)
@@ -77,6 +73,5 @@ class FixedNodelets:
 
     def close(self) -> None:
         """Withdraw all services."""
-        with self._turn:
-            while self._offered:
-                self._offered.popitem()[1].close()
+        self._closed = True
+        self.follow()

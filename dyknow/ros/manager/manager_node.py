@@ -253,7 +253,7 @@ class ManagerNode(Closable):
         self._fixed.follow()
         self._host.grant(self._granted)
         self._host.hand_over(self._protected)
-        self._listener.follow(self._announcers())
+        self._listener.follow(self._announcers)
 
     def _granted(self) -> Tuple[Mapping[str, str], Collection[str]]:
         """Return the producers of claims by topic, and the processes that run them."""

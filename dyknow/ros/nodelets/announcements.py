@@ -112,11 +112,15 @@ class Listener:
         self._changed = changed
         self._turn = turn_lock("listening to nodelet managers")
         self._subscribers: Dict[str, Any] = {}
+        self._closed = False
 
-    def follow(self, managers: Iterable[str]) -> None:
-        """Listen to exactly these nodelet managers."""
-        wanted = sorted(managers)
+    def follow(self, managers: Callable[[], Iterable[str]]) -> None:
+        """Listen to exactly the nodelet managers of this moment, until it is closed.
+
+        They are read within the turn: an older list must not replace a newer one.
+        """
         with self._turn:
+            wanted = [] if self._closed else sorted(managers())
             for manager in [each for each in self._subscribers if each not in wanted]:
                 self._subscribers.pop(manager).unregister()
             for manager in wanted:
@@ -130,4 +134,5 @@ class Listener:
             self._changed(manager, name, detail or "")
 
     def close(self) -> None:
-        self.follow(())
+        self._closed = True
+        self.follow(list)

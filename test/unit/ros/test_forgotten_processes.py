@@ -9,9 +9,10 @@ import os
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterator, cast
+from typing import Any, Iterator, Set, cast
 
 import pytest
+import rospy
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.manager.host import Crash, HostReport
@@ -24,6 +25,7 @@ from dyknow.ros.hosting.external import External
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.wire.master import Master
 
@@ -61,21 +63,40 @@ def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
         assert not worker.running
 
 
-@pytest.mark.parametrize("kind", ["guards", "producers"])
-def test_an_older_state_never_replaces_a_newer_one(host: RosHost, kind: str) -> None:
+@pytest.mark.parametrize("kind", ["guards", "producers", "announcers"])
+def test_an_older_state_never_replaces_a_newer_one(
+    host: RosHost, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Or a nodelet would be unprotected, or a producer silent, until the next look."""
-    has_read, may_go_on = threading.Event(), threading.Event()
+    subscribed: Set[str] = set()
 
-    def older() -> Any:
+    def subscribe(topic: str, *unused: object) -> Any:
+        subscribed.add(topic)
+        return SimpleNamespace(unregister=lambda: subscribed.discard(topic))
+
+    monkeypatch.setattr(rospy, "Subscriber", subscribe)
+    has_read, may_go_on = threading.Event(), threading.Event()
+    listener, context = Listener(lambda *unused: None), host._context
+    nodelets = {"/n": ["/n"]}
+    producers = {"/topic": "/n"}
+    older, newer, hand_over, result = {
+        "guards": ({}, nodelets, host.hand_over, lambda: context.protected == nodelets),
+        "producers": (
+            ({}, []),
+            (producers, ["/n"]),
+            host.grant,
+            lambda: context.producers == producers,
+        ),
+        "announcers": ([], ["/n"], listener.follow, lambda: subscribed == {"/n/changes"}),
+    }[kind]
+
+    def slowly() -> Any:
         has_read.set()
         assert may_go_on.wait(30.0)
-        return {} if kind == "guards" else ({}, [])
+        return older
 
-    def newer() -> Any:
-        return {"/n": ["/n"]} if kind == "guards" else ({"/topic": "/n"}, ["/n"])
-
-    hand_over: Any = host.hand_over if kind == "guards" else host.grant
-    threads = [threading.Thread(target=hand_over, args=(each,)) for each in (older, newer)]
+    works = (slowly, lambda: newer)
+    threads = [threading.Thread(target=hand_over, args=(each,)) for each in works]
     threads[0].start()
     assert has_read.wait(30.0)
     threads[1].start()
@@ -83,8 +104,10 @@ def test_an_older_state_never_replaces_a_newer_one(host: RosHost, kind: str) -> 
     may_go_on.set()
     for thread in threads:
         thread.join(30.0)
-    context = host._context
-    assert context.protected == {"/n": ["/n"]} or context.producers == {"/topic": "/n"}
+    assert result()
+    listener.close()
+    listener.follow(lambda: ["/late"])
+    assert subscribed == set()
 
 
 def test_old_accusations_are_forgotten() -> None:
