@@ -56,6 +56,7 @@ STATE_LOCKS: Tuple[str, ...] = (
     OTHER_STATE_LOCKS,
     "running clock",
     "event queue",
+    "control loop",
     "messages",
 )
 

@@ -1,27 +1,40 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Threads that work in rounds, pools of threads, queues of events, and the clocks that they use.
+"""Threads that work in rounds, queues of events, and the clocks that they use.
 
-A thread of DyKnow is one of three kinds: a `PeriodicWorker`, one of a pool (`Workers`), or a
-single call in the background (`in_background`), for a call that may block for so long that it
-would keep a pool from its work. All three have the same boundary: an exception of the work is
-logged with its traceback, and the thread goes on.
+A thread of DyKnow is one of a `ControlLoop`, or a single call in the background (`in_background`)
+that may block for long. Both have the same boundary: an exception of the work is logged with its
+traceback, and the thread goes on.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
-import queue
+import math
 import threading
 import time
 from collections import deque
-from typing import Callable, Deque, Generic, Optional, TypeVar, Union
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import (
+    Callable,
+    Deque,
+    Dict,
+    Generic,
+    Iterator,
+    List,
+    Optional,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from dyknow.errors import DyKnowError
 from dyknow.locks import state_condition, state_lock
 
-#: Least seconds between two rounds of a worker, however often it is woken.
+#: Least seconds between two rounds of a key, however often it is woken.
 PAUSE = 0.05
 #: Seconds until a round that failed is repeated.
 RETRY = 0.5
@@ -31,6 +44,7 @@ _TICK = 0.1
 LONGEST_TICK = 0.3
 
 T = TypeVar("T")
+Work = Callable[[], Optional[float]]
 Event = TypeVar("Event")
 Period = Union[None, float, Callable[[], Optional[float]]]
 """Seconds between two rounds, None for no round before the worker is woken, or a function that
@@ -86,11 +100,217 @@ def in_background(
     return thread
 
 
-class PeriodicWorker:
-    """One daemon thread, one round at a time. Every method is safe from any thread.
+@dataclass
+class _Key:
+    """One key of a loop.
 
-    A round that fails is logged, and repeated after ``RETRY`` seconds.
+    Attributes:
+        name: for the log.
+        work: a round; returns the seconds until the next one, None for the next wake.
+        pause: least seconds between two rounds.
+        earliest: when the next round may begin, if the key is woken.
+        due: when it begins in any case.
+        is_standing: whether the key stays when nothing is left to do.
+        begun: number of the last round that began; ``ended`` and ``wanted`` likewise.
     """
+
+    name: str
+    work: Work
+    pause: float
+    earliest: float
+    due: float
+    is_standing: bool
+    begun: int = 0
+    ended: int = 0
+    wanted: int = 0
+
+    @property
+    def is_running(self) -> bool:
+        return self.begun > self.ended
+
+    @property
+    def next(self) -> float:
+        """When its next round begins."""
+        return self.earliest if self.wanted > self.begun else max(self.due, self.earliest)
+
+
+class ControlLoop:
+    """Rounds of work by key, on a few threads; a key never has two rounds at once.
+
+    It is level-triggered: a wake says that a key may have something to do, and the round looks for
+    itself; many wakes make one round. A round that fails is logged, and repeated after ``RETRY``
+    seconds. Every method is safe from any thread; a round may close its own loop.
+
+    Each standing key has a thread, so a slow round delays no other key; keys of ``once`` share
+    those of the ``workers``. Without ``start`` the rounds run in the thread that calls
+    ``advance``, in the order of time: simulations and tests are deterministic.
+    """
+
+    def __init__(
+        self,
+        workers: int = 0,
+        clock: Clock = STEADY,
+        logger: logging.Logger = _log,
+        name: str = "control loop",
+    ) -> None:
+        """Make a loop without keys, and without threads before ``start``."""
+        self._workers = workers
+        self._clock = clock
+        self._logger = logger
+        self._name = name
+        self._changed = state_condition("control loop")
+        self._keys: Dict[str, _Key] = {}
+        self._threads: List[threading.Thread] = []
+        self._started = self._closed = False
+
+    def add(
+        self, key: str, work: Work, after: Optional[float] = None, pause: float = PAUSE
+    ) -> None:
+        """Add a standing key.
+
+        Args:
+            key: its name, for the log too.
+            work: a round; returns the seconds until the next one, None for the next wake.
+            after: seconds until the first round; None for the first wake.
+            pause: least seconds until a round.
+        """
+        self._put(_Key(key, work, pause, *self._times(after, pause), is_standing=True))
+
+    def once(self, key: str, work: Callable[[], object]) -> None:
+        """Call ``work`` soon, once, unless the key waits or runs already; does not wait."""
+
+        def round_() -> None:
+            work()
+
+        self._put(_Key(key, round_, 0.0, *self._times(0.0), is_standing=False))
+
+    def wake(self, key: str) -> int:
+        """Ask for a round that begins from now on, and return its number; does not wait.
+
+        A key that was not added has no rounds.
+        """
+        found = self._keys.get(key)
+        if found is None:
+            return 0
+        if found.wanted <= found.begun:  # else its next round is asked for already
+            with self._changed:
+                found.wanted = found.begun + 1
+                self._changed.notify_all()
+        return found.wanted
+
+    def wait_for(self, key: str, number: int, timeout: float) -> bool:
+        """Wait at most ``timeout`` s for the end of a round; returns whether it has ended.
+
+        After ``close`` the round that is running ends, and no other begins.
+        """
+        with self._changed:
+            found = self._keys[key]
+            self._changed.wait_for(
+                lambda: found.ended >= number or (self._closed and found.begun < number), timeout
+            )
+            return found.ended >= number
+
+    @property
+    def running(self) -> bool:
+        """Whether threads were started and have not all ended."""
+        return any(thread.is_alive() for thread in self._threads)
+
+    def requeue(self, key: str, after: Optional[float]) -> None:
+        """Let the next round of a standing key come in so many seconds; None for a wake."""
+        with self._changed:
+            _, self._keys[key].due = self._times(after)
+            self._changed.notify_all()
+
+    def start(self) -> bool:
+        """Start the threads; returns False if they were started, or the loop is closed."""
+        with self._changed:
+            if self._started or self._closed:
+                return False
+            self._started = True
+            self._start_threads(self._workers + len(self._keys))
+            return True
+
+    def advance(self, until: float) -> Iterator[float]:
+        """Run the rounds that are due by then in this thread; yields the time before each."""
+        while True:
+            with self._changed:
+                key = None if self._closed else self._first()
+                if key is None or key.next > until:
+                    return
+                when = key.next
+                key.begun += 1
+            yield when
+            self._round(key)
+
+    def close(self, timeout: float = 0.0) -> None:
+        """Begin no further round; wait at most ``timeout`` s for those that run."""
+        with self._changed:
+            self._closed = True
+            threads = self._threads
+            self._changed.notify_all()
+        deadline = time.monotonic() + timeout
+        for thread in threads:
+            if thread is not threading.current_thread():
+                thread.join(max(0.0, deadline - time.monotonic()))
+
+    def _times(self, after: Optional[float], pause: float = 0.0) -> Tuple[float, float]:
+        now = self._clock.now()
+        return now + pause, math.inf if after is None else now + after
+
+    def _put(self, key: _Key) -> None:
+        with self._changed:
+            if key.name not in self._keys:
+                self._keys[key.name] = key
+                self._changed.notify_all()
+                if self._started and key.is_standing:
+                    self._start_threads(1)
+
+    def _start_threads(self, count: int) -> None:
+        self._threads += [in_background(self._name, self._run, self._logger) for _ in range(count)]
+
+    def _run(self) -> None:
+        key = self._take()
+        while key is not None:
+            self._round(key)
+            key = self._take()
+
+    def _take(self) -> Optional[_Key]:
+        """Wait until a round is due, and begin it; None once the loop is closed."""
+        with self._changed:
+            while not self._closed:
+                key = self._first()
+                left = math.inf if key is None else key.next - self._clock.now()
+                if key is not None and left <= 0.0:
+                    key.begun += 1
+                    return key
+                self._clock.wait(self._changed, None if left == math.inf else left)
+        return None
+
+    def _first(self) -> Optional[_Key]:
+        """Return the key whose round comes next, of those that may begin one now."""
+        running = sum(each.is_running and not each.is_standing for each in self._keys.values())
+        has_worker = running < self._workers or not self._started
+        waiting = (
+            each
+            for each in self._keys.values()
+            if not each.is_running and (each.is_standing or has_worker)
+        )
+        return min(waiting, key=attrgetter("next"), default=None)
+
+    def _round(self, key: _Key) -> None:
+        outcome: List[Optional[float]] = []
+        attempt(key.name, lambda: outcome.append(key.work()), self._logger)
+        after, pause = (outcome[0], key.pause) if outcome else (RETRY, RETRY)
+        with self._changed:
+            key.ended = key.begun
+            key.earliest, key.due = self._times(after, pause)
+            if not key.is_standing:
+                del self._keys[key.name]
+            self._changed.notify_all()
+
+
+class PeriodicWorker:
+    """A control loop of one key, on a thread of its own."""
 
     def __init__(
         self,
@@ -111,94 +331,40 @@ class PeriodicWorker:
             logger: where failures are logged.
             clock: steady time.
         """
+
+        def round_() -> Optional[float]:
+            work()
+            return self._until_next()
+
         self._what = what
-        self._work = work
         self._period = period
-        self._pause = pause
-        self._logger = logger
-        self._clock = clock
-        self._changed = state_condition("worker")
-        #: Numbers of the last round that began, that ended, and that somebody asked for.
-        self._begun = self._ended = self._wanted = 0
-        self._closed = False
-        self._thread: Optional[threading.Thread] = None
+        self._loop = ControlLoop(0, clock, logger, what)
+        self._loop.add(what, round_, pause=pause)
+        self.close = self._loop.close
 
     @property
     def running(self) -> bool:
         """Whether its thread was started and has not ended."""
-        return self._thread is not None and self._thread.is_alive()
+        return self._loop.running
 
     def start(self) -> None:
-        """Start the thread, unless it runs or the worker is closed.
+        """Start the thread, unless it was started or the worker is closed.
 
         The first round comes after a period, or when the worker is woken.
         """
-        with self._changed:
-            if self._thread is None and not self._closed:
-                self._thread = in_background(self._what, self._run, self._logger)
+        if self._loop.start():
+            self._loop.requeue(self._what, self._until_next())
+
+    def _until_next(self) -> Optional[float]:
+        return self._period() if callable(self._period) else self._period
 
     def wake(self) -> int:
         """Ask for a round that begins from now on, and return its number; does not wait."""
-        with self._changed:
-            self._wanted = self._begun + 1
-            self._changed.notify_all()
-            return self._wanted
+        return self._loop.wake(self._what)
 
     def wait_for(self, number: int, timeout: float) -> bool:
-        """Wait for the end of a round, as ``wake`` numbers them; returns whether it has ended.
-
-        A worker that is closed finishes the round that is running, and begins no other.
-
-        Args:
-            number: the round.
-            timeout: seconds to wait at most.
-        """
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._ended >= number or (self._closed and self._begun < number), timeout
-            )
-            return self._ended >= number
-
-    def close(self, timeout: float = 0.0) -> None:
-        """Begin no further round; wait at most ``timeout`` s for the end of the thread."""
-        with self._changed:
-            self._closed = True
-            thread = self._thread
-            self._changed.notify_all()
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(timeout)
-
-    def _run(self) -> None:
-        while not self._closed:
-            if attempt(self._what, self._round, self._logger) is None:
-                self._sleep(RETRY, woken=False)
-                self.wake()
-
-    def _round(self) -> bool:
-        period = self._period() if callable(self._period) else self._period
-        self._sleep(self._pause, woken=False)
-        self._sleep(None if period is None else period - self._pause, woken=True)
-        with self._changed:
-            if self._closed:
-                return False
-            self._begun += 1
-        try:
-            self._work()
-        finally:
-            with self._changed:
-                self._ended = self._begun
-                self._changed.notify_all()
-        return True
-
-    def _sleep(self, seconds: Optional[float], woken: bool) -> None:
-        """Sleep until the worker is closed or, where ``woken`` says so, woken."""
-        deadline = None if seconds is None else self._clock.now() + seconds
-        with self._changed:
-            while not self._closed and not (woken and self._wanted > self._begun):
-                left = None if deadline is None else deadline - self._clock.now()
-                if left is not None and left <= 0.0:
-                    return
-                self._clock.wait(self._changed, left)
+        """Wait at most ``timeout`` s for the end of a round; returns whether it has ended."""
+        return self._loop.wait_for(self._what, number, timeout)
 
 
 class Workers:
@@ -207,29 +373,14 @@ class Workers:
     def __init__(self, what: str, count: int) -> None:
         """Start ``count`` threads, with the name of their work for the log."""
         self._what = what
-        self._queue: queue.SimpleQueue[Optional[Callable[[], object]]] = queue.SimpleQueue()
-        self._closed = False
-        self._threads = [in_background(f"{what} {n}", self._run) for n in range(count)]
+        self._numbers = itertools.count()
+        self._loop = ControlLoop(count, name=what)
+        self._loop.start()
+        self.close = self._loop.close
 
     def run(self, work: Callable[[], object]) -> None:
         """Call ``work`` soon; does not wait for it."""
-        self._queue.put(work)
-
-    def close(self, timeout: float = 0.0) -> None:
-        """Start no further work; wait at most ``timeout`` s for running work."""
-        self._closed = True
-        for _ in self._threads:
-            self._queue.put(None)
-        deadline = time.monotonic() + timeout
-        for thread in self._threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
-
-    def _run(self) -> None:
-        while True:
-            work = self._queue.get()
-            if work is None or self._closed:
-                return
-            attempt(self._what, work)
+        self._loop.once(f"{self._what} {next(self._numbers)}", work)
 
 
 class EventQueue(Generic[Event]):

@@ -36,7 +36,12 @@ class _Life:
 class Graph:
     """Records by name, with a revision that never goes back; safe from any thread."""
 
-    def __init__(self, store: Store, clock: Clock = STEADY) -> None:
+    def __init__(
+        self,
+        store: Store,
+        clock: Clock = STEADY,
+        on_change: Callable[[], object] = lambda: None,
+    ) -> None:
         """Start empty, with a revision beyond every one that was ever shown."""
         self._store = store
         self._clock = clock
@@ -47,8 +52,8 @@ class Graph:
         self._busy: Set[str] = set()
         self._revision = store.number("revision")
         self._reserved = self._revision
-        #: Called after every change, outside the locks.
-        self.on_change: Callable[[], None] = lambda: None
+        #: Called after every change of nodelets or transformations, outside the locks.
+        self.on_change = on_change
         with self._turn:
             self._reserve()
         self._revision += 1

@@ -21,7 +21,6 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
-    Set,
     Tuple,
 )
 
@@ -78,7 +77,7 @@ class Manager:
         library: Library,
         guards: Guards = NO_GUARDS,
         options: ManagerOptions = DEFAULT_OPTIONS,
-        run: Callable[[Callable[[], None]], None] = at_once,
+        run: Callable[[str, Callable[[], object]], None] = at_once,
         clock: Clock = STEADY,
         graph: Optional[Graph] = None,
         keeper: StreamKeeper = NO_STREAMS,
@@ -91,7 +90,7 @@ class Manager:
             library: transformations.
             guards: restrictions.
             options: namespace and timeout.
-            run: runs the restoring of a nodelet, which may take long.
+            run: runs the restoring of a nodelet, by key; it may take long.
             clock: steady time.
             graph: the nodelets; by default an empty one on the store.
             keeper: keeps streams on that graph.
@@ -124,23 +123,18 @@ class Manager:
             keeper,
         )
 
-    @property
-    def on_change(self) -> Callable[[], None]:
-        """Called after every change of the graph, by the thread that made it."""
-        return self.graph.on_change
-
-    @on_change.setter
-    def on_change(self, callback: Callable[[], None]) -> None:
-        self.graph.on_change = callback
-
     def start(self) -> None:
         """Take over the running nodelets of an earlier life, and bring back the dead ones."""
         self.observer.adopt(self.store.nodelets())
 
-    def look(self, changed: Optional[Set[str]] = None) -> None:
-        """Compare the picture with reality; ask nodelets that ``changed`` for their ports."""
+    def look(self, changed: Iterable[str] = ()) -> float:
+        """Compare the picture with reality; ask nodelets that ``changed`` for their ports.
+
+        Returns:
+            Seconds until the next look.
+        """
         self.store.write_pending()
-        self.observer.look(changed or set())
+        return self.observer.look(changed)
 
     def end(self) -> None:
         """End on purpose: the nodelets that this manager made are destroyed and forgotten."""

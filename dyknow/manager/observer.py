@@ -14,6 +14,7 @@ import contextlib
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from typing import AbstractSet, Callable, Iterable, List, Optional, Set, Tuple
 
 from dyknow import names
@@ -35,6 +36,7 @@ from dyknow.manager.record import (
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
+from dyknow.periodic import PAUSE
 
 #: Seconds of the first pause between two attempts to bring back one nodelet. It is short, since a
 #: stream is interrupted meanwhile.
@@ -43,7 +45,11 @@ _FIRST_PAUSE = 0.25
 _log = logging.getLogger("rosout.dyknow")
 
 
-def at_once(work: Callable[[], None]) -> None:
+#: Seconds between two looks when nothing happens.
+PERIOD = 0.5
+
+
+def at_once(key: str, work: Callable[[], object]) -> None:
     """Call ``work`` now, in the thread of the caller."""
     work()
 
@@ -59,7 +65,7 @@ class Observer:
         suspects: Suspects,
         described: Callable[[str], Optional[Transformation]] = lambda name: None,
         clock: Callable[[], float] = time.monotonic,
-        run: Callable[[Callable[[], None]], None] = at_once,
+        run: Callable[[str, Callable[[], object]], None] = at_once,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
         """Prepare; ``adopt`` comes first, then one ``look`` after the other.
@@ -71,7 +77,7 @@ class Observer:
             suspects: accused of crashes.
             described: returns the library's description of an external node.
             clock: steady time, in seconds.
-            run: runs the restoring of a nodelet; a look does not wait for it.
+            run: runs the restoring of a nodelet, by key; a look does not wait for it.
             keeper: learns of deaths and crashes.
         """
         self._host = host
@@ -82,11 +88,10 @@ class Observer:
         self._turn = turn_lock("look at nodelet managers")
         self._backoff = Backoff(clock, _FIRST_PAUSE)
         self._run = run
-        self._state_lock = state_lock("nodelets that are brought back")
+        self._state_lock = state_lock("nodelets to query")
         self._dead: Set[str] = set()  # found by the present look
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
-        self._returning: Set[str] = set()  # being brought back
-        self._to_ask: Set[str] = set()  # nodelets whose query failed
+        self._to_ask: Set[str] = set()  # nodelets whose ports the next look queries
         self._keeper = keeper
 
     def adopt(self, records: Iterable[Record]) -> None:
@@ -104,16 +109,27 @@ class Observer:
         for state in self._host.states().values():  # whose spawn never returned
             if state.own and state.isolated_for and not self._graph.find(state.isolated_for):
                 self._host.retire(state.name)
-        self.look({record.name for record in self._graph.all()})
+        self.look(record.name for record in self._graph.all())
 
-    def look(self, changed: Set[str]) -> None:
+    def note(self, names: Iterable[str]) -> None:
+        """Have the next look query the ports of these nodelets."""
+        with self._state_lock:
+            self._to_ask.update(names)
+
+    def look(self, changed: Iterable[str] = ()) -> float:
         """Compare the picture with one report of the host.
 
         Args:
             changed: nodelets whose ports are queried; those of new ones always are.
+
+        Returns:
+            Seconds until the next look: it comes soon if operations held up this one.
         """
         with self._turn:
-            changed, self._to_ask = changed | self._to_ask, set()
+            with self._state_lock:
+                changed, self._to_ask = self._to_ask.union(changed), set()
+            busy = {name for name in changed if self._graph.is_busy(name)}
+            self.note(busy)
             records = self._graph.all()  # before the processes: none of them is newer
             report = self._host.poll()
             for incarnation, crash in report.crashes.items():
@@ -131,14 +147,16 @@ class Observer:
             for record in doubtful:
                 self._check(record, report, changed)
             known = {record.name for record in self._graph.all()}
-            self._to_ask |= changed & known - {record.name for record in records}
+            self.note(changed & known - {record.name for record in records})
             for manager in sorted(report.nodelets):
                 for name in sorted(report.nodelets[manager] - known):
                     if not self._graph.is_busy(name):
                         self._adopt_unknown(name, report.processes[manager])
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
-            self._bring_back_soon(name)
+            if self._backoff.allows(name):
+                self._run(f"bringing back {name}", partial(self._bring_back, name))
+        return PAUSE if busy else PERIOD
 
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
@@ -200,11 +218,11 @@ class Observer:
         try:
             with self._graph.changing(record.name) as current:
                 if current is None or not _is_same_life(current, record):
-                    self._to_ask.update({record.name} & changed)
+                    self.note({record.name} & changed)
                     return
                 self._compare(current, report, changed)
         except Busy:
-            self._to_ask.update({record.name} & changed)
+            self.note({record.name} & changed)
             return  # another operation works on it; the next look sees the outcome
 
     def _compare(self, record: Record, report: HostReport, changed: Set[str]) -> None:
@@ -261,7 +279,7 @@ class Observer:
             except HostError as error:
                 _log.debug("%s: %s", record.name, error)
                 if closely or record.transformation is not None:  # it has a proxy
-                    self._to_ask.add(record.name)
+                    self.note([record.name])
             else:
                 detail = "; ".join(
                     filter(None, (self._host.detail(record.name), record.suspicion))
@@ -304,15 +322,6 @@ class Observer:
             return False
         return True
 
-    def _bring_back_soon(self, name: str) -> None:
-        if not self._backoff.allows(name):
-            return
-        with self._state_lock:
-            if name in self._returning:
-                return
-            self._returning.add(name)
-        self._run(lambda: self._bring_back(name))
-
     def _bring_back(self, name: str) -> None:
         try:
             with self._graph.changing(name) as record:
@@ -328,9 +337,6 @@ class Observer:
                     self._restore(record)
         except Busy:
             return  # another operation works on it; the next look sees the outcome
-        finally:
-            with self._state_lock:
-                self._returning.discard(name)
 
     def _restore(self, record: Record) -> None:
         try:

@@ -9,6 +9,7 @@ flows; counts of ports are invented.
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, TypeVar
@@ -33,7 +34,7 @@ from dyknow.model.streams import (
     StreamStatus,
 )
 from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
-from dyknow.periodic import STEADY, Clock
+from dyknow.periodic import STEADY, Clock, ControlLoop
 from dyknow.simulated.host import FakeHost
 
 T = TypeVar("T")
@@ -59,6 +60,19 @@ class SimulatedHost(FakeHost):
     def _new_name(self) -> str:
         number = len(self.processes) + 1
         return "/dyknow_nodelet_manager" + (f"_{number}" if number > 1 else "")
+
+
+class SimulatedClock(Clock):
+    """Time that stands still; a wait on it returns at once, and moves it forward instead."""
+
+    def __init__(self, time: float = 0.0) -> None:
+        self.time = time
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+        self.time += seconds or 0.0
 
 
 class _Silent(HostError):
@@ -100,22 +114,31 @@ class SimulatedManagerClient(BaseManagerClient):
         self.is_up = True
         self.delay = 0.0
         self.calls: List[Tuple[str, str]] = []
+        self._clock = clock
         self.rates: Dict[Tuple[str, str], Tuple[float, float]] = {}
         self.on_model: Callable[[Model], None] = lambda model: None
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
+        self._claims: Set[str] = set()
+        self._altered: Dict[str, Dict[str, object]] = {}
         self._start = time.monotonic()
         store = Store(":memory:")
+        self._loop = ControlLoop(clock=clock)
         self.reconciler = open_reconciler(
-            self.host, store, Library(store), clock=clock, sleep=self._pass
+            self.host,
+            store,
+            Library(store),
+            run=self._loop.once,
+            clock=clock,
+            sleep=self._pass,
+            on_change=self._on_change,
         )
         self.core = self.reconciler.manager
         self.core.start()
         self.reconciler.on_event = self._tell_event
+        self._loop.add("observe", self.core.look, 0.0)
+        self._loop.add("reconcile", self.reconciler.work, 0.0)
         self._answers = StreamAnswers(now, clock.now)
-        self._claims: Set[str] = set()
-        self._altered: Dict[str, Dict[str, object]] = {}
-        self.core.on_change = self._tell_model
 
     def alter(self, name: str, **fields: object) -> None:
         """Show other fields of a nodelet, such as a ``state``, for as long as it is there."""
@@ -128,7 +151,22 @@ class SimulatedManagerClient(BaseManagerClient):
         with self._turn:
             self._pass(0.0)
             self.core.look()
+            for _ in self._loop.advance(self._clock.now()):
+                pass
             self.reconciler.reconcile()
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass on a ``SimulatedClock``: the manager works as its node does.
+
+        Messages pass before each round.
+        """
+        assert isinstance(self._clock, SimulatedClock)
+        with self._turn:
+            end = self._clock.now() + seconds
+            for moment in self._loop.advance(end):
+                self._clock.time = max(self._clock.time, moment)
+                self._pass(0.0)
+            self._clock.time = max(self._clock.time, end)
 
     # The interface
 
@@ -257,6 +295,10 @@ class SimulatedManagerClient(BaseManagerClient):
     def _check_runs(self, nodelet: str) -> None:
         if nodelet not in self.host.running:
             raise _Silent(f"service {nodelet}/get_config is not there")
+
+    def _on_change(self) -> None:
+        self._loop.wake("reconcile")
+        self._tell_model()
 
     def _pass(self, seconds: float) -> None:
         self.host.flow()

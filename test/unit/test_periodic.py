@@ -1,232 +1,252 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Workers that work in rounds, in time that the test moves on."""
+"""Loops, workers and pools, in time that the test moves on."""
 
 from __future__ import annotations
 
 import threading
-from typing import Callable, Iterator, List
+from typing import Callable, Iterator, List, Optional
 
 import pytest
-from clocks import PATIENCE, SteppedClock
+from clocks import PATIENCE, HandClock, SteppedClock
 
 from dyknow.errors import DyKnowError
-from dyknow.periodic import PAUSE, RETRY, Period, PeriodicWorker, attempt, in_background
+from dyknow.periodic import (
+    PAUSE,
+    RETRY,
+    ControlLoop,
+    PeriodicWorker,
+    Workers,
+    attempt,
+    in_background,
+)
 
-Make = Callable[..., PeriodicWorker]
+
+class Bench:
+    """A loop without threads, and when the rounds of its keys were."""
+
+    def __init__(self) -> None:
+        self.clock = HandClock()
+        self.loop = ControlLoop(clock=self.clock)
+        self.rounds: List[float] = []
+
+    def add(
+        self, after: Optional[float], work: Callable[[], Optional[float]], pause: float = PAUSE
+    ) -> None:
+        def round_() -> Optional[float]:
+            self.rounds.append(self.clock.time)
+            return work()
+
+        self.loop.add("key", round_, after, pause)
+
+    def advance(self, until: float) -> None:
+        for moment in self.loop.advance(until):
+            self.clock.time = moment
+        self.clock.time = until
 
 
 @pytest.fixture
-def clock() -> SteppedClock:
-    return SteppedClock()
+def bench() -> Bench:
+    return Bench()
 
 
-@pytest.fixture
-def rounds() -> List[float]:
-    """When each round was."""
-    return []
-
-
-@pytest.fixture
-def make(clock: SteppedClock, rounds: List[float]) -> Iterator[Make]:
-    made: List[PeriodicWorker] = []
-
-    def build(
-        period: Period = None, work: Callable[[], None] = lambda: None, pause: float = PAUSE
-    ) -> PeriodicWorker:
-        def round_() -> None:
-            rounds.append(clock.now())
-            work()
-
-        worker = PeriodicWorker("testing", round_, period, pause, clock=clock)
-        made.append(worker)
-        worker.start()
-        clock.settle()
-        return worker
-
-    yield build
-    for each in made:
-        each.close(PATIENCE)
-        assert not each.running
-
-
-def test_a_round_comes_after_each_period(
-    make: Make, clock: SteppedClock, rounds: List[float]
+@pytest.mark.parametrize(
+    ("periods", "rounds"),
+    [([2.0] * 3, [2.0, 4.0, 6.0]), ([1.0, 3.0, None, 0.5], [1.0, 4.0]), ([None], [])],
+)
+def test_a_round_says_when_the_next_one_comes(
+    bench: Bench, periods: List[Optional[float]], rounds: List[float]
 ) -> None:
-    make(2.0)
-    clock.advance(7.0)
-    assert rounds == [2.0, 4.0, 6.0]
+    each = iter(periods)
+    bench.add(next(each), lambda: next(each, None))
+    bench.advance(1000.0)
+    assert bench.rounds == rounds
 
 
-def test_the_period_may_differ_from_round_to_round(
-    make: Make, clock: SteppedClock, rounds: List[float]
-) -> None:
-    periods = iter([1.0, 3.0, None, 0.5])
-    make(lambda: next(periods))
-    clock.advance(8.0)
-    assert rounds == [1.0, 4.0], "and sleeps since"
+def test_a_storm_of_wakes_is_one_round_in_a_pause(bench: Bench) -> None:
+    bench.add(None, lambda: None, pause=1.0)
+    for _ in range(2):
+        for _ in range(100):
+            bench.loop.wake("key")
+        bench.advance(bench.clock.time + 1.0)
+    bench.advance(1000.0)
+    assert bench.rounds == [1.0, 2.0]
 
 
-def test_without_a_period_a_worker_sleeps_until_it_is_woken(
-    make: Make, clock: SteppedClock, rounds: List[float]
-) -> None:
-    worker = make()
-    clock.advance(1000.0)
-    assert rounds == []
-    assert worker.wait_for(worker.wake(), PATIENCE)
-    assert rounds == [1000.0]
-
-
-def test_a_storm_of_wakes_is_one_round_in_a_pause(
-    make: Make, clock: SteppedClock, rounds: List[float]
-) -> None:
-    worker = make(pause=1.0)
-    for _ in range(100):
-        worker.wake()
-    assert not rounds
-    clock.advance(1.0)
-    for _ in range(100):
-        worker.wake()
-    clock.advance(2.0)
-    assert rounds == [1.0, 2.0]
-
-
-def test_a_wake_during_a_round_asks_for_the_next_one(
-    make: Make, clock: SteppedClock, rounds: List[float]
-) -> None:
-    going_on, go_on = threading.Event(), threading.Event()
+def test_a_wake_during_a_round_asks_for_the_next_one(bench: Bench) -> None:
+    numbers: List[int] = []
 
     def work() -> None:
-        going_on.set()
-        assert go_on.wait(PATIENCE)
+        if not numbers:
+            numbers.append(bench.loop.wake("key"))
+            assert not bench.loop.wait_for("key", numbers[0] - 1, 0.0), "it has not ended"
 
-    worker = make(work=work, pause=0.0)
-    first = worker.wake()
-    assert going_on.wait(PATIENCE)
-    second = worker.wake()
-    assert second == first + 1
-    assert not worker.wait_for(first, 0.0)
-    go_on.set()
-    assert worker.wait_for(second, PATIENCE)
-    clock.settle()
-    assert len(rounds) == 2
+    bench.add(0.0, work)
+    bench.advance(PAUSE)
+    assert not bench.loop.wait_for("key", numbers[0], 0.0)
+    bench.advance(10.0)
+    assert bench.loop.wait_for("key", numbers[0], 0.0)
+    assert len(bench.rounds) == 2
 
 
-def test_a_wake_before_the_start_is_kept(clock: SteppedClock, rounds: List[float]) -> None:
-    worker = PeriodicWorker("testing", lambda: rounds.append(clock.now()), pause=0.0, clock=clock)
-    number = worker.wake()
-    worker.start()
-    worker.start()
-    assert worker.wait_for(number, PATIENCE)
-    worker.close(PATIENCE)
-    assert len(rounds) == 1
+def test_a_wake_before_its_key_is_added_does_nothing(bench: Bench) -> None:
+    bench.loop.wake("key")
+    bench.add(None, lambda: None)
+    bench.advance(10.0)
+    assert not bench.rounds
 
 
 @pytest.mark.parametrize("error", [DyKnowError("refused"), RuntimeError("unexpected")])
 def test_a_round_that_fails_is_logged_and_repeated(
-    make: Make,
-    clock: SteppedClock,
-    rounds: List[float],
-    caplog: pytest.LogCaptureFixture,
-    error: Exception,
+    bench: Bench, caplog: pytest.LogCaptureFixture, error: Exception
 ) -> None:
     def work() -> None:
-        if len(rounds) == 1:
+        bench.loop.wake("key")
+        if len(bench.rounds) == 1:
             raise error
+        bench.loop.close()
 
-    make(10.0, work)
-    clock.advance(10.0)
-    clock.advance(RETRY + 2 * PAUSE)
-    assert rounds == pytest.approx([10.0, 10.0 + RETRY + PAUSE])
+    bench.add(10.0, work)
+    bench.advance(100.0)
+    assert bench.rounds == [10.0, 10.0 + RETRY]
     assert str(error) in caplog.text
     assert ("Traceback" in caplog.text) == (not isinstance(error, DyKnowError))
 
 
-def test_a_period_that_fails_is_asked_again(
-    make: Make, clock: SteppedClock, rounds: List[float]
-) -> None:
-    asked = []
-
-    def period() -> float:
-        asked.append(clock.now())
-        if len(asked) == 1:
-            raise RuntimeError("injected")
-        return 5.0
-
-    make(period)
-    clock.advance(RETRY + 2 * PAUSE)
-    assert rounds == pytest.approx([RETRY + PAUSE])
+def test_a_key_that_waits_already_is_not_added_again(bench: Bench) -> None:
+    done: List[str] = []
+    bench.loop.once("a", lambda: done.append("a"))
+    bench.loop.once("b", lambda: bench.loop.once("b", lambda: done.append("never")))
+    bench.loop.once("a", lambda: done.append("never"))
+    bench.advance(1.0)
+    bench.loop.once("a", lambda: done.append("again"))
+    bench.advance(2.0)
+    assert done == ["a", "again"]
 
 
-def test_a_worker_may_close_itself(clock: SteppedClock) -> None:
-    worker = PeriodicWorker("testing", lambda: worker.close(PATIENCE), pause=0.0, clock=clock)
+class Gate:
+    """Work that waits until it may go on."""
+
+    def __init__(self) -> None:
+        self.begun, self.go_on = threading.Event(), threading.Event()
+
+    def __call__(self) -> None:
+        self.begun.set()
+        assert self.go_on.wait(PATIENCE)
+
+    def open(self) -> None:
+        self.go_on.set()
+
+
+@pytest.fixture
+def gate() -> Iterator[Gate]:
+    made = Gate()
+    yield made
+    made.open()
+
+
+def test_slow_rounds_hold_up_no_other_key(gate: Gate) -> None:
+    loop = ControlLoop(workers=1)
+    done = threading.Event()
+    loop.add("slow", gate, 0.0)  # type: ignore[arg-type]
+    loop.start()
+    for number in range(3):
+        loop.once(f"restoring {number}", gate)
+    loop.add("late", done.set, 0.0)  # type: ignore[arg-type]
+    assert done.wait(PATIENCE)
+    loop.close()
+
+
+def test_a_worker_works_periodically_until_it_is_closed() -> None:
+    clock = SteppedClock()
+    rounds: List[float] = []
+    worker = PeriodicWorker("testing", lambda: rounds.append(clock.now()), 2.0, clock=clock)
+    worker.start()
+    worker.start()
+    clock.advance(5.0)
+    assert rounds == [2.0, 4.0]
+    worker.close(PATIENCE)
+    assert not worker.wait_for(worker.wake(), 0.0)
+
+
+def test_a_wake_before_the_start_is_kept() -> None:
+    worker = PeriodicWorker("testing", lambda: None, pause=0.0)
+    number = worker.wake()
+    worker.start()
+    assert worker.wait_for(number, PATIENCE)
+    worker.close(PATIENCE)
+
+
+def test_a_worker_may_close_itself() -> None:
+    worker = PeriodicWorker("testing", lambda: worker.close(PATIENCE), pause=0.0)
     worker.start()
     assert worker.wait_for(worker.wake(), PATIENCE)
-    worker.close(PATIENCE)
-    assert not worker.running
 
 
-def test_close_waits_for_a_round_but_not_for_ever(make: Make) -> None:
-    going_on, go_on = threading.Event(), threading.Event()
-
-    def work() -> None:
-        going_on.set()
-        assert go_on.wait(PATIENCE)
-
-    worker = make(work=work, pause=0.0)
-    worker.wake()
-    assert going_on.wait(PATIENCE)
-    worker.close(0.01)
-    assert worker.running
-    go_on.set()
-    worker.close(PATIENCE)
-    assert not worker.running
-
-
-def test_a_round_that_runs_at_the_close_is_waited_for(make: Make) -> None:
-    going_on, go_on = threading.Event(), threading.Event()
-
-    def work() -> None:
-        going_on.set()
-        assert go_on.wait(PATIENCE)
-
-    worker = make(work=work, pause=0.0)
+def test_a_round_that_runs_at_the_close_is_waited_for(gate: Gate) -> None:
+    worker = PeriodicWorker("testing", gate, pause=0.0)
+    worker.start()
     number = worker.wake()
-    assert going_on.wait(PATIENCE)
+    assert gate.begun.wait(PATIENCE)
     later = worker.wake()
-    worker.close()
+    worker.close(0.01)
     answers: List[bool] = []
     waiter = in_background("waiting", lambda: answers.append(worker.wait_for(number, PATIENCE)))
     waiter.join(0.1)
-    go_on.set()
+    gate.open()
     waiter.join(PATIENCE)
     assert answers == [True]
     assert not worker.wait_for(later, PATIENCE), "no round begins after the close"
 
 
-def test_who_waits_for_a_round_is_let_go_at_the_end(make: Make) -> None:
-    worker = make()
+def test_a_close_ends_the_wait_for_a_round_that_will_not_come() -> None:
+    worker = PeriodicWorker("testing", lambda: None)
     waiter = in_background("waiting", lambda: worker.wait_for(7, PATIENCE))
-    worker.close(PATIENCE)
-    waiter.join(PATIENCE / 2)
-    assert not waiter.is_alive()
-    assert not worker.wait_for(7, PATIENCE)
-
-
-def test_a_closed_worker_does_not_start(clock: SteppedClock) -> None:
-    worker = PeriodicWorker("testing", lambda: None, clock=clock)
     worker.close()
     worker.start()
-    assert not worker.running
+    waiter.join(PATIENCE / 2)
+    assert not waiter.is_alive()
 
 
-def test_what_fails_in_the_background_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    in_background("dividing", lambda: 1 // 0).join(PATIENCE)
-    assert "dividing failed" in caplog.text
+def test_one_worker_of_a_pool_keeps_the_order() -> None:
+    workers = Workers("testing", 1)
+    done: List[int] = []
+    over = threading.Event()
+    for number in range(100):
+        workers.run(lambda number=number: done.append(number))
+    workers.run(over.set)
+    assert over.wait(PATIENCE)
+    workers.close(PATIENCE)
+    assert done == list(range(100))
+
+
+def test_a_pool_works_on_as_much_as_it_has_threads(caplog: pytest.LogCaptureFixture) -> None:
+    workers = Workers("testing", 3)
+    together = threading.Barrier(4)
+    workers.run(lambda: 1 // 0)
+    for _ in range(3):
+        workers.run(lambda: together.wait(PATIENCE))
+    together.wait(PATIENCE)
+    workers.close(PATIENCE)
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_an_attempt_returns_what_the_work_does() -> None:
+def test_a_pool_that_is_closed_begins_nothing_more_and_ends_running_work(gate: Gate) -> None:
+    workers = Workers("testing", 1)
+    done: List[str] = []
+    workers.run(lambda: (gate(), done.append("begun")))
+    workers.run(lambda: done.append("not begun"))
+    assert gate.begun.wait(PATIENCE)
+    workers.close(0.01)
+    assert done == []
+    gate.open()
+    workers.close(PATIENCE)
+    assert done == ["begun"]
+
+
+def test_work_that_fails_in_the_background_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    in_background("dividing", lambda: 1 // 0).join(PATIENCE)
+    assert "dividing failed" in caplog.text
     assert attempt("counting", lambda: 3) == 3
     assert attempt("dividing", lambda: 1 // 0) is None

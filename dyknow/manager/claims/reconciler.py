@@ -40,13 +40,15 @@ from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import StreamKeeper
 from dyknow.manager.manager import DEFAULT_OPTIONS, Manager, ManagerOptions
-from dyknow.manager.observer import at_once
+from dyknow.manager.observer import PERIOD, at_once
 from dyknow.manager.planning.problem import Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.periodic import STEADY, Clock
+from dyknow.periodic import PAUSE, STEADY, Clock
 
+#: Rounds in the ``max_silence`` of a claim.
+_ROUNDS = 4
 #: Times that a request is planned because a part of its plan went meanwhile.
 _ATTEMPTS = 3
 
@@ -90,7 +92,7 @@ class StreamReconciler:
         """
         #: Makes and destroys nodelets.
         self.manager = context.manager
-        self._ended = False
+        self._ended = self._had_work = False
         self._table = context.table
         self._lock = context.lock
         self._connector = context.connector
@@ -294,6 +296,27 @@ class StreamReconciler:
 
     # Reconciling
 
+    def work(self) -> Optional[float]:
+        """Reconcile while there are claims, or nodelets of claims.
+
+        One more round follows the end of the last claim, and releases its nodelets.
+
+        Returns:
+            Seconds until the next round; None for the next change.
+        """
+        had_work, self._had_work = self._had_work, self._has_work()
+        if had_work or self._had_work:
+            self.reconcile()
+        if not self._has_work():
+            return None
+        silences = (claim.request.max_silence for claim in self._table.living())
+        return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences if each)]))
+
+    def _has_work(self) -> bool:
+        return bool(self._table.living()) or any(
+            record.claimed for record in self.manager.graph.all()
+        )
+
     def reconcile(self) -> None:
         """Check every claim once, and repair broken streams."""
         with self._lock.round():
@@ -336,11 +359,12 @@ def open_reconciler(
     library: Library,
     guards: Guards = NO_GUARDS,
     options: ManagerOptions = DEFAULT_OPTIONS,
-    run: Callable[[Callable[[], None]], None] = at_once,
+    run: Callable[[str, Callable[[], object]], None] = at_once,
     clock: Clock = STEADY,
     settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
     sleep: Callable[[float], None] = time.sleep,
     running: Optional[Callable[[], float]] = None,
+    on_change: Callable[[], object] = lambda: None,
 ) -> StreamReconciler:
     """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
 
@@ -350,14 +374,15 @@ def open_reconciler(
         library: transformations.
         guards: limits and denials.
         options: how the manager behaves.
-        run: calls the work that brings a nodelet back, which may take long.
+        run: calls the work that brings a nodelet back, by key; it may take long.
         clock: steady time.
         settings: how the reconciler behaves.
         sleep: waits that many seconds, while a replacement comes up.
         running: time for which this process has run, in seconds; by default ``clock``.
+        on_change: called after every change of nodelets or transformations.
     """
     now = clock.now
-    graph = Graph(store, clock)
+    graph = Graph(store, clock, on_change)
     table = ClaimTable(store, now, settings.ended_kept, running)
     worlds = WorldReader(graph, table, library, host, options.namespace)
     monitor = StreamMonitor(

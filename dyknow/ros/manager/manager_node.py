@@ -4,11 +4,12 @@
 """The node dyknow_manager: the paper's manager with its ROS interface.
 
 Ownership: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
-manager, and its connections with ROS: services, the topic of the model, the streams, the watch and
-the workers that restore nodelets. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
-claims and nodelet managers end too. A manager that is killed leaves them, and its next life takes
-them over. When the master reports that another node bears the name, it does not end
-(``dyknow.ros.manager.tenure``).
+manager, and its connections with ROS: services, topics, and bonds with the clients of claims. Its
+periodic work is keys of one control loop: observing processes, reconciling claims, publishing the
+model, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and rosnode
+kill end it on purpose: nodelets, claims and nodelet managers end too. A manager that is killed
+leaves them, and its next life takes them over. When the master reports that another node bears the
+name, it does not end (``dyknow.ros.manager.tenure``).
 """
 
 from __future__ import annotations
@@ -24,25 +25,28 @@ import rospy
 import dyknow
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, PeerTimeout, StoreError
+from dyknow.manager.claim import ClaimEvent
+from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
 from dyknow.manager.manager import ManagerOptions
+from dyknow.manager.observer import PERIOD
 from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
-from dyknow.periodic import PeriodicWorker, RunningClock, Workers
+from dyknow.periodic import ControlLoop, RunningClock, in_background
+from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.manager.loops import ModelPublisher, Watch
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.services import ManagerServices
-from dyknow.ros.manager.stream_node import StreamNode
-from dyknow.ros.manager.tenure import VARIABLE, Tenure
+from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
+from dyknow.ros.manager.topics import EventTopic, ModelTopic
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -57,12 +61,19 @@ if TYPE_CHECKING:
 
 #: Seconds between two backups of the state, if it changes.
 _BACKUP_PERIOD = 10.0
+#: Least seconds between two messages with the model.
+_MODEL_PERIOD = 0.05
 #: Nodelets that are brought back at the same time.
 _WORKERS = 4
-#: Seconds to wait, at the end, for those that are being brought back.
-_WORKERS_PATIENCE = 3.0
+#: Seconds to wait, at the end, for rounds that are going on.
+_PATIENCE = 3.0
 _ANSWER_TIMEOUT = 1.0
 _NAME = "dyknow_manager"
+#: Keys of the control loop.
+_OBSERVE = "looking at the nodelet managers"
+_RECONCILE = "reconciling streams"
+_PUBLISH = "publishing the model"
+_BACK_UP = "backup"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
@@ -73,27 +84,28 @@ _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 class ManagerNode(Closable):
     """The manager and its surroundings; the node must be initialised."""
 
-    def __init__(self, settings: ManagerSettings) -> None:
-        """Open the state and put the parts together.
+    def __init__(self, settings: ManagerSettings, loop: ControlLoop) -> None:
+        """Open the state and put the parts together; they work in rounds of the ``loop``.
 
         Raises:
             DyKnowError: the state or an ontology cannot be used.
         """
         node = rospy.get_name()
         self._settings = settings
+        self._loop = loop
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
-        master = self._master = Master(node)
-        running = self._running = RunningClock.started()
+        self._master = Master(node)
+        running = RunningClock.started()
         context = PeerContext(
-            master,
+            self._master,
             settings.guards,
             rospy.get_node_uri() or "",
-            lambda: self._watch.refresh_now(),
+            lambda: loop.wake(_OBSERVE),
             running,
         )
         launcher = Launcher(
-            master,
+            self._master,
             self._owner,
             settings.orphan_timeout,
             {guards_key(node): to_parameter(settings.guards)},
@@ -101,8 +113,6 @@ class ManagerNode(Closable):
         self._children = Children(
             context, launcher, names.parent(node), settings.state_path("children.json")
         )
-        self._workers = Workers("work of the manager", _WORKERS)
-        self._backups = PeriodicWorker("backup", self._store.back_up, _BACKUP_PERIOD)
         self._host = RosHost(context, self._children, Registrar(), settings.nodelet_managers)
         ontology = _ontology(settings)
         for warning in ontology.warnings if ontology is not None else ():
@@ -113,50 +123,53 @@ class ManagerNode(Closable):
             Library(self._store, ontology, settings.limits),
             settings.guards,
             ManagerOptions(names.parent(node), settings.spawn_timeout),
-            self._workers.run,
+            loop.once,
             running=running,
+            on_change=self._on_change,
         )
         self.manager = self._reconciler.manager
         self._messages = ModelMessages()
+        self._answers = StreamAnswers(rospy.get_time)
         self._fixed = FixedNodelets(self.manager)
-        self._watch = Watch(self.manager, self._after_look)
         self._listener = Listener(self._hear)
+        self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
         #: Whether another manager goes on in this name: then the end is not on purpose.
         self.leaves = False
 
     def start(self) -> None:
-        """Take over the nodelets of an earlier life, and offer the services."""
+        """Take over the nodelets and claims of an earlier life, and offer the services."""
         self._host.start()
         self._children.adopt()
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
         self._load_transformations()
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
-        self._publisher = ModelPublisher(
-            "~model", self.manager.graph_model, self._messages, self._fixed.follow
-        )
-        self.manager.on_change = self._publisher.note_change
+        self._model = ModelTopic(self.manager.graph_model, self._messages, self._fixed.follow)
+        self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
+        self._loop.start()
         self._introduce()
         self.manager.start()
         self._after_change()
-        self._streams = StreamNode(
-            self.manager, self._reconciler, self._after_change, self._running
-        )
-        self.manager.on_change = self._on_change
+        known = {claim.claim_id for claim in self._reconciler.claims()}
+        self._events = EventTopic(self._answers, known)
+        self._reconciler.on_event = self._on_event
+        if self._store.complaint:
+            self._reconciler.report(self._store.complaint)
+        self._bonds.follow()
         self._services = ManagerServices(
-            self.manager, self._messages, self._after_change, self._publisher.publish
+            self._reconciler,
+            self._messages,
+            self._answers,
+            self._after_change,
+            self._model.publish,
         )
-        self._publisher.note_change()
-        self._watch.start()
-        self._backups.start()
+        self._loop.wake(_PUBLISH)
+        self._loop.add(_OBSERVE, self._observe, PERIOD)
+        self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
+        self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
         self._host.listen_for_nodes()
 
-    def _hear(self, manager: str, nodelet: str, detail: str) -> None:
-        """Hear of a change of a nodelet."""
-        self._host.note_detail(manager, nodelet, detail)
-        self._watch.refresh(nodelet)
-
     def close(self) -> None:
-        """End on purpose, with all nodelets and nodelet managers.
+        """End on purpose, with all nodelets, claims and nodelet managers.
 
         A manager that leaves ends for the elder manager of its name, which has the name's nodelets
         and claims. Nothing is forgotten then: the state on disk is that of a manager that was
@@ -172,17 +185,15 @@ class ManagerNode(Closable):
         else:
             rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
-        if self.leaves:
-            self._streams.suspend()
-        else:
-            self._streams.close()
+        self._loop.close(1.0)
+        if not self.leaves:
+            in_background("ending the claims", self._reconciler.end).join(_PATIENCE)
+        self._bonds.close()
         self._listener.close()
-        self._watch.close(1.0)
-        self._backups.close(1.0)
-        self._publisher.close()
+        self._model.close()
         self._fixed.close()
         self._children.end_all()
-        self._workers.close(_WORKERS_PATIENCE)
+        self._loop.close(_PATIENCE)
         if not self.leaves:
             self.manager.end()
             self._host.release()
@@ -190,6 +201,40 @@ class ManagerNode(Closable):
         self._host.close()
         self._store.close()
         self._owner.release()
+
+    # Rounds and changes
+
+    def _observe(self) -> float:
+        try:
+            return self.manager.look()
+        finally:
+            self._after_change()
+            self._children.echo()
+
+    def _back_up(self) -> float:
+        self._store.back_up()
+        return _BACKUP_PERIOD
+
+    def _on_change(self) -> None:
+        self._loop.wake(_PUBLISH)
+        self._loop.wake(_RECONCILE)
+
+    def _on_event(self, event: ClaimEvent) -> None:
+        self._events.publish(event)
+        self._bonds.follow()
+        self._loop.wake(_RECONCILE)
+
+    def _hear(self, manager: str, nodelet: str, detail: str) -> None:
+        """Hear of a change of a nodelet."""
+        self._host.note_detail(manager, nodelet, detail)
+        self.manager.observer.note([nodelet])
+        self._loop.wake(_OBSERVE)
+
+    def _after_change(self) -> None:
+        self._fixed.follow()
+        self._host.grant(self._granted)
+        self._host.hand_over(self._protected)
+        self._listener.follow(self._announcers)
 
     # Inside
 
@@ -238,22 +283,12 @@ class ManagerNode(Closable):
             if state.rewirable and (state.own or state.alive)
         ]
 
-    def _on_change(self) -> None:
-        self._publisher.note_change()
-        self._streams.note_change()
-
     def _protected(self) -> Dict[str, List[str]]:
         protected: Dict[str, List[str]] = {}
         for record in self.manager.graph.all():
             if record.is_protected:
                 protected.setdefault(record.manager, []).append(record.name)
         return protected
-
-    def _after_change(self) -> None:
-        self._fixed.follow()
-        self._host.grant(self._granted)
-        self._host.hand_over(self._protected)
-        self._listener.follow(self._announcers)
 
     def _granted(self) -> Tuple[Mapping[str, str], Collection[str]]:
         """Return the producers of claims by topic, and the processes that run them."""
@@ -268,10 +303,6 @@ class ManagerNode(Closable):
                 producers[claim.topic] = record.name
                 managers.add(record.manager)
         return producers, managers
-
-    def _after_look(self) -> None:
-        self._after_change()
-        self._children.echo()
 
 
 def _name_of(argv: Sequence[str]) -> str:
@@ -320,9 +351,9 @@ def run(argv: Sequence[str]) -> int:
 
     def start() -> ManagerNode:
         parameters = rospy.get_param("~", {})
-        node = _start()
+        node = _start(loop)
         back = functools.partial(come_back, parameters)
-        tenure.watch(rospy.get_node_uri(), functools.partial(leave, node), back)
+        tenure.watch(loop, rospy.get_node_uri(), functools.partial(leave, node), back)
         return node
 
     def leave(node: ManagerNode) -> None:
@@ -334,17 +365,18 @@ def run(argv: Sequence[str]) -> int:
         tenure.take_back(parameters)
         process.start_again(tenure.variables)
 
-    process = NodeProcess(_NAME, argv, start, tenure.wake)
+    loop = ControlLoop(_WORKERS)
+    process = NodeProcess(_NAME, argv, start, lambda: loop.wake(KEY))
     code = process.run()
     tenure.give_back()
     return code
 
 
-def _start() -> ManagerNode:
+def _start(loop: ControlLoop) -> ManagerNode:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings = ManagerSettings.read()
     try:
-        node = ManagerNode(settings)
+        node = ManagerNode(settings, loop)
     except StoreError as error:
         cause = error.__cause__
         if not isinstance(cause, OSError):

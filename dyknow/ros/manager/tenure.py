@@ -29,9 +29,11 @@ from typing import Any, Callable, Mapping, NamedTuple, Optional
 
 from dyknow import names
 from dyknow.errors import PeerTimeout
-from dyknow.periodic import PeriodicWorker
+from dyknow.periodic import ControlLoop
 from dyknow.ros.wire.master import Master
 
+#: Its key in the manager's control loop.
+KEY = "looking who bears our name"
 #: Private parameter of the manager.
 PARAMETER = "tenure"
 #: Seconds between two looks, and for the master's answers.
@@ -101,7 +103,6 @@ class Tenure:
         self.is_resumed = self.entry is not None
         self._uri = ""
         self._lost_at: Optional[float] = None
-        self._worker: Optional[PeriodicWorker] = None
 
     @property
     def variables(self) -> Mapping[str, str]:
@@ -136,30 +137,31 @@ class Tenure:
         except PeerTimeout:
             return TenureVerdict.HOLD
 
-    def watch(self, uri: str, leave: Callable[[], None], come_back: Callable[[], None]) -> None:
-        """Look periodically, in a thread of its own.
+    def watch(
+        self,
+        loop: ControlLoop,
+        uri: str,
+        leave: Callable[[], None],
+        come_back: Callable[[], None],
+    ) -> None:
+        """Look periodically.
 
         Args:
+            loop: makes the rounds, of the key ``KEY``.
             uri: address of this node.
-            leave: called once if another manager goes on in the name.
-            come_back: called once if this one has to register again.
+            leave: called if another manager goes on in the name.
+            come_back: called if this one has to register again.
         """
         self._uri = uri
-        act = {TenureVerdict.LEAVE: leave, TenureVerdict.RETURN: come_back}
 
-        def look() -> None:
+        def look() -> Optional[float]:
             verdict = self.look()
-            if verdict is not TenureVerdict.HOLD:
-                worker.close()
-                act[verdict]()
+            if verdict is TenureVerdict.HOLD:
+                return PERIOD
+            (leave if verdict is TenureVerdict.LEAVE else come_back)()
+            return None
 
-        worker = self._worker = PeriodicWorker("looking who bears our name", look, PERIOD)
-        worker.start()
-
-    def wake(self) -> None:
-        """Look now: the master says that another node bears the name."""
-        if self._worker is not None:
-            self._worker.wake()
+        loop.add(KEY, look, PERIOD)
 
     def take_back(self, parameters: Any) -> None:
         """Put the parameters of the name back as they were, with our entry."""
@@ -170,8 +172,6 @@ class Tenure:
 
     def give_back(self) -> None:
         """Remove our entry, at an end on purpose."""
-        if self._worker is not None:
-            self._worker.close()
         try:
             if self._read() == self.entry:
                 self._master.ask("deleteParam", self._key)

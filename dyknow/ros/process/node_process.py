@@ -68,7 +68,7 @@ class NodeProcess:
         node: str,
         argv: Sequence[str],
         start: Callable[[], Optional[Closable]],
-        on_displaced: Optional[Callable[[], None]] = None,
+        on_displaced: Optional[Callable[[], object]] = None,
     ) -> None:
         use_one_heap()  # first: a thread that has a heap keeps it
         self._node = node
@@ -174,7 +174,7 @@ def _shut_down(patience: float) -> None:
     in_background("shutdown", lambda: rospy.signal_shutdown("told to end")).join(patience)
 
 
-def _hear_of_displacement(displaced: Callable[[], None]) -> None:
+def _hear_of_displacement(displaced: Callable[[], object]) -> None:
     """Call ``displaced`` in place of the shutdown that the master asks for."""
     shutdown = ROSHandler.shutdown
 

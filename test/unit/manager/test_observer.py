@@ -78,7 +78,7 @@ def test_what_came_back_during_a_look_is_not_lost_by_it(world: World) -> None:
 
     world.host.poll = poll  # type: ignore[method-assign]
     seen: list[str] = []
-    world.manager.on_change = lambda: seen.append(world.states()["/a"])
+    world.manager.graph.on_change = lambda: seen.append(world.states()["/a"])
     world.manager.look()
     assert set(seen) == {"STARTING", "RUNNING"}
     assert world.states() == {"/a": "RUNNING"}
@@ -89,7 +89,7 @@ def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: s
     for name in ("a", "b", "c"):
         world.spawn("camera", name)
     seen: list[set[str]] = []
-    world.manager.on_change = lambda: seen.append(set(world.states().values()))
+    world.manager.graph.on_change = lambda: seen.append(set(world.states().values()))
     before = world.manager.graph.revision
     getattr(world.host, fault)("/fake_0")
     world.manager.look()
@@ -325,7 +325,7 @@ def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: Wor
 def test_an_unchanged_picture_is_no_new_revision(world: World) -> None:
     world.spawn("camera", "a")
     changes = []
-    world.manager.on_change = lambda: changes.append(1)
+    world.manager.graph.on_change = lambda: changes.append(1)
     revision = world.manager.graph.revision
     for _ in range(5):
         world.manager.look({"/a"})

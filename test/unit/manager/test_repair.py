@@ -86,10 +86,10 @@ def reconciling_at_once(field: Field) -> Iterator[None]:
             reconciling.join()
             at_work.remove("the reconciler")
 
-    field.manager.on_change = lambda: asked.append(True)
+    field.manager.graph.on_change = lambda: asked.append(True)
     with mock.patch.object(graph, "changing", changing):
         yield
-    field.manager.on_change = lambda: None
+    field.manager.graph.on_change = lambda: None
 
 
 def test_a_hanging_manager_is_noticed_by_its_silence_first(field: Field) -> None:

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Whole lives of a manager with its control loop, in simulated time: each run is the same."""
+
+from __future__ import annotations
+
+from typing import List, Tuple
+
+import pytest
+
+from dyknow.manager.observer import PERIOD
+from dyknow.model.graph import SpawnRequest
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.simulated import SimulatedClock, SimulatedManagerClient
+
+LIBRARY = """<transformations>
+  <transformation><label>camera</label><source>pkg/Camera</source>
+    <ports><port type="out" datatype="test/Image">image</port></ports>
+    <tags><tag port="image">Image(left)</tag></tags></transformation>
+  <transformation cost="3"><label>spare</label><source>pkg/Spare</source>
+    <ports><port type="out" datatype="test/Image">image</port></ports>
+    <tags><tag port="image">Image(left)</tag></tags></transformation>
+</transformations>"""
+
+
+class Life:
+    """A manager with a claim, and when the states of the claim came."""
+
+    def __init__(self, **request: float) -> None:
+        self.clock = SimulatedClock()
+        self.client = SimulatedManagerClient(clock=self.clock)
+        self.client.host.clock = self.clock.now
+        self.client.add_transformation(LIBRARY)
+        self.events: List[Tuple[float, ClaimState]] = []
+        self.client.on_event = lambda event: self.events.append(
+            (self.clock.time, event.after.state)
+        )
+        acquired = self.client.acquire_stream(StreamRequest("Image(left)", **request))  # type: ignore[arg-type]
+        self.claim_id = acquired.claim_id
+
+    def states(self) -> List[str]:
+        return [each.state.name for each in self.client.get_graph().nodelets]
+
+    def since(self, moment: float, state: ClaimState) -> float:
+        """Seconds from a moment until the claim had a state."""
+        return (
+            next(when for when, each in self.events if when >= moment and each is state) - moment
+        )
+
+
+def test_a_stream_is_repaired_within_a_look() -> None:
+    life = Life()
+    life.client.advance(10.0)
+    (manager,) = life.client.host.processes
+    killed = life.clock.time
+    life.client.host.kill(manager)
+    life.client.advance(3.0)
+    assert life.since(killed, ClaimState.ACTIVE) <= 2 * PERIOD
+    assert life.states() == ["RUNNING"]
+
+
+def test_a_silent_part_is_replaced_as_soon_as_its_claim_says() -> None:
+    life = Life(max_silence=0.4)
+    life.client.advance(10.0)
+    life.client.host.silent.add("pkg/Camera")
+    silent = life.clock.time
+    life.client.advance(3.0)
+    assert life.since(silent, ClaimState.ACTIVE) <= 1.0
+    assert {each.transformation for each in life.client.get_graph().nodelets} >= {"spare"}
+
+
+def test_after_the_last_claim_its_nodelets_go_and_the_loop_sleeps() -> None:
+    life = Life()
+    life.client.advance(2.0)
+    life.client.release_stream(life.claim_id)
+    life.client.advance(10.0)
+    assert life.states() == []
+    assert life.client.reconciler.work() is None
+
+
+def test_a_nodelet_that_dies_again_and_again_comes_back_ever_more_slowly() -> None:
+    life = Life()
+    host = life.client.host
+    life.client.spawn_nodelet(SpawnRequest("camera", "/mine"))
+    attempts: List[float] = []
+
+    def fail(operation: str, argument: str) -> None:
+        if (operation, argument) == ("load", "/mine"):
+            attempts.append(life.clock.time)
+            host.crash(life.client.core.graph.get("/mine").manager, ["/mine"])
+
+    host.fail = fail
+    host.kill(life.client.core.graph.get("/mine").manager)
+    life.client.advance(60.0)
+    pauses = [later - earlier for earlier, later in zip(attempts, attempts[1:])]
+    assert len(attempts) < 20
+    assert pauses[-1] > 4 * pauses[0]
+
+
+@pytest.mark.parametrize("seconds", [0.0, 7.3])
+def test_a_life_is_the_same_each_time(seconds: float) -> None:
+    def live() -> List[Tuple[float, ClaimState]]:
+        life = Life(max_silence=1.0)
+        for _ in range(5):
+            life.client.advance(seconds)
+            life.client.host.kill(next(iter(life.client.host.processes)))
+            life.client.advance(1.7)
+        return life.events
+
+    assert live() == live()
