@@ -22,12 +22,12 @@ from dyknow.errors import (
     UnknownTransformation,
 )
 from dyknow.manager.claim import Claim, ClaimEvent
+from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.ends import RELAY_COST
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.explanation import as_tree
-from dyknow.manager.planning.problem import Live, NoPlan, Plan
+from dyknow.manager.planning.problem import NoPlan
 from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.tags import Term, read_tags, written_bindings
 from dyknow.model.streams import Acquisition, ClaimState, Replanned, StreamEvent, StreamStatus
@@ -119,23 +119,12 @@ class CheaperPlans:
         self._clock = clock
         self._compared: Dict[str, _Comparison] = {}
 
-    def find(self, claim: Claim) -> Optional[Plan]:
-        """Return a plan by which all claims together cost less than now, or None."""
-        answer = self._planner.plan_from_scratch(claim)
-        if isinstance(answer, NoPlan):
-            return None
-        elsewhere = isinstance(answer.goal, Live) and answer.goal.topic not in ("", claim.topic)
-        cost = answer.cost + (RELAY_COST if elsewhere else 0)
-        if cost >= self._planner.price(claim):
-            return None
-        return self._planner.with_own(answer, self._planner.own(claim))
-
     def report(self) -> None:
         """Report a cheaper plan of a claim once, when it has been on offer for some time.
 
         In each call one claim is compared again, if there is a new offer.
         """
-        offers, now = self._planner.inputs.offers(), self._clock()
+        offers, now = self._planner.offers(), self._clock()
         claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
         for claim in claims:
             known = self._compared.get(claim.claim_id)
@@ -158,7 +147,7 @@ class CheaperPlans:
 
     def _way(self, claim: Claim) -> str:
         """Say how a claim's stream would cost less; empty if there is no such way."""
-        cheaper = self.find(claim)
+        cheaper = self._planner.cheaper(claim)
         if cheaper is None:
             return ""
         labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
@@ -174,28 +163,6 @@ _RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
     (Denied, Result.DENIED),
     (LimitExceeded, Result.DENIED),
 )
-
-
-@dataclass(frozen=True)
-class Acquired:
-    """Answer to a request.
-
-    Attributes:
-        claim: the claim; without an id for a dry run.
-        plan: how the stream is made; None for a claim that existed before.
-        spawned: nodelets that were made; for a dry run, labels of those that would be.
-        reused: nodelets that are used as they are.
-    """
-
-    claim: Claim
-    plan: Optional[Plan]
-    spawned: Tuple[str, ...] = ()
-    reused: Tuple[str, ...] = ()
-
-    @property
-    def cost(self) -> int:
-        """Cost of the nodelets that were, or would be, made."""
-        return 0 if self.plan is None else self.plan.cost
 
 
 class StreamAnswers:

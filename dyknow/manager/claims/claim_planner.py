@@ -26,17 +26,18 @@ from typing import (
 )
 
 from dyknow.datatypes import ANY
-from dyknow.errors import StreamTypeMismatch
+from dyknow.errors import HostError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import STAMPED
 from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.plan_inputs import (
+from dyknow.manager.claims.ends import RELAY_COST
+from dyknow.manager.claims.supplies import (
     Instance,
     OwnNodelet,
-    PlanInputs,
     assigned,
     instance_of,
-    wishes_of,
+    is_current,
+    live_streams,
+    with_upstream,
 )
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
@@ -48,13 +49,20 @@ from dyknow.manager.planning.problem import (
     Live,
     NoPlan,
     Plan,
-    PlanStep,
     TaggedStream,
     Wishes,
     ways_to_meet,
 )
-from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
+from dyknow.manager.record import Record
+from dyknow.manager.specifications.given import exposed_variables
+from dyknow.manager.specifications.tags import Bindings, Term
+from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
+
+#: The demand for a header, beside or instead of a ROS type, for error messages.
+STAMPED = "a type that begins with a header (for max_age)"
+#: Seconds for which the answer to "which topics are published?" is good enough.
+_FRESH = 0.5
 
 
 class Situation(NamedTuple):
@@ -104,72 +112,73 @@ class Proposal(NamedTuple):
 class ClaimPlanner:
     """Plans in the present world; used under the lock of the claims."""
 
-    def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
+    def __init__(self, context: ClaimContext) -> None:
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
-        self._world = context.connector.world
+        self._world = context.world
         self._monitor = context.monitor
-        self._ontology = ontology
-        self._planner = Planner(ontology)
+        self._clock = context.clock
+        self._ontology = context.manager.library.ontology
+        self._planner = Planner(self._ontology)
         self._planned_with: Mapping[str, Transformation] = {}
-        self._known: Mapping[str, Transformation] = {}
-        #: Transformations, streams and nodelets that exist.
-        self.inputs = PlanInputs(context, ontology)
-        self._failures = context.failures
+        self._transformations: Dict[str, Transformation] = {}
+        self._transformations_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
+        self._looked = float("-inf")
+        #: Topics of ordinary nodes that had a publisher at the last look.
+        self.published: FrozenSet[str] = frozenset()
+
+    def look(self, at_once: bool = False) -> None:
+        """Ask which topics of ordinary nodes are published: now and then, or ``at_once``.
+
+        The last answer holds until there is another one.
+        """
+        now = self._clock()
+        if now - self._looked < _FRESH and not at_once:
+            return
+        self._looked = now
+        wanted = set(self._world().described)
+        wanted.update(topic for claim in self._table.living() for topic in claim.sources)
+        with contextlib.suppress(HostError):  # the ROS master is away: no stream is interrupted
+            self.published = self._manager.host.published(sorted(wanted))
+
+    @property
+    def ordinary(self) -> FrozenSet[str]:
+        """Topics on which ordinary nodes publish what the library describes."""
+        return self.published & self._world().described.keys()
 
     def signature(self) -> Hashable:
         """Return a value that differs when a plan may have become possible."""
-        manager = self._manager
         return (
-            manager.library.revision,
-            manager.graph.revision,
-            self.inputs.published,
-            self._failures.paused,
+            self._manager.library.revision,
+            self._manager.graph.revision,
+            self.published,
+            self._monitor.paused,
             self._monitor.unhealthy,
             self._monitor.quality.signature,
         )
 
-    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> List[OwnNodelet]:
-        """Return the nodelets that can be connected elsewhere for a claim (``PlanInputs.own``)."""
-        self._update()
-        own = self.inputs.own(claim, self._known)
-        return [each for each in own if each.name not in without]
-
-    def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
-        """Choose nodelets for the steps of a plan; the other steps need new ones."""
-        return assigned(plan, own, self._ontology)
-
-    def price(self, claim: Claim) -> int:
-        """Return the cost that would be saved without a claim's stream."""
-        own = self._saved(claim, self.own(claim))
-        saved = sum(self._known[label].cost for label in own.values())
-        if wishes_of(claim) == NO_WISHES:
-            return saved
-        exclude = frozenset(claim.request.exclude)
-        streams = self.inputs.streams(exclude)
-        demand = demand_of(self._table.together(claim))
-        charges = self._planner_for(self._known).charges(
-            demand, streams, exclude, wishes_of(claim)
-        )
-        return saved + sum(
-            charges.get(label, 0) for label in self.inputs.labels(claim.nodelets, claim.sources)
-        )
-
-    # Plans
+    def offers(self) -> Hashable:
+        """Return a value that differs when a plan may have become cheaper."""
+        records = self._world().records.values()
+        by_hand = (each for each in records if not each.claimed and each.state is State.RUNNING)
+        names = frozenset(each.name for each in by_hand)
+        return self._manager.library.revision, self.published, names
 
     def common_topic(self, claim: Claim) -> str:
         """Return where another client listens whose stream will do for a claim; empty for none."""
         sharing = [each for each in self._table.living() if each.topic and may_share(claim, each)]
         return sharing[0].topic if sharing else ""
 
-    def plan(
+    # Plans
+
+    def propose(
         self,
         claim: Claim,
         lenient: bool = False,
         avoid: FrozenSet[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
-    ) -> Answer:
+    ) -> Proposal:
         """Plan a claim's stream; its own nodelets cost nothing.
 
         A request lets rounds pass meanwhile: ``still_fits`` says whether it can be used then.
@@ -180,34 +189,15 @@ class ClaimPlanner:
             avoid: labels that turned out to be of no use.
             without: nodelets that must have no part in it.
         """
-        return self.propose(claim, lenient, avoid, without).answer
-
-    def propose(
-        self,
-        claim: Claim,
-        lenient: bool = False,
-        avoid: FrozenSet[str] = NO_LABELS,
-        without: AbstractSet[str] = frozenset(),
-    ) -> Proposal:
-        """Plan a claim's stream as ``plan`` does; returns the situation, too."""
         situation = self.situation(claim, avoid, without)
-        answer = self._solved(situation, situation.paused)
+        answer = self._solved(situation)
         if isinstance(answer, NoPlan) and lenient and situation.paused:
-            answer = self._solved(situation, NO_LABELS)
-        if isinstance(answer, Plan) and self._is_unstamped(claim, answer):
+            answer = self._solved(situation._replace(paused=NO_LABELS))
+        if isinstance(answer, Plan) and self._unstamped_type(claim, answer):
             stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
             if isinstance(stamped.answer, Plan):
                 return stamped
         return Proposal(situation, answer)
-
-    def situation(
-        self,
-        claim: Claim,
-        avoid: FrozenSet[str] = NO_LABELS,
-        without: AbstractSet[str] = frozenset(),
-    ) -> Situation:
-        """Read all that a plan for a claim follows from."""
-        return self._situation(self._table.together(claim), claim.topic, avoid, without)
 
     def still_fits(self, claim: Claim, proposal: Proposal) -> bool:
         """Whether every part that a plan uses is still there, unchanged."""
@@ -229,149 +219,213 @@ class ClaimPlanner:
         Raises:
             StreamTypeMismatch: they do not.
         """
-        if self._is_unstamped(claim, plan):
-            found = self._goal_type(plan)
+        found = self._unstamped_type(claim, plan)
+        if found:
             raise StreamTypeMismatch(claim.request.tag, STAMPED, found, plan.goal.label)
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        situation = self._situation([claim], claim.topic)
-        return bool(situation.paused) and isinstance(self._solved(situation, NO_LABELS), Plan)
+        situation = self._situation([claim])
+        is_paused = bool(situation.paused)
+        return is_paused and isinstance(self._solved(situation._replace(paused=NO_LABELS)), Plan)
 
-    def plan_from_scratch(self, claim: Claim) -> Answer:
-        """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
-        own, together = self.own(claim), self._table.together(claim)
+    def cheaper(self, claim: Claim) -> Optional[Plan]:
+        """Return a plan by which all claims together cost less than now, or None."""
+        own = self.own(claim)
         saved = self._saved(claim, own)
-        present = [each for each in own if self._known[each.label].node]
-        exclude = frozenset(claim.request.exclude)
-        without = frozenset(saved) | self._monitor.quality.unfit(together)
-        streams = self.inputs.without_relays(self.inputs.streams(exclude, without))
-        paused = self._paused(together) - frozenset(saved.values())
-        demand = demand_of(together)
-        paused |= self.inputs.engaged(present)
-        feeders = self.inputs.upstream(claim, streams)
-        with self._planning(self._known) as (planner, _):
-            return planner.plan(
-                demand,
-                streams,
-                exclude,
-                {each.label: each.kept for each in present},
-                paused=paused,
-                wishes=wishes_of(claim),
-                feeders=feeders,
+        situation = self.situation(claim, without=frozenset(saved))
+        answer = self._searched(
+            situation._replace(
+                own=tuple(each for each in situation.own if situation.known[each.label].node),
+                paused=situation.paused - frozenset(saved.values()),
+                budget=BUDGET,
             )
+        )
+        if isinstance(answer, NoPlan):
+            return None
+        is_elsewhere = isinstance(answer.goal, Live) and answer.goal.topic not in ("", claim.topic)
+        cost = answer.cost + (RELAY_COST if is_elsewhere else 0)
+        is_cheaper = cost < self._price(claim, saved.values())
+        return self._priced(answer, own, situation.known) if is_cheaper else None
 
     def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
-        self._update()
-        streams = self.inputs.without_relays(self.inputs.streams(NO_LABELS))
-        with self._planning(self._known) as (planner, _):
+        streams = self._without_relays(self._streams(NO_LABELS))
+        with self._planning(self.transformations()) as (planner, _):
             return planner.bindings(demand, streams)
 
-    # Inside
+    def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
+        """Choose nodelets for the steps of a plan; the other steps need new ones."""
+        return assigned(plan, own, self._ontology)
 
-    def with_own(
+    # The situation
+
+    def situation(
         self,
-        plan: Plan,
-        own: Sequence[OwnNodelet],
-        known: Optional[Mapping[str, Transformation]] = None,
-    ) -> Plan:
-        """Return a plan in which nodelets that exist cost nothing, and new ones their price."""
-        known = self._known if known is None else known
-        used = self.assigned(plan, own)
-        steps = tuple(
-            step._replace(
-                action=step.action._replace(
-                    cost=0 if instance_of(step) in used else _cost(step, known)
-                )
-            )
-            for step in plan.steps
-        )
-        plan = plan._replace(steps=steps)
-        return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
-
-    def _is_unstamped(self, claim: Claim, plan: Plan) -> bool:
-        """Whether a claim needs stamped messages, and a plan is known to make unstamped ones."""
-        known = self._goal_type(plan) if claim.request.max_age else ""
-        return known not in ANY and self._manager.host.is_stamped(known) is False
-
-    def _goal_type(self, plan: Plan) -> str:
-        """ROS type of a plan's stream; empty while it is not known."""
-        goal = plan.goal
-        if isinstance(goal, Live):
-            return goal.datatype
-        found = self._known.get(goal.label)  # None if the library has changed meanwhile
-        ports = found.ports if found is not None else ()
-        return next((port.datatype for port in ports if port.name == goal.port), "")
-
-    def _paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
-        """Labels of which no nodelet is to be made for these claims now."""
-        return self._failures.paused | self._monitor.quality.paused(claims)
-
-    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> Dict[str, str]:
-        """Those of its own that nothing would need if these clients needed no stream: labels."""
-        together = {each.claim_id for each in self._table.together(claim)}
-        kept = {
-            name
-            for each in self._table.living()
-            if each.claim_id not in together
-            for name in each.nodelets
-        }
-        kept.update(each.name for each in self._world().records.values() if each.is_protected)
-        return {
-            each.name: each.label
-            for each in own
-            if each.name in claim.wiring
-            and each.name not in kept
-            and not self._known[each.label].node
-        }
+        claim: Claim,
+        avoid: FrozenSet[str] = NO_LABELS,
+        without: AbstractSet[str] = frozenset(),
+    ) -> Situation:
+        """Read all that a plan for a claim follows from."""
+        return self._situation(self._table.together(claim), avoid, without)
 
     def _situation(
         self,
         claims: List[Claim],
-        topic: str,
         avoid: FrozenSet[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
     ) -> Situation:
-        """Read all that a plan for claims follows from."""
         first = claims[0]
         exclude = avoid | {label for claim in claims for label in claim.request.exclude}
         own = tuple(each for each in self.own(first, without) if each.label not in exclude)
-        unfit = self._monitor.quality.unfit(claims) | without
-        streams = tuple(self.inputs.streams(exclude, unfit))
+        quality = self._monitor.quality
+        streams = tuple(self._streams(exclude, quality.unfit(claims) | without))
         return Situation(
             demand_of(claims),
-            topic,
+            first.topic,
             streams,
-            tuple(self.inputs.without_relays(streams)),
+            self._without_relays(streams),
             own,
             exclude,
-            self._paused(claims),
-            self.inputs.engaged(own),
+            self._monitor.paused | quality.paused(claims),
+            self._world().described_nodes - {each.label for each in own},
             wishes_of(first),
-            self.inputs.upstream(first, streams),
+            self._upstream(first, streams),
             max(claim.request.budget for claim in claims) or BUDGET,
-            self._known,
+            self.transformations(),
         )
 
-    @contextlib.contextmanager
-    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[Tuple[Planner, bool]]:
-        """Let rounds pass while a request plans with transformations.
+    def transformations(self) -> Mapping[str, Transformation]:
+        """Return the transformations for steps of plans by label; another mapping after changes.
 
-        Returns:
-            What to plan with, and whether rounds may pass.
+        An external node is among them while it runs.
         """
-        planner = self._planner_for(known)
-        with self._lock.pause() as is_aside:
-            yield planner, is_aside
+        library, nodes = self._manager.library, self._world().described_nodes
+        if self._transformations_at != (library.revision, nodes):
+            self._transformations_at = library.revision, nodes
+            self._transformations = {
+                each.label: each for each in library.all() if not each.node or each.label in nodes
+            }
+        return self._transformations
 
-    def _solved(self, situation: Situation, paused: FrozenSet[str]) -> Answer:
-        """Plan; in a round within the default budget, even if clients allow more."""
+    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> List[OwnNodelet]:
+        """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
+
+        These are the claim's own nodelets and those that no claim needs, and external nodes that
+        the library describes. Parts that other claims share are among them, unless these claims
+        exclude other labels than this one, or have other wishes; they have to go on supplying the
+        same.
+        """
+        known, world = self.transformations(), self._world()
+        sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        needed = world.needed | self._lock.reserved
+        idle = [name for name in world.records if name not in needed]
+        unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
+        found: List[OwnNodelet] = []
+        for name in reversed((*idle, *claim.nodelets)):
+            record = world.records.get(name)
+            users = [each for each in sharing if name in each.wiring]
+            if (
+                record is None
+                or name in unfit
+                or name in without
+                or not _is_connectable(record, known)
+                or not all(_may_lend(each, claim) for each in users)
+            ):
+                continue
+            exposed = exposed_variables(known[record.label])
+            ways = world.topology.dependent.ways(name) if exposed else None
+            present = {
+                tuple(sorted((each, way[each]) for each in exposed if each in way))
+                for way in ways or ()
+            }
+            bound = min(present) if len(present) == 1 else ()
+            if not users:
+                kept = tuple(sorted(record.given.items()))
+                found.append(OwnNodelet(name, record.label, kept, bound))
+            elif {variable for variable, _ in bound} == exposed:
+                found.append(OwnNodelet(name, record.label, bound, bound))
+        return found
+
+    def _streams(
+        self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
+    ) -> List[TaggedStream]:
+        """List the streams that can be relied on.
+
+        Args:
+            exclude: labels that must have no part in them, directly or further up.
+            without: nodelets and topics that must have no part in them.
+        """
+        world, library = self._world(), self._manager.library
+        published = [
+            each
+            for each in world.descriptions
+            if each.label not in exclude
+            and each.source in self.published
+            and each.source not in self._monitor.silent
+            and each.source not in without
+        ]
+        records = [
+            record
+            for record in world.records.values()
+            if record.name not in without
+            and record.name not in self._monitor.unhealthy
+            and record.label not in exclude
+            and (not record.claimed or is_current(library, record))
+        ]
+        return live_streams(records, published, world.topology, self._ontology)
+
+    def _without_relays(self, streams: Iterable[TaggedStream]) -> Tuple[TaggedStream, ...]:
+        """Leave out the streams of relays: a plan uses the stream that they forward."""
+        relays = self._world().relays
+        return tuple(each for each in streams if each[0].nodelet not in relays)
+
+    def _upstream(
+        self, claim: Claim, streams: Iterable[TaggedStream]
+    ) -> Dict[str, FrozenSet[str]]:
+        """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
+        if wishes_of(claim) == NO_WISHES:
+            return {}
+        records, ordinary = self._world().records, self.ordinary
+        found = {}
+        for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
+            wiring, topics = with_upstream(records, ordinary, [name])
+            found[name] = frozenset(self._labels(wiring.keys() - {name}, topics))
+        return found
+
+    def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> List[str]:
+        """Labels of nodelets that run, and of ordinary topics."""
+        world, wanted = self._world(), set(topics)
+        found = [world.records.get(name) for name in nodelets]
+        described = [each.label for each in world.descriptions if each.source in wanted]
+        return [record.label for record in found if record is not None] + described
+
+    # Solving
+
+    def _solved(self, situation: Situation) -> Answer:
+        """Plan; nodelets that exist cost nothing, and new ones their price."""
         present = self._present(situation)
-        if present is not None:
-            return present
+        answer = self._searched(situation) if present is None else present
+        if present is not None or isinstance(answer, NoPlan):
+            return answer
+        return self._priced(answer, situation.own, situation.known)
+
+    def _present(self, situation: Situation) -> Optional[Plan]:
+        """Find a stream that will do and is where the client listens already."""
+        demand, topic = situation.demand, situation.topic
+        for stream, terms in sorted(situation.streams) if topic else ():
+            is_good = demand.is_fast(stream.rate) and demand.is_soon(stream.latency)
+            if stream.topic == topic and is_good:
+                ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
+                for way in ways:
+                    bindings = tuple(sorted(way.items()))
+                    return Plan(demand, stream, (), 0, 0, bindings, latency=stream.latency)
+        return None
+
+    def _searched(self, situation: Situation) -> Answer:
+        """Plan; in a round within the default budget, even if clients allow more."""
         free = {each.label: each.kept for each in reversed(situation.own)}
-        paused |= situation.engaged
+        paused = situation.paused | situation.engaged
         with self._planning(situation.known) as (planner, is_aside):
             while True:
                 answer = planner.plan(
@@ -384,56 +438,116 @@ class ClaimPlanner:
                     situation.wishes,
                     situation.upstream,
                 )
-                if isinstance(answer, NoPlan):
-                    return answer
                 divided = self._divided(answer, situation)
                 if not divided:
-                    return self.with_own(answer, situation.own, situation.known)
+                    return answer
                 paused |= divided
                 free = {label: free[label] for label in free.keys() - divided}
 
-    def _divided(self, plan: Plan, situation: Situation) -> FrozenSet[str]:
+    def _divided(self, answer: Answer, situation: Situation) -> FrozenSet[str]:
         """Labels of external nodes that a plan needs more than once: no further one is made."""
-        used = self.assigned(plan, situation.own)
-        steps = [step for step in plan.steps if instance_of(step) not in used]
-        return frozenset(
-            step.action.label
-            for step in steps
-            if step.action.label in situation.known and situation.known[step.action.label].node
-        )
+        if isinstance(answer, NoPlan):
+            return NO_LABELS
+        used = self.assigned(answer, situation.own)
+        new = {step.action.label for step in answer.steps if instance_of(step) not in used}
+        known = situation.known
+        return frozenset(label for label in new if label in known and known[label].node)
 
-    def _present(self, situation: Situation) -> Optional[Plan]:
-        """Find a stream that will do and is where the client listens already."""
-        demand, topic = situation.demand, situation.topic
-        for stream, terms in sorted(situation.streams):
-            is_good = demand.is_fast(stream.rate) and demand.is_soon(stream.latency)
-            if topic and stream.topic == topic and is_good:
-                ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
-                for way in ways:
-                    bindings = tuple(sorted(way.items()))
-                    return Plan(demand, stream, (), 0, 0, bindings, latency=stream.latency)
-        return None
+    @contextlib.contextmanager
+    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[Tuple[Planner, bool]]:
+        """Let rounds pass while a request plans with transformations, and say whether they may.
 
-    def _planner_for(self, present: Mapping[str, Transformation]) -> Planner:
-        """Return a planner for these transformations, by label; any thread may use it.
-
-        Each of its plans is made with the library of its time.
+        Each plan is made with the library of its time; any thread may use the planner.
         """
-        known = self._planned_with
-        if known is not present:
-            gone = [label for label in known if label not in present]
+        before = self._planned_with
+        if before is not known:
+            gone = [label for label in before if label not in known]
             if gone:
                 self._planner.remove(*gone)
-            self._planner.add(each for each in present.values() if known.get(each.label) != each)
-            self._planned_with = present
-        return self._planner
+            self._planner.add(each for each in known.values() if before.get(each.label) != each)
+            self._planned_with = known
+        with self._lock.pause() as is_aside:
+            yield self._planner, is_aside
 
-    def _update(self) -> None:
-        """Read the transformations that plans may have steps of."""
-        self._known = self.inputs.transformations()
+    # Costs
+
+    def _priced(
+        self, plan: Plan, own: Sequence[OwnNodelet], known: Mapping[str, Transformation]
+    ) -> Plan:
+        """Return a plan in which nodelets that exist cost nothing, and new ones their price."""
+        used = self.assigned(plan, own)
+        steps = []
+        for step in plan.steps:
+            found = known.get(step.action.label)  # None if the library has changed meanwhile
+            price = step.action.cost if found is None else found.cost
+            action = step.action._replace(cost=0 if instance_of(step) in used else price)
+            steps.append(step._replace(action=action))
+        plan = plan._replace(steps=tuple(steps))
+        return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
+
+    def _price(self, claim: Claim, saved: Iterable[str]) -> int:
+        """Return the cost that would be saved without a claim's stream.
+
+        Args:
+            claim: whose stream it is.
+            saved: labels of its nodelets that nothing else needs.
+        """
+        known = self.transformations()
+        price = sum(known[label].cost for label in saved)
+        wishes = wishes_of(claim)
+        if wishes == NO_WISHES:
+            return price
+        exclude = frozenset(claim.request.exclude)
+        demand = demand_of(self._table.together(claim))
+        with self._planning(known) as (planner, _):
+            charges = planner.charges(demand, self._streams(exclude), exclude, wishes)
+        labels = self._labels(claim.nodelets, claim.sources)
+        return price + sum(charges.get(label, 0) for label in labels)
+
+    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> Dict[str, str]:
+        """Those of its own that nothing would need if these clients needed no stream: labels."""
+        together = {each.claim_id for each in self._table.together(claim)}
+        claims = [each for each in self._table.living() if each.claim_id not in together]
+        kept = {name for each in claims for name in each.nodelets}
+        records, known = self._world().records, self.transformations()
+        kept.update(each.name for each in records.values() if each.is_protected)
+        return {
+            each.name: each.label
+            for each in own
+            if each.name in claim.wiring and each.name not in kept and not known[each.label].node
+        }
+
+    def _unstamped_type(self, claim: Claim, plan: Plan) -> str:
+        """The type of a plan's stream if it is known to lack the stamp that a claim needs."""
+        goal = plan.goal
+        datatype = ""
+        if claim.request.max_age and isinstance(goal, Live):
+            datatype = goal.datatype
+        elif claim.request.max_age:
+            found = self.transformations().get(goal.label)  # None if the library has changed
+            ports = found.ports if found is not None else ()
+            datatype = next((port.datatype for port in ports if port.name == goal.port), "")
+        lacks = datatype not in ANY and self._manager.host.is_stamped(datatype) is False
+        return datatype if lacks else ""
 
 
-def _cost(step: PlanStep, known: Mapping[str, Transformation]) -> int:
-    """Return the price of a new nodelet; the library may have changed since it was planned."""
-    found = known.get(step.action.label)
-    return step.action.cost if found is None else found.cost
+def wishes_of(claim: Claim) -> Wishes:
+    """Return the preferences of a claim's client."""
+    request = claim.request
+    return Wishes(tuple(sorted(set(request.prefer))), tuple(sorted(set(request.avoid))))
+
+
+def _is_connectable(record: Record, transformations: Mapping[str, Transformation]) -> bool:
+    """Whether a nodelet runs, is one that plans may connect, and is as today's library says."""
+    return (
+        record.transformation is not None
+        and record.transformation == transformations.get(record.label)
+        and (record.claimed or (record.is_described and record.is_complete))
+        and record.state is State.RUNNING
+    )
+
+
+def _may_lend(user: Claim, claim: Claim) -> bool:
+    """Whether a claim may connect elsewhere what another one uses."""
+    excluded = set(user.request.exclude)
+    return excluded <= set(claim.request.exclude) and wishes_of(user) == wishes_of(claim)

@@ -23,6 +23,8 @@ from dyknow.periodic import EventQueue
 _PAUSE = 1.0
 #: Seconds that clients have then to renew their leases.
 _PARDON = 3.0
+#: Ended claims that are still shown.
+_ENDED_KEPT = 100
 
 
 class ClaimTable:
@@ -32,38 +34,27 @@ class ClaimTable:
         self,
         store: Store,
         clock: Callable[[], float],
-        ended_kept: int,
-        running: Optional[Callable[[], float]] = None,
+        running: Callable[[], float],
     ) -> None:
         """Take up the claims that the store has.
 
         Args:
             store: where they outlive the manager.
             clock: steady time, in seconds.
-            ended_kept: ended claims that are still shown.
-            running: time for which this process has run, in seconds; by default ``clock``.
+            running: time for which this process has run, in seconds.
         """
-        self._running = running or clock
-        self._paused = clock() - self._running()
+        self._running = running
+        self._paused = clock() - running()
         self._pardon_until = 0.0
         self._store = store
         self._clock = clock
-        self._ended_kept = ended_kept
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
         self._claims: Dict[str, Claim] = self._stored()
         self._living: Tuple[Claim, ...] = ()
         self._sort()
-        self._events: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
-
-    @property
-    def on_event(self) -> Callable[[ClaimEvent], None]:
-        """Called with every change, in the order of the changes, outside the locks."""
-        return self._events.listener
-
-    @on_event.setter
-    def on_event(self, listener: Callable[[ClaimEvent], None]) -> None:
-        self._events.listener = listener
+        #: Every change, in the order of the changes; the listener is called outside the locks.
+        self.events: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
 
     def all(self) -> List[Claim]:
         """Return every claim, those that ended lately included, by id."""
@@ -113,8 +104,8 @@ class ClaimTable:
         claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
         with self._turn:
             self._write(claim)
-            self._events.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
-        self._events.deliver()
+            self.events.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+        self.events.deliver()
         return claim
 
     def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
@@ -126,8 +117,8 @@ class ClaimTable:
             after = replace(before, **changes)
             if after != before:
                 self._write(after)
-                self._events.add(ClaimEvent(before, after, reason))
-        self._events.deliver()
+                self.events.add(ClaimEvent(before, after, reason))
+        self.events.deliver()
         return after
 
     def report(self, claim_id: str, news: str) -> None:
@@ -135,8 +126,8 @@ class ClaimTable:
         with self._turn:
             claim = self.find(claim_id)
             if claim is not None:
-                self._events.add(ClaimEvent(claim, claim, news))
-        self._events.deliver()
+                self.events.add(ClaimEvent(claim, claim, news))
+        self.events.deliver()
 
     def renew(self, claim_id: str, lease: float) -> Claim:
         """Let a claim live for so many seconds from now (0: until it is released).
@@ -162,11 +153,11 @@ class ClaimTable:
                 self._claims.pop(claim_id)
                 self._claims[claim_id] = after  # now the last one to be forgotten
                 ended = [key for key, claim in self._claims.items() if claim.state.ended]
-                for key in ended[: max(0, len(ended) - self._ended_kept)]:
+                for key in ended[: max(0, len(ended) - _ENDED_KEPT)]:
                     del self._claims[key]
                 self._sort()
-            self._events.add(ClaimEvent(before, after, reason))
-        self._events.deliver()
+            self.events.add(ClaimEvent(before, after, reason))
+        self.events.deliver()
 
     def expire_late(self) -> None:
         """End the claims whose lease is over.

@@ -13,17 +13,7 @@ import contextlib
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import (
-    AbstractSet,
-    Callable,
-    Dict,
-    FrozenSet,
-    Iterable,
-    List,
-    Mapping,
-    Set,
-    Tuple,
-)
+from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
 from dyknow.manager.claims.ends import ends_of
@@ -51,13 +41,18 @@ class Connector:
         self._manager = manager
         self._graph = manager.graph
         self._worlds = worlds
+        self._clock = clock
         #: Returns the world of this moment.
         self.world = worlds.now
-        self._clock = clock
         #: Topics that a port was sent to without an answer, and until when it may arrive there.
         self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
         self._unknown: Dict[str, float] = {}
+
+    @property
+    def unknown(self) -> FrozenSet[str]:
+        """Nodelets of which it is not known how they are connected."""
+        return frozenset(self._unknown)
 
     def remember(self) -> None:
         """Store the bindings of nodelets with variables."""
@@ -85,26 +80,15 @@ class Connector:
             raise FixedTopics(name, record.manager)
         try:
             self._manager.host.connect(name, config)
-        except HostTimeout:
-            for port, topic in config.items():
-                self._late.setdefault((name, port), {})[topic] = self._clock() + _LATE
-            self._worlds.expect(self._late)
+            self._show(name, config)
+        except (HostError, Busy) as error:
             self._unknown[name] = self._clock()
+            if isinstance(error, HostTimeout):
+                for port, topic in config.items():
+                    self._late.setdefault((name, port), {})[topic] = self._clock() + _LATE
+                self._worlds.expect(self._late)
             raise
-        except HostError:
-            self._unknown[name] = self._clock()
-            raise
-        self._show(name, config)
         self.remember()
-
-    @property
-    def unknown(self) -> FrozenSet[str]:
-        """Nodelets of which it is not known how they are connected."""
-        return frozenset(self._unknown)
-
-    def is_known(self, name: str) -> bool:
-        """Whether it is known how a nodelet is connected."""
-        return name not in self._unknown
 
     def ask(self) -> None:
         """Ask the nodelets whose connections are not known, and show these in the graph."""
@@ -113,7 +97,7 @@ class Connector:
         for name in sorted(self._unknown):
             record = self._graph.find(name)
             if record is None:
-                self._forget(name)
+                self._settle(name)
             elif (
                 record.state is State.RUNNING
                 and self._unknown[name] <= now
@@ -127,26 +111,20 @@ class Connector:
                 except DyKnowError:
                     continue  # it is polled again
                 else:
-                    self._note_answer(name)
-
-    # Inside
+                    self._settle(name, self._clock())
 
     def _show(self, name: str, config: Config) -> None:
-        try:
-            with self._graph.changing(name, patience=_PATIENCE) as record:
-                if record is not None:
-                    topics = {**record.topics, **config}
-                    ports = tuple(
-                        replace(port, topic=config.get(port.name, port.topic))
-                        for port in record.ports
-                    )
-                    after = replace(record, topics=topics, ports=seen_ports(record, ports))
-                    if ends_of(after).listening != record.heard.topics:
-                        after = replace(after, heard=NOTHING_HEARD)
-                    self._graph.put(after)
-        except Busy:
-            self._unknown[name] = self._clock()
-            raise
+        with self._graph.changing(name, patience=_PATIENCE) as record:
+            if record is None:
+                return
+            ports = tuple(
+                replace(port, topic=config.get(port.name, port.topic)) for port in record.ports
+            )
+            topics = {**record.topics, **config}
+            after = replace(record, topics=topics, ports=seen_ports(record, ports))
+            if ends_of(after).listening != record.heard.topics:
+                after = replace(after, heard=NOTHING_HEARD)
+            self._graph.put(after)
 
     def _ask(self, name: str) -> None:
         ports = self._manager.host.ports(name)
@@ -155,22 +133,18 @@ class Connector:
                 record = with_ports(record, ports)
                 self._graph.put(replace(record, topics=topics_of(record)))
 
-    def _note_answer(self, name: str) -> None:
-        """A nodelet answered: its connections are known once none can arrive late any more."""
-        now = self._clock()
-        for place in [place for place in self._late if place[0] == name]:
-            left = {topic: until for topic, until in self._late[place].items() if until > now}
-            self._late[place] = left
-            if not left:
-                del self._late[place]
+    def _settle(self, name: str, now: float = float("inf")) -> None:
+        """Forget connections that cannot arrive any more; without any, a nodelet is known."""
+        late = {
+            place: {
+                topic: until for topic, until in topics.items() if place[0] != name or until > now
+            }
+            for place, topics in self._late.items()
+        }
+        self._late = {place: topics for place, topics in late.items() if topics}
         self._worlds.expect(self._late)
         if not any(place[0] == name for place in self._late):
-            self._forget(name)
-
-    def _forget(self, name: str) -> None:
-        self._unknown.pop(name, None)
-        self._late = {place: each for place, each in self._late.items() if place[0] != name}
-        self._worlds.expect(self._late)
+            self._unknown.pop(name, None)
 
 
 class Transaction:
@@ -210,12 +184,7 @@ class Transaction:
     def spawn(
         self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
     ) -> None:
-        """Make a nodelet.
-
-        Args:
-            transformation: what to make.
-            request: how.
-            near: topics whose publishers it is to run close to.
+        """Make a nodelet, close to the publishers of some topics.
 
         Raises:
             DyKnowError: it did not work.
@@ -238,7 +207,7 @@ class Transaction:
         """
         record = self._connector.world().get(name)
         before = {port: record.topics.get(port, "") for port in config}
-        if before == dict(config) and self._connector.is_known(name):
+        if before == dict(config) and name not in self._connector.unknown:
             return
         cut = self._make_way(record, config)
         connect = partial(self._connector.connect, name, config)
@@ -262,6 +231,16 @@ class Transaction:
         """
         self.connect(name, dict.fromkeys(ports, ""))
         self._connect_if_fitting(self._manager.graph.get(name), ports)
+
+    def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
+        """After a change connect those that people connected, and that fit together again, as one.
+
+        Nodelets of claims are connected by their repair, with all that changes there.
+        """
+        for name, ports in cut.items():
+            record = self._manager.graph.find(name)
+            if record is not None and not record.claimed:
+                self._connect_if_fitting(record, ports)
 
     def undo(self, needed: AbstractSet[str]) -> None:
         """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
@@ -304,16 +283,6 @@ class Transaction:
         is_movable = record.state is State.RUNNING and not record.is_fixed
         return is_movable and name not in self._unresponsive
 
-    def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
-        """After a change connect those that people connected, and that fit together again, as one.
-
-        Nodelets of claims are connected by their repair, with all that changes there.
-        """
-        for name, ports in cut.items():
-            record = self._manager.graph.find(name)
-            if record is not None and not record.claimed:
-                self._connect_if_fitting(record, ports)
-
     def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
         fits = self._connector.world().fitting(replace(record, topics={**record.topics, **ports}))
         if all(fits.get(port) == topic for port, topic in ports.items()):
@@ -321,7 +290,7 @@ class Transaction:
 
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)
-        if record is None or not self._connector.is_known(name):
+        if record is None or name in self._connector.unknown:
             return  # it is polled, and connected as it should be then
         fits = self._connector.world().fitting(replace(record, topics=before))
         self._connector.connect(name, fits)

@@ -12,7 +12,8 @@ from typing import Callable, Iterable, Iterator, Set
 from dyknow.locks import turn_lock
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.monitors import Failures, StreamMonitor
+from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.world import World
 from dyknow.manager.manager import Manager
 
 
@@ -37,13 +38,11 @@ class ClaimLock:
     @contextlib.contextmanager
     def request(self, claim_id: str = "") -> Iterator[None]:
         """Work on a request, about an existing claim or, without an id, about a new one."""
-        with self._requests, self._work:
+        with self._requests, self.reading():
             self.claim_id = claim_id
-            self._may_pause = True
             try:
                 yield
             finally:
-                self._may_pause = False
                 self.claim_id = ""
                 self.reserved.clear()
 
@@ -73,12 +72,9 @@ class ClaimLock:
 
     @contextlib.contextmanager
     def pause(self) -> Iterator[bool]:
-        """Let rounds pass while a request waits; in a round, change nothing.
+        """Let rounds pass while a request waits; returns whether they may, not so in a round.
 
         Called with the lock held. Afterwards nodelets may have other topics, or be gone.
-
-        Returns:
-            Whether rounds may pass.
         """
         if not self._may_pause:
             yield False
@@ -101,9 +97,9 @@ class ClaimContext:
         table: the claims.
         lock: held while claims are changed.
         connector: connects ports.
-        monitor: knows which parts of streams send messages.
-        failures: knows which transformations failed lately.
+        monitor: knows the health of streams, and which transformations failed lately.
         clock: steady time, in seconds.
+        sleep: waits that many seconds.
     """
 
     manager: Manager
@@ -111,5 +107,9 @@ class ClaimContext:
     lock: ClaimLock
     connector: Connector
     monitor: StreamMonitor
-    failures: Failures
     clock: Callable[[], float]
+    sleep: Callable[[float], None]
+
+    def world(self) -> World:
+        """Return the world of this moment."""
+        return self.connector.world()

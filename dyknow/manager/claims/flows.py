@@ -1,21 +1,36 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How many messages the parts of streams have sent, and in which spans of time they sent none.
+"""The messages that the parts of streams have sent: counts, silences, ages.
 
 Nodelets are polled for the counts of their out-ports. Topics of ordinary nodes, and of nodelets in
-stock C++ managers, whose publishers cannot be polled, are listened to. So are those of other C++
-nodelets that must not be silent and that no nodelet listens to: a lazy one sends only to
-subscribers. A count holds for one moment between
-the question and the answer. Every conclusion drawn here holds for any such moment, so a slow
-network makes conclusions late, but not wrong. A count that could not be read allows none.
+stock C++ managers, are listened to, since their publishers cannot be polled. So are those of other
+C++ nodelets that must send steadily and that no nodelet listens to: a lazy one sends only to
+subscribers.
+
+A count holds for one moment between the question and the answer. Every conclusion holds for any
+such moment, so a slow network makes conclusions late, but not wrong. A count that could not be
+read allows none.
 """
 
 from __future__ import annotations
 
+import collections
 import itertools
-from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
+from dataclasses import dataclass, field
+from typing import (
+    Callable,
+    Deque,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
@@ -28,6 +43,13 @@ from dyknow.model.transformation import IN, OUT
 UNANSWERED = 2.0
 #: Seconds between two questions to an unresponsive nodelet.
 _RETRY = 0.5
+#: Seconds that a part may take to begin, before its rate is judged.
+GRACE = 2.0
+#: Seconds over which a rate is taken at least.
+WINDOW = 4.5
+#: Ages that are judged together, and seconds that lie between two of them at the least.
+SAMPLES = 9
+_SPACING = 0.4
 
 Place = Tuple[str, str]
 """A nodelet and its out-port, or an empty name and a topic."""
@@ -35,30 +57,74 @@ Place = Tuple[str, str]
 _NEVER = float("-inf")
 
 
+class Sample(NamedTuple):
+    """The age of a message in seconds, None if not known, and the time of its query."""
+
+    age: Optional[float]
+    asked: float
+
+
 @dataclass
 class Flow:
-    """The messages of one place; moments are seconds of a steady clock.
+    """The messages of one place since its nodelet was loaded; moments are steady seconds.
 
     Attributes:
-        messages: the latest count.
+        last: the latest count.
         quiet_from: the last message had come by then.
         quiet_until: no other had come until then.
         came_after: a message that was noticed came after this moment.
-        begun: whether any message has come.
-        latched: whether one is kept for subscribers that connect later.
+        counts: the latest counts without a gap, for rates.
+        samples: ages of the latest messages.
     """
 
-    messages: int
+    last: Count
     quiet_from: float
     quiet_until: float
     came_after: float = _NEVER
-    begun: bool = False
-    latched: bool = False
+    counts: Deque[Count] = field(default_factory=collections.deque)
+    samples: Deque[Sample] = field(default_factory=lambda: collections.deque(maxlen=SAMPLES))
+    _counting_since: float = 0.0
+    _sampled: Optional[Count] = None
 
     @property
     def silence(self) -> float:
         """Seconds for which certainly no message came."""
         return self.quiet_until - self.quiet_from
+
+    @property
+    def begun(self) -> bool:
+        """Whether any message has come."""
+        return self.last.messages > 0
+
+    def add(self, count: Count, window: float) -> bool:
+        """Take a count in, and keep those of a window; returns whether messages have come."""
+        came = count.messages > self.last.messages
+        if came:
+            self.came_after, self.quiet_from = self.quiet_until, count.answered
+        self.quiet_until = count.asked
+        self._add_for_rate(count, window)
+        if self._sampled is None:
+            self._sampled = count
+        elif (
+            count.messages > self._sampled.messages
+            and count.asked - self._sampled.asked >= _SPACING
+        ):
+            self.samples.append(Sample(count.age, self._sampled.answered))
+            self._sampled = count
+        self.last = count
+        return came
+
+    def _add_for_rate(self, count: Count, window: float) -> None:
+        counts = self.counts
+        if counts and count.asked - counts[-1].answered > UNANSWERED:
+            counts.clear()  # its process may have been stopped
+        if not counts:
+            self._counting_since = count.answered
+        elif count.messages == counts[0].messages and count.asked - self._counting_since < GRACE:
+            counts.clear()  # it has not begun to send
+        counts.append(count)
+        while len(counts) > 2 and count.asked - counts[1].answered >= window:
+            counts.popleft()
 
 
 class FlowMeter:
@@ -71,29 +137,20 @@ class FlowMeter:
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
-        self._parts: Dict[str, StreamParts] = {}
-        self._parts_at = -1
-        self._running = running
         self._host = host
         self._graph = graph
         self._clock = clock
-        self._flows: Dict[Place, Flow] = {}
-        #: Counts of the latest reading, by place.
-        self.counted: Dict[Place, Count] = {}
-        self._listening: Dict[str, Listening] = {}
-        self._asked: Dict[str, float] = {}
-        self._unanswered_since: Dict[str, float] = {}
+        self._running = running
+        #: The flow of each place that was counted.
+        self.flows: Dict[Place, Flow] = {}
+        #: Nodelets that do not answer.
+        self.unresponsive: FrozenSet[str] = frozenset()
         self._unresponsive: Dict[str, List[Place]] = {}
-
-    @property
-    def unresponsive(self) -> FrozenSet[str]:
-        """Nodelets that do not answer."""
-        return frozenset(self._unresponsive)
-
-    @property
-    def flows(self) -> Mapping[Place, Flow]:
-        """The flow of each place that was counted."""
-        return self._flows
+        self._unanswered_since: Dict[str, float] = {}
+        self._asked: Dict[str, float] = {}
+        self._listening: Dict[str, Listening] = {}
+        self._parts: Dict[str, StreamParts] = {}
+        self._parts_at = -1
 
     def parts(self, claim: Claim) -> StreamParts:
         """Return the places of a claim's stream; read again only after a change."""
@@ -105,39 +162,41 @@ class FlowMeter:
             known = self._parts[claim.claim_id] = StreamParts(claim, self._graph)
         return known
 
-    def has_come(self, place: Place, since: float) -> bool:
-        """Whether a message has certainly come since then, or a latched one is kept."""
-        flow = self._flows.get(place)
-        return flow is not None and (flow.latched or flow.came_after >= since)
-
-    def restart_silence(self, names: Iterable[str]) -> None:
-        """Let the silence of nodelets begin now, since they were connected elsewhere."""
+    def restart(self, names: Iterable[str]) -> None:
+        """Judge nodelets that were connected elsewhere by what they send from now on."""
         names = set(names)
-        for (name, _), flow in self._flows.items():
+        for (name, _), flow in self.flows.items():
             if name in names:
                 flow.quiet_from = self._clock()
+                flow.counts.clear()
 
-    def read(self, expected: Mapping[Place, float], *steady: Mapping[Place, float]) -> Set[Place]:
-        """Count where a count is due; flows of places that are not named are forgotten.
+    def read(
+        self,
+        awaited: Mapping[Place, float],
+        steady: Mapping[Place, float],
+        windows: Mapping[Place, float],
+    ) -> Set[Place]:
+        """Count where a count is due; flows of other places are forgotten.
 
         Args:
-            expected: seconds between two counts, by place where a message is awaited.
-            steady: same, by place that must send steadily; the shortest one is used.
+            awaited: seconds between two counts, by place where a message is awaited.
+            steady: the same, by place that must send steadily.
+            windows: seconds over which rates of places are taken, if they are long.
 
         Returns:
             The places where messages have come.
         """
-        self.counted = {}
         records = {record.name: record for record in self._graph.all()}
         running = {name for name, each in records.items() if each.state is State.RUNNING}
         self._unresponsive = {
             name: places for name, places in self._unresponsive.items() if name in running
         }
         # An unresponsive nodelet is polled until it answers, whether a claim needs it or not.
-        wanted = {place: _RETRY for places in self._unresponsive.values() for place in places}
-        for periods in (expected, *steady):
-            for place, period in periods.items():
-                wanted[place] = min(wanted.get(place, period), period)
+        retried = {place: _RETRY for places in self._unresponsive.values() for place in places}
+        wanted: Dict[Place, float] = {}
+        for place, period in itertools.chain(retried.items(), awaited.items(), steady.items()):
+            wanted[place] = min(wanted.get(place, period), period)
+        self.flows = {place: flow for place, flow in self.flows.items() if place in wanted}
         topics: Dict[str, List[Place]] = {}
         asked: Dict[str, Dict[str, List[Place]]] = {}
         for place in sorted(wanted):
@@ -145,95 +204,96 @@ class FlowMeter:
             record = records.get(name)
             if not name:
                 topics.setdefault(port, []).append(place)
-            elif record is None:
-                continue
-            elif record.is_fixed:
+            elif record is not None and record.is_fixed:
                 topics.setdefault(record.topics.get(port, ""), []).append(place)
-            else:
+            elif record is not None:
                 asked.setdefault(record.manager, {}).setdefault(name, []).append(place)
-        for place in [place for place in self._flows if place not in wanted]:
-            del self._flows[place]
-        for topic in self._unheard(itertools.chain(*steady), records):
+        for topic in self._unheard(steady, records):
             topics.setdefault(topic, [])
-        return self._listen(topics) | self._ask(asked, wanted)
+        counted = {**self._listen(topics), **self._ask(asked, wanted)}
+        self.unresponsive = self._all_unresponsive(asked, records)
+        return {
+            place
+            for place, count in counted.items()
+            if self._add(place, count, windows.get(place, WINDOW))
+        }
+
+    def _add(self, place: Place, count: Count, window: float) -> bool:
+        flow = self.flows.get(place)
+        if flow is None or count.messages < flow.last.messages:  # the nodelet was loaded again
+            flow = self.flows[place] = Flow(count, count.answered, count.asked)
+        return flow.add(count, window)
 
     def _unheard(self, steady: Iterable[Place], records: Mapping[str, Record]) -> Set[str]:
         """Topics of C++ nodelets that no nodelet listens to."""
-        lazy = [
-            (records[name], port)
+        lazy = {
+            records[name].topics.get(port, "")
             for name, port in steady
             if name in records and not records[name].kind.is_written_for_dyknow
-        ]
+        }
         if not lazy:
             return set()
-        heard = {
-            port.topic
-            for record in records.values()
-            for port in record.ports
-            if port.direction == IN
-        }
-        return {record.topics.get(port, "") for record, port in lazy} - heard
+        ports = (port for record in records.values() for port in record.ports)
+        return lazy - {port.topic for port in ports if port.direction == IN}
 
-    def _listen(self, topics: Mapping[str, List[Place]]) -> Set[Place]:
+    def _listen(self, topics: Mapping[str, List[Place]]) -> Dict[Place, Count]:
         for topic in [topic for topic in self._listening if topic not in topics]:
             self._listening.pop(topic).close()
-        came: Set[Place] = set()
-        for topic in sorted(topics):
-            if topic and topic not in self._listening:
+        found: Dict[Place, Count] = {}
+        for topic in sorted(topics.keys() - {""}):
+            if topic not in self._listening:
                 self._listening[topic] = self._host.listen(topic)
-            count = self._listening[topic].count() if topic else None
-            for place in topics[topic]:
-                if count is not None and self._note(place, count):
-                    came.add(place)
-        return came
+            count = self._listening[topic].count()
+            if count is not None:
+                found.update(dict.fromkeys(topics[topic], count))
+        return found
 
     def _ask(
         self, asked: Mapping[str, Mapping[str, List[Place]]], periods: Mapping[Place, float]
-    ) -> Set[Place]:
+    ) -> Dict[Place, Count]:
         now, began = self._clock(), self._running()
-        last = {manager: self._asked.get(manager, _NEVER) for manager in asked}
-        due = [
-            manager
-            for manager in sorted(asked)
-            if last[manager] + min(periods[p] for each in asked[manager].values() for p in each)
-            <= now
-        ]
-        self._asked = {**last, **dict.fromkeys(due, now)}
+        self._asked = {manager: self._asked.get(manager, _NEVER) for manager in asked}
+        due = []
+        for manager in sorted(asked):
+            periods_here = [periods[place] for each in asked[manager].values() for place in each]
+            if self._asked[manager] + min(periods_here) <= now:
+                due.append(manager)
+                self._asked[manager] = now
         answers = self._host.counts({each: list(asked[each]) for each in due}) if due else {}
-        came: Set[Place] = set()
-        for name, places in [each for manager in due for each in asked[manager].items()]:
-            counts = answers.get(name)
-            if counts is None:
-                since = self._unanswered_since.setdefault(name, began)
-                is_gone = name in answers
-                if is_gone or self._running() - since >= UNANSWERED:
+        found: Dict[Place, Count] = {}
+        for manager in due:
+            for name, places in asked[manager].items():
+                counts = answers.get(name)
+                if counts is not None:
+                    self._unanswered_since.pop(name, None)
+                    if self._unresponsive.pop(name, None):  # its process may have been stopped
+                        for place in places:
+                            self.flows.pop(place, None)
+                    found.update({each: counts[each[1]] for each in places if each[1] in counts})
+                    continue
+                if name in answers:  # its process answers, and does not run it
+                    self._unanswered_since.pop(name, None)
                     self._unresponsive[name] = places
-                continue
-            self._unanswered_since.pop(name, None)
-            if self._unresponsive.pop(name, None):  # it may have been stopped: its time restarts
-                for place in places:
-                    self._flows.pop(place, None)
-            for place in places:
-                if place[1] in counts and self._note(place, counts[place[1]]):
-                    came.add(place)
-        known = {name for names in asked.values() for name in names}
-        for name in [name for name in self._unanswered_since if name not in known]:
-            del self._unanswered_since[name]
-        return came
+                elif self._is_late(name, began):
+                    self._unresponsive[name] = places
+        return found
 
-    def _note(self, place: Place, count: Count) -> bool:
-        """Take a count in; returns whether messages have come since the last one."""
-        self.counted[place] = count
-        flow = self._flows.get(place)
-        if flow is None or count.messages < flow.messages:  # the nodelet was loaded again
-            flow = Flow(count.messages, count.answered, count.asked, begun=count.messages > 0)
-            self._flows[place] = flow
-        came = count.messages > flow.messages
-        if came:
-            flow.messages, flow.begun = count.messages, True
-            flow.came_after, flow.quiet_from = flow.quiet_until, count.answered
-        flow.quiet_until, flow.latched = count.asked, count.latched
-        return came
+    def _is_late(self, name: str, began: float) -> bool:
+        since = self._unanswered_since.setdefault(name, began)
+        return self._running() - since >= UNANSWERED
+
+    def _all_unresponsive(
+        self, asked: Mapping[str, Iterable[str]], records: Mapping[str, Record]
+    ) -> FrozenSet[str]:
+        """Return the nodelets that do not answer, with all others of a process that hangs."""
+        known = {name for names in asked.values() for name in names}
+        self._unanswered_since = {
+            name: since for name, since in self._unanswered_since.items() if name in known
+        }
+        late = self._unresponsive.keys() & self._unanswered_since.keys()
+        hanging = {records[name].manager for name in late}
+        others = [each.name for each in records.values() if each.manager in hanging]
+        return frozenset({*self._unresponsive, *others})
 
 
 class StreamParts:
@@ -245,21 +305,16 @@ class StreamParts:
     """
 
     def __init__(self, claim: Claim, graph: Graph) -> None:
-        """Find the places at which messages can be counted now."""
         self.claim = claim
         self.topics: Dict[Place, str] = {("", topic): topic for topic in claim.sources}
         for name in claim.nodelets:
             record = graph.find(name)
-            if (
-                record is None
-                or record.transformation is None
-                or record.state is not State.RUNNING
-            ):
-                continue
-            outs = {port.name for port in record.transformation.ports if port.direction == OUT}
-            for port, topic in claim.wiring[name].items():
-                if port in outs:
-                    self.topics[(name, port)] = topic
+            if record is not None and record.transformation and record.state is State.RUNNING:
+                ports = record.transformation.ports
+                outs = {port.name for port in ports if port.direction == OUT}
+                for port, topic in claim.wiring[name].items():
+                    if port in outs:
+                        self.topics[(name, port)] = topic
         self._senders: Dict[str, List[Place]] = {}
         for place, topic in sorted(self.topics.items()):
             self._senders.setdefault(topic, []).append(place)

@@ -22,6 +22,8 @@ from dyknow.model.transformation import IN, OUT
 
 _log = logging.getLogger("rosout.dyknow")
 
+#: Seconds that a nodelet is kept after the last claim needed it.
+_LINGER = 5.0
 #: Seconds of the first pause after a nodelet could not be disconnected or destroyed.
 _FIRST_PAUSE = 1.0
 
@@ -32,22 +34,13 @@ Wire = Tuple[str, str, str]
 class GarbageCollector:
     """Collects garbage; nodelets that people spawned or protected are never destroyed."""
 
-    def __init__(self, context: ClaimContext, linger: float) -> None:
-        """Begin without garbage.
-
-        Args:
-            context: shared with the other parts of the reconciler.
-            linger: seconds that a nodelet is kept after the last claim needed it.
-        """
-        self._manager = context.manager
+    def __init__(self, context: ClaimContext) -> None:
+        self._context = context
         self._graph = context.manager.graph
-        self._lifecycle = context.manager.lifecycle
         self._table = context.table
         self._lock = context.lock
-        self._connector = context.connector
+        self._world = context.world
         self._monitor = context.monitor
-        self._clock = context.clock
-        self._linger = linger
         self._idle_since: Dict[str, float] = {}
         # No failure is tolerated: a nodelet that hangs is not called twice in one round.
         self._failures = Backoff(context.clock, _FIRST_PAUSE, tolerated=0)
@@ -58,7 +51,7 @@ class GarbageCollector:
 
         They are disconnected from the claim's topic when they are back.
         """
-        for record in self._connector.world().records.values():
+        for record in self._world().records.values():
             if record.name != claim.goal[0] and record.state is not State.RUNNING:
                 for port, topic in record.topics.items():
                     if topic == claim.topic:
@@ -66,10 +59,10 @@ class GarbageCollector:
 
     def disconnect(self) -> None:
         """Disconnect ports that no claim needs connected, and those that do not fit together."""
-        world = self._connector.world()
-        claims, wires = world.claims, _wires(world.claims)
-        sources = {topic for claim in claims for topic in claim.sources}
-        undescribed = {topic for topic in sources if topic not in world.described}
+        world = self._world()
+        wires = _wires(world.claims)
+        sources = {topic for claim in world.claims for topic in claim.sources}
+        undescribed = sources - world.described.keys()
         for record in world.records.values():
             if not record.claimed:
                 continue
@@ -83,19 +76,18 @@ class GarbageCollector:
                     if (record.name, port.name, port.topic) not in wires
                 )
             self._disconnect(record, ports)
-        self._reconfigure()
-        for topic, producer, consumer in self._connector.world().topology.mismatches():
+        for name, topics in sorted(self._world().stale().items()):
+            self._reconfigure(name, topics)
+        for topic, producer, consumer in self._world().topology.mismatches():
             self._separate(topic, producer, consumer, wires)
 
-    def _reconfigure(self) -> None:
-        """Reconfigure nodelets where people have put another individual on a topic."""
-        for name, ports in sorted(self._connector.world().stale().items()):
-            record = self._graph.find(name)
-            if record is not None and self._is_reachable(record):
-                transaction = Transaction(
-                    self._manager, self._connector, self._monitor.unresponsive
-                )
-                self._try(record, partial(transaction.reconfigure, name, ports))
+    def _reconfigure(self, name: str, topics: Dict[str, str]) -> None:
+        """Reconfigure a nodelet where people have put another individual on a topic."""
+        record, context = self._graph.find(name), self._context
+        if record is not None and self._is_reachable(record):
+            unresponsive = self._monitor.unresponsive
+            transaction = Transaction(context.manager, context.connector, unresponsive)
+            self._try(record, partial(transaction.reconfigure, name, topics))
 
     def _separate(
         self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]
@@ -122,8 +114,7 @@ class GarbageCollector:
             Whether none of it can send any more; a nodelet that hangs sends nothing.
         """
         done = True
-        others = [each for each in self._table.living() if each.topic != claim.topic]
-        wires = _wires(others)
+        wires = _wires(each for each in self._table.living() if each.topic != claim.topic)
         for name, topics in sorted(claim.wiring.items()):
             record = self._graph.find(name)
             if record is not None and record.claimed and name not in self._lock.reserved:
@@ -146,7 +137,7 @@ class GarbageCollector:
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
         )
         self._replaced = {each for each in self._replaced if each[2] in goals}
-        for record in self._connector.world().records.values():
+        for record in self._world().records.values():
             ports = [
                 port.name
                 for port in record.ports
@@ -162,20 +153,19 @@ class GarbageCollector:
 
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
-        now = self._clock()
-        world = self._connector.world()
+        now, world = self._context.clock(), self._world()
         needed = world.needed | self._lock.reserved
-        for record in reversed([*world.records.values()]):
-            if not record.claimed or record.is_protected or record.name in needed:
-                self._idle_since.pop(record.name, None)
-                continue
-            since = self._idle_since.setdefault(record.name, now)
-            linger = 0.0 if record.name in self._monitor.unhealthy else self._linger
-            if now - since >= linger and record.state in (State.RUNNING, State.FAILED):
-                self._try(record, partial(self._lifecycle.destroy, record.name))
-        present = self._connector.world().records
-        for name in [name for name in self._idle_since if name not in present]:
-            del self._idle_since[name]
+        idle = {
+            record.name: record
+            for record in reversed([*world.records.values()])
+            if record.claimed and not record.is_protected and record.name not in needed
+        }
+        self._idle_since = {name: self._idle_since.get(name, now) for name in idle}
+        for name, record in idle.items():
+            linger = 0.0 if name in self._monitor.unhealthy else _LINGER
+            is_over = now - self._idle_since[name] >= linger
+            if is_over and record.state in (State.RUNNING, State.FAILED):
+                self._try(record, partial(self._context.manager.lifecycle.destroy, name))
 
     def _disconnect(self, record: Record, ports: Iterable[str]) -> bool:
         """Disconnect those of a nodelet's ports that are connected; whether none is any more."""
@@ -183,7 +173,7 @@ class GarbageCollector:
         config = {port: "" for port in ports if port in connected}
         if not config:
             return True
-        action = partial(self._connector.connect, record.name, config)
+        action = partial(self._context.connector.connect, record.name, config)
         return self._is_reachable(record) and self._try(record, action)
 
     def _is_reachable(self, record: Record) -> bool:

@@ -1,24 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Which parts of streams are silent, and whose first message has come: judged by the counts."""
+"""The health of streams: silent, late, slow and unresponsive parts, and failed transformations."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import (
-    Callable,
-    Dict,
-    FrozenSet,
-    Hashable,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Set,
-    Tuple,
-)
+from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
@@ -31,8 +20,14 @@ from dyknow.manager.record import Record
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
 from dyknow.model.transformation import Transformation
 
-#: Seconds between two counts.
+#: Seconds that a part may take to send its first message, if the claim does not allow more.
+FIRST_MESSAGE = 2.0
+#: Seconds between two counts where a limit is judged, and while a first message is awaited.
 _PERIOD = 0.5
+_FIRST_MESSAGE_PERIOD = 0.25
+#: Counts in the time for which a part may be silent, and the least seconds between two.
+_COUNTS = 4
+_LEAST_PERIOD = 0.05
 #: Windows for which a part has to keep its limit before it is trusted again.
 _WINDOWS = 2
 #: Seconds of the first pause of a transformation that failed: longer than a round of the
@@ -42,17 +37,10 @@ _FIRST_PAUSE_OF_ALL = 1.0
 #: longer than it takes to judge another one.
 _FIRST_PAUSE = 15.0
 _LONGEST_PAUSE = 600.0
-#: Seconds of a stream that was fast enough after which earlier failures are forgiven.
+#: Seconds of a stream that kept its limits after which earlier failures are forgiven.
 _FORGIVEN_AFTER = 60.0
 
 _log = logging.getLogger("rosout.dyknow")
-#: Seconds that a part may take to send its first message, if the claim does not allow more.
-FIRST_MESSAGE = 2.0
-#: Seconds between two counts while a first message is awaited.
-_FIRST_MESSAGE_PERIOD = 0.25
-#: Counts in the time for which a part may be silent, and the least seconds between two.
-_COUNTS = 4
-_LEAST_PERIOD = 0.05
 
 
 @dataclass
@@ -72,42 +60,52 @@ class QualityMonitor:
         meter: FlowMeter,
         graph: Graph,
         clock: Callable[[], float],
-        topics: Callable[[], Iterable[Transformation]] = tuple,
+        topics: Callable[[], Iterable[Transformation]],
     ) -> None:
         self._meter = meter
         self._graph = graph
         self._clock = clock
         self._topics = topics
-        self._ages = AgeJudge(self._stated_latency)
-        self._judges: Tuple[Judge, ...] = (RateJudge(), self._ages)
+        self._ages = AgeJudge(lambda: meter.flows, self._stated_latency)
+        self._judges: Tuple[Judge, ...] = (RateJudge(lambda: meter.flows), self._ages)
         self._shortfalls: Dict[str, Dict[str, _Shortfall]] = {}
         self._failures = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER)
 
-    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
-        """Seconds between two counts, by place."""
-        claims = list(claims)
-        places = {place for judge in self._judges for place in self._windows(judge, claims)}
-        return dict.fromkeys(places, _PERIOD)
+    def windows(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+        """Seconds over which places are judged."""
+        judged = [
+            (place, judge.window(judge.limit(claim)))
+            for claim in claims
+            if claim.topic
+            for judge in self._limits(claim)
+            for place in self._meter.parts(claim).topics
+        ]
+        judged += [
+            (each.judgement.place, each.judge.window(each.judgement.needed))
+            for shortfalls in self._shortfalls.values()
+            for each in shortfalls.values()
+        ]
+        found: Dict[Place, float] = {}
+        for place, window in judged:
+            found[place] = max(found.get(place, window), window)
+        return found
 
     def judge(self, claims: Iterable[Claim]) -> None:
         """Judge by the latest counts."""
-        claims, now = [each for each in claims if each.topic and self._limits(each)], self._clock()
+        claims = [each for each in claims if each.topic and self._limits(each)]
         self._forget({claim.claim_id for claim in claims})
-        for judge in self._judges:
-            judge.add(self._meter.counted, self._windows(judge, claims))
         for claim in claims:
             self._forgive(claim.claim_id)
             parts = self._meter.parts(claim)
             for judge in self._limits(claim):
-                judgement = judge.judge(parts, now)
+                judgement = judge.judge(parts, self._clock())
                 if judgement is not None:
                     self._add_shortfall(claim, judge, judgement)
 
-    def restart(self, claim_id: str, rewired: Iterable[str]) -> None:
-        """Start again with nodelets that were connected elsewhere for a claim."""
-        rewired = set(rewired)
+    def restart(self, claim_id: str) -> None:
+        """Start again with a claim whose nodelets were connected elsewhere."""
         for judge in self._judges:
-            judge.restart(claim_id, rewired, self._clock())
+            judge.restart(claim_id, self._clock())
 
     def is_age_unknown(self, claim: Claim) -> bool:
         """Whether messages of a claim's stream have come whose age is unknown."""
@@ -115,12 +113,9 @@ class QualityMonitor:
 
     def faults(self, claim: Claim) -> List[str]:
         """Say which parts keep a claim's stream from its limits."""
-        parts = {*claim.nodelets, *claim.sources}
-        return [
-            each.judgement.what
-            for name, each in sorted(self._shortfalls.get(claim.claim_id, {}).items())
-            if name in parts
-        ]
+        shortfalls = self._shortfalls.get(claim.claim_id, {})
+        parts = sorted(shortfalls.keys() & {*claim.nodelets, *claim.sources})
+        return [shortfalls[name].judgement.what for name in parts]
 
     def unfit(self, claims: Iterable[Claim]) -> FrozenSet[str]:
         """Nodelets and topics that deliver too little for one of these claims."""
@@ -140,25 +135,8 @@ class QualityMonitor:
         shortfalls = frozenset((key, *sorted(each)) for key, each in self._shortfalls.items())
         return shortfalls, self._failures.paused
 
-    # Inside
-
     def _limits(self, claim: Claim) -> List[Judge]:
         return [judge for judge in self._judges if judge.limit(claim) > 0]
-
-    def _windows(self, judge: Judge, claims: Iterable[Claim]) -> Dict[Place, float]:
-        """Seconds over which places are judged."""
-        found: Dict[Place, float] = {}
-        for claim in claims:
-            if claim.topic and judge.limit(claim) > 0:
-                window = judge.window(judge.limit(claim))
-                for place in self._meter.parts(claim).topics:
-                    found[place] = max(found.get(place, window), window)
-        for shortfalls in self._shortfalls.values():
-            for each in shortfalls.values():
-                if each.judge is judge:
-                    place, window = each.judgement.place, judge.window(each.judgement.needed)
-                    found[place] = max(found.get(place, window), window)
-        return found
 
     def _stated_latency(self, place: Place) -> float:
         """Seconds that a place states to add to the age of messages; 0 if it states none."""
@@ -181,7 +159,7 @@ class QualityMonitor:
         record = self._graph.find(name)
         if record is not None:
             key = f"{claim.claim_id} {record.label}"
-            self._failures.served(key, judge.served(claim.claim_id))
+            self._failures.served(key, judge.history(claim.claim_id).served)
             self._failures.failed(key)
 
     def _forgive(self, claim_id: str) -> None:
@@ -198,7 +176,7 @@ class QualityMonitor:
                 del shortfalls[name]
 
     def _forget(self, claim_ids: Set[str]) -> None:
-        """Forget claims that have ended, and nodelets that are gone."""
+        """Forget all other claims, and nodelets that are gone."""
         for judge in self._judges:
             judge.keep(claim_ids)
         self._shortfalls = {
@@ -213,7 +191,15 @@ class QualityMonitor:
 
 
 class StreamMonitor:
-    """Watches the messages of all streams."""
+    """Watches the messages of all streams, and remembers which transformations failed.
+
+    A part counts as silent only if its suppliers have sent something since its own last message:
+    of a silent chain the first part, and none as long as a count from further up is due.
+
+    A stream can be wired as it should be and yet carry no messages, so each change of a stream
+    puts ``NO_MESSAGE`` into the detail of its claim until a message has come. Counts that nodelets
+    keep anyway show that. DyKnow does not subscribe to a topic merely to find out.
+    """
 
     def __init__(
         self,
@@ -224,17 +210,17 @@ class StreamMonitor:
         clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
+        self._graph = graph
         self._table = table
+        self._clock = clock
         self._meter = FlowMeter(host, graph, clock, running)
-        self._silence = SilenceMonitor(self._meter, graph)
-        self._first_messages = FirstMessageMonitor(table, self._meter, graph, clock)
+        self._failures = Backoff(clock, _FIRST_PAUSE_OF_ALL)
+        #: When the stream of a claim was changed last.
+        self._changed: Dict[str, float] = {}
+        #: Silent nodelets and topics, each with a sentence about it.
+        self.silent: Dict[str, str] = {}
         #: Which claims get less than they demand, and because of which parts.
         self.quality = QualityMonitor(self._meter, graph, clock, topics)
-
-    @property
-    def silent(self) -> Mapping[str, str]:
-        """Silent nodelets and topics, each with a sentence about it."""
-        return self._silence.silent
 
     @property
     def unresponsive(self) -> FrozenSet[str]:
@@ -246,123 +232,105 @@ class StreamMonitor:
         """Silent and unresponsive parts."""
         return self.unresponsive | frozenset(self.silent)
 
-    def read(self) -> List[str]:
-        """Count messages; returns the nodelets and topics that have just fallen silent."""
+    def read(self) -> None:
+        """Count messages, and judge the streams by them."""
         claims = self._table.living()
-        came = self._meter.read(
-            self._first_messages.periods(claims),
-            self._silence.periods(claims),
-            self.quality.periods(claims),
-        )
+        watched = [each for each in claims if each.request.max_silence > 0 and each.topic]
+        windows = self.quality.windows(claims)
+        steady = dict.fromkeys(windows, _PERIOD)
+        for place, period in self._silence_periods(watched):
+            steady[place] = min(steady.get(place, period), period)
+        awaited = {goal_of(claim): _FIRST_MESSAGE_PERIOD for claim in claims if _waits(claim)}
+        came = self._meter.read(awaited, steady, windows)
         self.quality.judge(claims)
-        fallen = self._silence.judge(claims, came)
-        for name in fallen:
+        counted = set(map(name_of, self._meter.flows)) - set(map(name_of, came))
+        self.silent = {name: why for name, why in self.silent.items() if name in counted}
+        fallen: Set[str] = set()
+        for claim in watched:
+            fallen.update(self._judge_silence(self._meter.parts(claim)))
+        for name in sorted(fallen):
             _log.warning("%s", self.silent[name])
-        return fallen
+            record = self._graph.find(name)
+            if record is not None:
+                self.fell(record)
 
-    def service(self, name: str, lifetime: float) -> float:
-        """Seconds for which a nodelet that lived so long has sent messages; all if not watched."""
-        flows = [flow for (each, _), flow in list(self._meter.flows.items()) if each == name]
-        silences = [flow.silence if flow.begun else lifetime for flow in flows]
-        return max(0.0, lifetime - max(silences, default=0.0))
-
-    def restart(self, claim: Claim, goal: Place, topic: str, rewired: Iterable[str]) -> str:
-        """Restart with a stream that was changed just now; returns the detail of its claim.
+    def restart(self, claim: Claim, rewired: Iterable[str] = ()) -> str:
+        """Restart with a claim's stream that was changed just now; returns the claim's detail.
 
         Args:
-            claim: whose stream it is.
-            goal: nodelet and out-port that publish it; empty for a topic of ordinary nodes.
-            topic: where it is published.
+            claim: as it is now.
             rewired: its nodelets that were connected elsewhere.
         """
-        self._meter.restart_silence(rewired)
-        self.quality.restart(claim.claim_id, rewired)
-        return self._first_messages.expect(claim, goal, topic)
+        rewired = set(rewired)
+        self._meter.restart(rewired)
+        if rewired:
+            self.quality.restart(claim.claim_id)
+        self._changed[claim.claim_id] = self._clock()
+        record, request = self._graph.find(claim.goal[0]), claim.request
+        is_listened_to = any((request.max_silence, request.min_rate, request.max_age))
+        if is_listened_to or (record is not None and not record.is_fixed):
+            return NO_MESSAGE
+        return f"not known whether messages come: the publisher of {claim.topic} cannot be asked"
 
     def report(self) -> None:
         """Change the claims whose first message has come, or whose messages' age is unknown."""
-        self._first_messages.report()
-        for claim in self._table.living():
-            if claim.request.max_age and claim.state is ClaimState.ACTIVE:
-                is_unknown = self.quality.is_age_unknown(claim)
-                if is_unknown and not claim.detail:
-                    self._table.change(claim.claim_id, UNKNOWN_AGE, detail=UNKNOWN_AGE)
-                elif claim.detail == UNKNOWN_AGE and not is_unknown:
-                    reason = "it is known how old its messages are"
+        claims, now = self._table.living(), self._clock()
+        self._changed = {each.claim_id: self._changed.get(each.claim_id, now) for each in claims}
+        for claim in claims:
+            is_active = claim.state is ClaimState.ACTIVE
+            is_unknown = bool(claim.request.max_age) and self.quality.is_age_unknown(claim)
+            detail = claim.detail
+            if _waits(claim):
+                flow = self._meter.flows.get(goal_of(claim))
+                since = self._changed[claim.claim_id]
+                if flow is not None and (flow.last.latched or flow.came_after >= since):
+                    reason, detail = "its first message has come", ""
                     self._table.change(claim.claim_id, reason, detail="")
+            if is_active and is_unknown and not detail:
+                self._table.change(claim.claim_id, UNKNOWN_AGE, detail=UNKNOWN_AGE)
+            elif is_active and detail == UNKNOWN_AGE and not is_unknown:
+                reason = "it is known how old its messages are"
+                self._table.change(claim.claim_id, reason, detail="")
 
-
-class Failures:
-    """Transformations that failed lately: nothing is made of them for a while."""
-
-    def __init__(self, graph: Graph, monitor: StreamMonitor, clock: Callable[[], float]) -> None:
-        self._graph = graph
-        self._monitor = monitor
-        self._backoff = Backoff(clock, _FIRST_PAUSE_OF_ALL)
+    # Transformations that failed lately: nothing is made of them for a while
 
     @property
     def paused(self) -> FrozenSet[str]:
         """Labels of which nothing is to be made now."""
-        return self._backoff.paused
+        return self._failures.paused
 
     def failed(self, label: str) -> None:
         """Count a nodelet that could not be made, or whose code crashed after its end."""
-        self._backoff.failed(label)
+        self._failures.failed(label)
 
     def fell(self, record: Record) -> None:
         """Count a nodelet's death, or silence, against its transformation."""
         lifetime = self._graph.lifetime(record.name)
-        self._backoff.served(record.label, lifetime)
-        self._backoff.failed(record.label, self._monitor.service(record.name, lifetime))
+        flows = [
+            flow for (name, _), flow in list(self._meter.flows.items()) if name == record.name
+        ]
+        silences = [flow.silence if flow.begun else lifetime for flow in flows]
+        self._failures.served(record.label, lifetime)
+        self._failures.failed(record.label, max(0.0, lifetime - max(silences, default=0.0)))
 
+    # Silence
 
-class SilenceMonitor:
-    """Finds parts of streams that have fallen silent, where a claim has a ``max_silence``.
-
-    A part counts as silent only if its suppliers have sent something since its own last message:
-    of a silent chain the first part, and none as long as a count from further up is due. The same
-    counts lead to the same judgement at any time.
-    """
-
-    def __init__(self, meter: FlowMeter, graph: Graph) -> None:
-        self._meter = meter
-        self._graph = graph
-        #: Silent nodelets and topics, each with a sentence about it.
-        self.silent: Dict[str, str] = {}
-
-    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
-        """Seconds between two counts, by place."""
-        found: Dict[Place, float] = {}
-        for claim in _watched(claims):
-            period = max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD)
-            for place in self._meter.parts(claim).topics:
-                found[place] = min(found.get(place, period), period)
-        for place in self._meter.flows:
-            if place[0] in self.silent and self._graph.find(place[0]) is not None:
-                found.setdefault(place, FIRST_MESSAGE / _COUNTS)
+    def _silence_periods(self, watched: Iterable[Claim]) -> List[Tuple[Place, float]]:
+        """Seconds between two counts where silence is judged."""
+        found = [
+            (place, max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD))
+            for claim in watched
+            for place in self._meter.parts(claim).topics
+        ]
+        known = {place for place, _ in found}
+        found += [  # silent parts that no claim uses any more are watched until they are gone
+            (place, FIRST_MESSAGE / _COUNTS)
+            for place in self._meter.flows
+            if place not in known and place[0] in self.silent and self._graph.find(place[0])
+        ]
         return found
 
-    def judge(self, claims: Iterable[Claim], came: Iterable[Place]) -> List[str]:
-        """Judge by the latest counts.
-
-        Args:
-            claims: those whose parts are watched, among others.
-            came: places where messages have come since the last judgement.
-
-        Returns:
-            The nodelets and topics that have just fallen silent.
-        """
-        for place in came:
-            self.silent.pop(name_of(place), None)
-        counted = set(map(name_of, self._meter.flows))
-        for name in [name for name in self.silent if name not in counted]:
-            del self.silent[name]
-        fallen: Set[str] = set()
-        for claim in _watched(claims):
-            fallen.update(self._judge(self._meter.parts(claim)))
-        return sorted(fallen)
-
-    def _judge(self, parts: StreamParts) -> Set[str]:
+    def _judge_silence(self, parts: StreamParts) -> Set[str]:
         limit = parts.claim.request.max_silence
         fallen = set()
         for place in sorted(parts.topics):
@@ -383,52 +351,6 @@ class SilenceMonitor:
             any(each in flows and flows[each].came_after >= since for each in senders)
             for senders in parts.suppliers(place)
         )
-
-
-class FirstMessageMonitor:
-    """Keeps ``NO_MESSAGE`` in the detail of a claim until the first message of its stream.
-
-    A stream can be wired as it should be and yet carry no messages, so each change of a stream
-    raises the question again. Counts that nodelets keep anyway answer it. DyKnow does not
-    subscribe to a topic merely to find out: where the publisher cannot be polled, the claim says
-    so.
-    """
-
-    def __init__(
-        self, table: ClaimTable, meter: FlowMeter, graph: Graph, clock: Callable[[], float]
-    ) -> None:
-        self._table = table
-        self._meter = meter
-        self._graph = graph
-        self._clock = clock
-        self._since: Dict[str, float] = {}
-
-    def expect(self, claim: Claim, goal: Place, topic: str) -> str:
-        """Start to wait, now that a claim's stream was changed; returns the claim's detail."""
-        self._since[claim.claim_id] = self._clock()
-        record = self._graph.find(goal[0])
-        can_be_asked = record is not None and not record.is_fixed
-        limits = (claim.request.max_silence, claim.request.min_rate, claim.request.max_age)
-        if can_be_asked or any(limits):  # with a limit the topic is listened to
-            return NO_MESSAGE
-        return f"not known whether messages come: the publisher of {topic} cannot be asked"
-
-    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
-        """Seconds between two counts, by place."""
-        return {goal_of(claim): _FIRST_MESSAGE_PERIOD for claim in claims if _waits(claim)}
-
-    def report(self) -> None:
-        """Change the claims whose first message has come."""
-        waiting = [claim for claim in self._table.living() if _waits(claim)]
-        since = {each.claim_id: self._since.get(each.claim_id, self._clock()) for each in waiting}
-        self._since = since
-        for claim in waiting:
-            if self._meter.has_come(goal_of(claim), since[claim.claim_id]):
-                self._table.change(claim.claim_id, "its first message has come", detail="")
-
-
-def _watched(claims: Iterable[Claim]) -> List[Claim]:
-    return [each for each in claims if each.request.max_silence > 0 and each.topic]
 
 
 def _waits(claim: Claim) -> bool:

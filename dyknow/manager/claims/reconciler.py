@@ -17,22 +17,22 @@ import itertools
 import logging
 import time
 import uuid
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Callable, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
-from dyknow.manager.claims.answers import Acquired, CheaperPlans, refusal
-from dyknow.manager.claims.assembly import STAMPED, AssemblyResult, Handover
-from dyknow.manager.claims.claim_planner import ClaimPlanner, Proposal
+from dyknow.manager.claims.answers import CheaperPlans, refusal
+from dyknow.manager.claims.assembly import Acquired
+from dyknow.manager.claims.claim_planner import STAMPED, ClaimPlanner, Proposal
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.monitors import Failures, StreamMonitor
-from dyknow.manager.claims.plan_inputs import instance_of
-from dyknow.manager.claims.repair import Repair, outcome, with_remarks
+from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.repair import Repair
+from dyknow.manager.claims.supplies import instance_of
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.claims.world import WorldReader
 from dyknow.manager.graph import Graph
@@ -41,7 +41,7 @@ from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import StreamKeeper
 from dyknow.manager.manager import DEFAULT_OPTIONS, Manager, ManagerOptions
 from dyknow.manager.observer import PERIOD, at_once
-from dyknow.manager.planning.problem import Demand, NoPlan, Plan
+from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -55,72 +55,33 @@ _ATTEMPTS = 3
 _log = logging.getLogger("rosout.dyknow")
 
 
-@dataclass(frozen=True)
-class ReconcilerSettings:
-    """How the reconciler behaves.
-
-    Attributes:
-        linger: seconds that a nodelet is kept after the last claim needed it.
-        handover: seconds that replacements may take to deliver before they take over anyway.
-        ended_kept: ended claims that are still shown.
-    """
-
-    linger: float = 5.0
-    handover: float = 2.0
-    ended_kept: int = 100
-
-
-DEFAULT_RECONCILER_SETTINGS = ReconcilerSettings()
-"""Nodelets linger for five seconds; replacements have two to deliver."""
-
-
 class StreamReconciler:
     """All claims, and their requests and rounds; safe from any thread."""
 
-    def __init__(
-        self,
-        context: ClaimContext,
-        settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        """Take over the claims in the table; ``reconcile`` works on them.
-
-        Args:
-            context: shared by its parts; ``open_reconciler`` makes it.
-            settings: how to behave.
-            sleep: waits that many seconds, while a replacement comes up.
-        """
+    def __init__(self, context: ClaimContext) -> None:
+        """Take over the claims in the table; ``reconcile`` works on them."""
         #: Makes and destroys nodelets.
         self.manager = context.manager
         self._ended = self._had_work = False
+        self._context = context
         self._table = context.table
         self._lock = context.lock
-        self._connector = context.connector
         self._monitor = context.monitor
-        self._failures = context.failures
-        self._planner = ClaimPlanner(context, self.manager.library.ontology)
+        self._planner = ClaimPlanner(context)
         self._cheaper_plans = CheaperPlans(self._table, self._planner, context.clock)
-        self._collector = GarbageCollector(context, settings.linger)
-
-        def wait(seconds: float) -> None:
-            with self._lock.pause():
-                sleep(seconds)
-
-        def handover() -> Handover:
-            return Handover(self.manager.host, settings.handover, context.clock, wait)
-
-        self._repair = Repair(context, self._planner, self._collector, handover)
+        self._collector = GarbageCollector(context)
+        self._repair = Repair(context, self._planner, self._collector)
 
     @property
     def on_event(self) -> Callable[[ClaimEvent], None]:
         """Called with every change of a claim, on the thread that made it."""
-        return self._table.on_event
+        return self._table.events.listener
 
     @on_event.setter
     def on_event(self, callback: Callable[[ClaimEvent], None]) -> None:
-        self._table.on_event = callback
+        self._table.events.listener = callback
 
-    # Requests of clients
+    # Requests of clients. Other work goes on while they plan: plans are checked before their use
 
     def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquired:
         """Make a stream, and keep it until it is released or its lease ends.
@@ -146,7 +107,7 @@ class StreamReconciler:
             raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
             self.manager.guards.check_writable(f"acquiring '{request.tag}'")
-        self._planner.inputs.look(at_once=True)
+        self._planner.look(at_once=True)
         if dry_run:
             return self._explained(*self._drafted(claim))
         for attempt in itertools.count(1):
@@ -164,14 +125,14 @@ class StreamReconciler:
                     continue
                 answer = proposal.answer
                 if isinstance(answer, NoPlan):
-                    self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
+                    pending = replace(claim, topic="", detail=str(answer))
+                    self._table.add(pending, "requested")
                     missing = answer
                     break
                 self._planner.check_stamped(claim, answer)
-                plan, done = self._repair.make(claim, answer, lenient=True)
-                claim = self._table.add(replace(claim, **outcome(done)), "requested")
-                return _made(claim, plan, done)
-        raise NoPlanFound(refusal(self.manager, missing, request.exclude), claim.claim_id)
+                made = self._repair.make(claim, answer, lenient=True)
+                return replace(made, claim=self._table.add(made.claim, "requested"))
+        raise self._refusal(claim, missing)
 
     def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
         """Use the cheapest plan of today, if it is cheaper than the stream or that is broken.
@@ -188,7 +149,7 @@ class StreamReconciler:
         if not dry_run:
             self.manager.guards.check_writable(f"replanning claim '{claim_id}'")
         for attempt in itertools.count(1):
-            self._planner.inputs.look(at_once=True)
+            self._planner.look(at_once=True)
             claim, proposal = self._redrafted(claim_id)
             if dry_run:
                 return self._explained(claim, proposal)
@@ -200,13 +161,12 @@ class StreamReconciler:
                 if isinstance(answer, NoPlan):
                     missing = answer
                     break
-                plan, done = self._repair.make(claim, answer, lenient=True)
-                changed = self._table.change(
-                    claim_id, with_remarks("replanned on request", done), **outcome(done)
-                )
+                made = self._repair.make(claim, answer, lenient=True)
+                reason = "; ".join(["replanned on request", *made.remarks])
+                changed = self._table.change(claim_id, reason, **made.changes)
                 self._collector.clear_topics()
-                return _made(changed or claim, plan, done)
-        raise NoPlanFound(refusal(self.manager, missing, claim.request.exclude), claim_id)
+                return replace(made, claim=changed or claim)
+        raise self._refusal(claim, missing)
 
     def release(self, claim_id: str) -> None:
         """End a claim; one that has ended, or is unknown, is not an error."""
@@ -244,11 +204,9 @@ class StreamReconciler:
             InvalidTag: the tag is not a term.
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
-        self._planner.inputs.look()
+        self._planner.look()
         with self._lock.reading():
             return self._planner.bindings(demand)
-
-    # Plans of requests: other work goes on meanwhile, so they are checked before they are used
 
     def _drafted(self, claim: Claim) -> Tuple[Claim, Proposal]:
         """Plan a new claim's stream; returns the claim with the topic that it may share."""
@@ -267,13 +225,13 @@ class StreamReconciler:
             claim = self._table.get(claim_id)
             situation = self._planner.situation(claim)
             is_whole = self._repair.diagnose(claim) is None
-            cheaper = self._cheaper_plans.find(claim) if is_whole else None
+            cheaper = self._planner.cheaper(claim) if is_whole else None
             if cheaper is not None:
                 return claim, Proposal(situation, cheaper)
             return claim, self._planner.propose(claim, lenient=True)
 
     def _explained(self, claim: Claim, proposal: Proposal) -> Acquired:
-        """Answer a dry run.
+        """Answer a dry run: labels of new nodelets, and names of those that would be used.
 
         Raises:
             NoPlanFound: nothing supplies it.
@@ -281,18 +239,17 @@ class StreamReconciler:
         """
         plan = proposal.answer
         if isinstance(plan, NoPlan):
-            raise NoPlanFound(refusal(self.manager, plan, claim.request.exclude), claim.claim_id)
+            raise self._refusal(claim, plan)
         self._planner.check_stamped(claim, plan)
         with self._lock.reading():
-            return self._intended(claim, plan)
-
-    def _intended(self, claim: Claim, plan: Plan) -> Acquired:
-        """Answer a dry run: labels of new nodelets, and names of those that would be used."""
-        own = self._planner.assigned(plan, self._planner.own(claim))
+            own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
         new = [step.action.label for step in plan.steps if instance_of(step) not in own]
         claim = replace(claim, bindings=plan.bindings)
         return Acquired(claim, plan, tuple(new), tuple(sorted({*used, *own.values()})))
+
+    def _refusal(self, claim: Claim, answer: NoPlan) -> NoPlanFound:
+        return NoPlanFound(refusal(self.manager, answer, claim.request.exclude), claim.claim_id)
 
     # Reconciling
 
@@ -323,15 +280,12 @@ class StreamReconciler:
             if self._ended:
                 return
             self._table.expire_late()
-            self._planner.inputs.look()
-            self._connector.ask()
-            self._connector.remember()
+            self._planner.look()
+            self._context.connector.ask()
+            self._context.connector.remember()
             self._collector.disconnect()
-            self._repair.forget_ended()
-            for name in self._monitor.read():
-                record = self.manager.graph.find(name)
-                if record is not None:
-                    self._failures.fell(record)
+            self._monitor.read()
+            self._repair.keep(self._table.living())
             for claim in sorted(self._table.living(), key=_small_streams_first):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
@@ -361,7 +315,6 @@ def open_reconciler(
     options: ManagerOptions = DEFAULT_OPTIONS,
     run: Callable[[str, Callable[[], object]], None] = at_once,
     clock: Clock = STEADY,
-    settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
     sleep: Callable[[float], None] = time.sleep,
     running: Optional[Callable[[], float]] = None,
     on_change: Callable[[], object] = lambda: None,
@@ -376,24 +329,21 @@ def open_reconciler(
         options: how the manager behaves.
         run: calls the work that brings a nodelet back, by key; it may take long.
         clock: steady time.
-        settings: how the reconciler behaves.
         sleep: waits that many seconds, while a replacement comes up.
         running: time for which this process has run, in seconds; by default ``clock``.
         on_change: called after every change of nodelets or transformations.
     """
     now = clock.now
+    running = running or now
     graph = Graph(store, clock, on_change)
-    table = ClaimTable(store, now, settings.ended_kept, running)
+    table = ClaimTable(store, now, running)
     worlds = WorldReader(graph, table, library, host, options.namespace)
-    monitor = StreamMonitor(
-        host, graph, table, lambda: worlds.now().descriptions, now, running or now
-    )
-    failures = Failures(graph, monitor, now)
-    keeper = StreamKeeper(worlds.fitting, failures.fell, failures.failed)
+    monitor = StreamMonitor(host, graph, table, lambda: worlds.now().descriptions, now, running)
+    keeper = StreamKeeper(worlds.fitting, monitor.fell, monitor.failed)
     manager = Manager(host, store, library, guards, options, run, clock, graph, keeper)
     connector = Connector(manager, worlds, now)
-    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, failures, now)
-    return StreamReconciler(context, settings, sleep)
+    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep)
+    return StreamReconciler(context)
 
 
 def _small_streams_first(claim: Claim) -> int:
@@ -404,7 +354,3 @@ def _small_streams_first(claim: Claim) -> int:
     have to bring its stream to the client.
     """
     return len(claim.nodelets)
-
-
-def _made(claim: Claim, plan: Plan, done: AssemblyResult) -> Acquired:
-    return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))

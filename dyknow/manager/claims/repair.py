@@ -6,23 +6,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, FrozenSet, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, Hashable, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import (
-    Assembly,
-    AssemblyRequest,
-    AssemblyResult,
-    Handover,
-    timed_out,
-)
+from dyknow.manager.claims.assembly import Acquired, Assembly, timed_out
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.plan_inputs import OwnNodelet, is_current
-from dyknow.manager.claims.topology import wanted_type
+from dyknow.manager.claims.supplies import OwnNodelet, is_current
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Bindings, written_bindings
@@ -52,11 +45,7 @@ class Repair:
     """Repairs one claim's stream at a time; used under the lock of the claims."""
 
     def __init__(
-        self,
-        context: ClaimContext,
-        planner: ClaimPlanner,
-        collector: GarbageCollector,
-        handover: Callable[[], Handover],
+        self, context: ClaimContext, planner: ClaimPlanner, collector: GarbageCollector
     ) -> None:
         self._context = context
         self._graph = context.manager.graph
@@ -64,7 +53,6 @@ class Repair:
         self._monitor = context.monitor
         self._planner = planner
         self._collector = collector
-        self._handover = handover
         self._failures = Backoff(context.clock, _FIRST_PAUSE)
         #: Transformation of which no nodelet could be made since the present repair began.
         self._failed_label = ""
@@ -80,7 +68,7 @@ class Repair:
         if not claim.is_made:
             return Fault("it has no stream")
         for topic in claim.sources:
-            if topic not in self._planner.inputs.published:
+            if topic not in self._planner.published:
                 return Fault(f"topic {topic} is not published any more")
             if not self._is_described(topic, claim):
                 return Fault(f"topic {topic} is not described any more as what is needed")
@@ -102,7 +90,7 @@ class Repair:
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as the claim needs it."""
-        topology = self._context.connector.world().topology
+        topology = self._context.world().topology
         consumers = [
             consumer
             for consumer in topology.consumers(topic)
@@ -127,7 +115,7 @@ class Repair:
 
     # Making a stream
 
-    def make(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, AssemblyResult]:
+    def make(self, claim: Claim, plan: Plan, lenient: bool = False) -> Acquired:
         """Make a claim's stream by a plan.
 
         Another plan is made where types turn out wrong, or parts went while others came up, or a
@@ -148,7 +136,7 @@ class Repair:
         while True:
             own = self._planner.own(claim, late)
             try:
-                return plan, self._assemble(claim, plan, own)
+                return self._assemble(claim, plan, own)
             except StreamTypeMismatch as error:
                 if error.label in wrong:
                     raise
@@ -159,23 +147,15 @@ class Repair:
                 is_late = timed_out(error)
                 if attempts == _ATTEMPTS or (not is_late and self._are_running(plan, own)):
                     raise
-                if is_late:
-                    late |= self._late_ones()
+                if is_late:  # the nodelets of managers that do not answer are lost from now on
+                    with self._context.lock.pause():
+                        self._context.manager.look()
+                    late |= self._context.connector.unknown
                 failure = error
-            answer = self._planner.plan(claim, lenient, frozenset(wrong), late)
+            answer = self._planner.propose(claim, lenient, frozenset(wrong), late).answer
             if isinstance(answer, NoPlan):
                 raise failure
             plan = answer
-
-    def _late_ones(self) -> FrozenSet[str]:
-        """Find the nodelet managers that do not answer; their nodelets are lost from now on.
-
-        Returns:
-            Nodelets of which it is not known how they are connected.
-        """
-        with self._context.lock.pause():
-            self._context.manager.look()
-        return self._context.connector.unknown
 
     def _are_running(self, plan: Plan, own: Sequence[OwnNodelet]) -> bool:
         """Whether the nodelets that a plan counted on still run."""
@@ -184,31 +164,20 @@ class Repair:
         found = map(self._graph.find, names)
         return all(record is not None and record.state is State.RUNNING for record in found)
 
-    def _assemble(self, claim: Claim, plan: Plan, own: Sequence[OwnNodelet]) -> AssemblyResult:
-        request = AssemblyRequest(
-            plan,
-            tag=claim.request.tag,
-            topic=claim.topic,
-            datatype=wanted_type(claim),
-            own=self._planner.assigned(plan, own),
-            movable={each.name for each in own},
-            unhealthy=self._monitor.unhealthy,
-            unresponsive=self._monitor.unresponsive,
-            claim_id=claim.claim_id,
-            ordinary=self._planner.inputs.ordinary(),
-            is_stamped=claim.request.max_age > 0,
-        )
-        assembly = Assembly(self._context, request, self._handover())
+    def _assemble(self, claim: Claim, plan: Plan, own: Sequence[OwnNodelet]) -> Acquired:
+        assigned = self._planner.assigned(plan, own)
+        movable = {each.name for each in own}
+        assembly = Assembly(self._context, claim, plan, assigned, movable, self._planner.ordinary)
         try:
-            done = assembly.carry_out()
+            made = assembly.carry_out()
         except DyKnowError:
             if assembly.failed_label:
                 self._failed_label = assembly.failed_label
-                self._context.failures.failed(assembly.failed_label)
+                self._monitor.failed(assembly.failed_label)
             raise
-        done.detail = self._monitor.restart(claim, done.goal, done.topic, done.wiring)
-        self._collector.note_replaced(replace(claim, **outcome(done)))
-        return done
+        self._collector.note_replaced(made.claim)
+        detail = self._monitor.restart(made.claim, made.claim.wiring)
+        return replace(made, claim=replace(made.claim, detail=detail))
 
     # Repairing
 
@@ -224,53 +193,49 @@ class Repair:
         fault = self.diagnose(claim)
         if fault is None:
             if claim.state is not ClaimState.ACTIVE:
-                detail = self._monitor.restart(claim, claim.goal, claim.topic, ())
-                whole = {"state": ClaimState.ACTIVE, "detail": detail}
+                whole = {"state": ClaimState.ACTIVE, "detail": self._monitor.restart(claim)}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
         situation = (self._planner.signature(), fault.what)
         if self._unplannable.get(claim_id) == situation:
             return
-        answer = self._planner.plan(claim)
+        answer = self._planner.propose(claim).answer
         if isinstance(answer, NoPlan):
             self._unplannable[claim_id] = situation
             self._give_up(claim, fault, answer)
-            return
-        if not self._failures.allows(claim_id):
-            return
-        if claim.state is ClaimState.ACTIVE and answer.steps:
+        elif self._failures.allows(claim_id):
+            self._mend(claim, fault, answer)
+
+    def _mend(self, claim: Claim, fault: Fault, plan: Plan) -> None:
+        claim_id = claim.claim_id
+        if claim.state is ClaimState.ACTIVE and plan.steps:
             changes = {"state": ClaimState.RECOVERING, "detail": fault.what}
             claim = self._table.change(claim_id, fault.what, **changes) or claim
         self._failed_label = ""
         try:
-            _, done = self.make(claim, answer)
+            made = self.make(claim, plan)
         except DyKnowError as error:
-            if not self._failed_label:
+            if not self._failed_label:  # else its transformation has a pause
                 self._failures.failed(claim_id)
             failed = {"state": ClaimState.FAILED, "detail": str(error)}
             self._table.change(claim_id, fault.what, **failed)
             return
         self._failures.forgive(claim_id)
-        reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
-        new = sorted(set(done.wiring) - set(claim.wiring))
+        reasons = [f"mended: {fault.what}" if claim.is_made else "it can be made now"]
+        if claim.bindings not in ((), made.claim.bindings):
+            reasons.append(_changed_bindings(made.claim.bindings))
+        new = sorted(set(made.claim.wiring) - set(claim.wiring))
         if claim.is_made and new:
-            done.remarks.insert(0, f"{', '.join(new)} {'is' if len(new) == 1 else 'are'} used now")
-        if claim.bindings not in ((), done.bindings):
-            done.remarks.insert(0, _changed_bindings(done.bindings))
-        self._table.change(claim_id, with_remarks(reason, done), **outcome(done))
+            reasons.append(f"{', '.join(new)} {'is' if len(new) == 1 else 'are'} used now")
+        self._table.change(claim_id, "; ".join([*reasons, *made.remarks]), **made.changes)
 
     def follow_bindings(self) -> None:
         """Report the bindings of claims, if they were changed from elsewhere."""
-        claims = [
-            each
-            for each in self._table.living()
-            if each.bindings and each.state is ClaimState.ACTIVE
-            if each.claim_id != self._context.lock.claim_id  # a request makes its stream
-        ]
-        if not claims:
-            return
-        topology = self._context.connector.world().topology
-        for claim in claims:
+        for claim in self._table.living():
+            is_made_now = claim.claim_id == self._context.lock.claim_id
+            if not claim.bindings or claim.state is not ClaimState.ACTIVE or is_made_now:
+                continue
+            topology = self._context.world().topology
             for producer in topology.producers(claim.topic):
                 found = topology.ways_to_serve(producer, claim)
                 ways = [tuple(sorted(way.items())) for way in found]
@@ -305,30 +270,11 @@ class Repair:
                 self._unplannable.pop(claim.claim_id, None)  # it is tried again
         self._table.change(claim.claim_id, fault.what, **changes)
 
-    def forget_ended(self) -> None:
-        """Forget claims that have ended."""
-        for claim_id in [each for each in self._unplannable if self._table.find(each) is None]:
-            del self._unplannable[claim_id]
-
-
-def outcome(done: AssemblyResult) -> Dict[str, Any]:
-    """Return what became of a plan as changes of its claim."""
-    return {
-        "topic": done.topic,
-        "datatype": done.datatype,
-        "goal": done.goal,
-        "wiring": done.wiring,
-        "sources": tuple(sorted(done.sources)),
-        "bindings": done.bindings,
-        "state": ClaimState.ACTIVE,
-        "detail": done.detail,
-    }
+    def keep(self, claims: Iterable[Claim]) -> None:
+        """Forget all other claims."""
+        ids = {claim.claim_id for claim in claims}
+        self._unplannable = {key: each for key, each in self._unplannable.items() if key in ids}
 
 
 def _changed_bindings(bindings: Bindings) -> str:
     return f"{written_bindings(bindings)} from now on"
-
-
-def with_remarks(reason: str, done: AssemblyResult) -> str:
-    """Add deviations from the plan to a reason."""
-    return "; ".join([reason, *done.remarks])

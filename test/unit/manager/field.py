@@ -13,7 +13,7 @@ from clocks import HandClock
 
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
-from dyknow.manager.claims.answers import Acquired
+from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.template import Concepts

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from unit.manager.witness import Concepts, satisfies
 
 from dyknow.manager.claims.ends import Inlet, ends_of, supplied, ways_to_bind
-from dyknow.manager.claims.plan_inputs import live_streams
+from dyknow.manager.claims.supplies import live_streams
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Demand
 from dyknow.manager.record import Record

@@ -12,7 +12,7 @@ import pytest
 from unit.manager.field import GOAL, LINGER, Field, transformation
 
 from dyknow.errors import DyKnowError, HostError
-from dyknow.manager.claims.answers import Acquired
+from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.context import ClaimLock
 from dyknow.model.streams import ClaimState, StreamRequest
 

@@ -16,7 +16,7 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 
 def table() -> ClaimTable:
-    return ClaimTable(Store(":memory:"), lambda: 0.0, 10)
+    return ClaimTable(Store(":memory:"), lambda: 0.0, lambda: 0.0)
 
 
 def active(claim_id: str) -> Claim:
@@ -34,7 +34,7 @@ def test_a_claim_that_is_released_while_its_making_is_told_is_told_released_afte
             assert released.wait(20.0)
         told.append(event.after.state)
 
-    claims.on_event = listen
+    claims.events.listener = listen
     maker = threading.Thread(target=claims.add, args=(active("a"), "requested"))
     maker.start()
     assert telling.wait(20.0)
@@ -54,7 +54,7 @@ def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -
         events.append(event)
         at_once.release()
 
-    claims.on_event = listen
+    claims.events.listener = listen
     claims.add(active("a"), "requested")
 
     def work(name: str) -> None:
@@ -80,7 +80,7 @@ def test_who_changes_a_claim_when_told_of_it_is_told_of_that_next() -> None:
         told.append(event.after.state)
         claims.end("a", ClaimState.EXPIRED, "its client is gone")
 
-    claims.on_event = listen
+    claims.events.listener = listen
     claims.add(active("a"), "requested")
     assert told == [ClaimState.ACTIVE, ClaimState.EXPIRED]
 
@@ -94,7 +94,7 @@ def test_a_listener_that_raises_does_not_silence_the_others() -> None:
         if event.after.detail == "bad":
             raise ValueError
 
-    claims.on_event = listen
+    claims.events.listener = listen
     claims.add(active("a"), "requested")
     with contextlib.suppress(ValueError):
         claims.change("a", "", detail="bad")
@@ -104,7 +104,7 @@ def test_a_listener_that_raises_does_not_silence_the_others() -> None:
 
 def test_a_lease_that_ended_while_the_manager_was_stopped_can_still_be_renewed() -> None:
     steady, running = [0.0], [0.0]
-    claims = ClaimTable(Store(":memory:"), lambda: steady[0], 10, lambda: running[0])
+    claims = ClaimTable(Store(":memory:"), lambda: steady[0], lambda: running[0])
     for claim_id in ("left", "renewed"):
         request = StreamRequest("A", lease=10.0)
         claims.add(Claim(claim_id, request, "/a", state=ClaimState.ACTIVE), "requested")

@@ -59,4 +59,25 @@ def test_the_transformation_is_not_blamed(field: Field) -> None:
         hang(field, name)
     got = field.acquire("YUV(field)")
     assert got.claim.state is ClaimState.ACTIVE
-    assert "bottom camera" not in field.reconciler._failures.paused
+    assert "bottom camera" not in field.reconciler._monitor.paused
+
+
+def test_the_loss_of_a_manager_that_shows_at_one_nodelet_is_one_repair(field: Field) -> None:
+    """Only the goal is counted, until its first message has come."""
+    field.host.add("/far")
+    field.spawn("bottom camera", "/camera", manager="/far", config={"image": "/camera/image"})
+    config = {"yuv": "/camera/image", "planes": "/planes/planes"}
+    field.spawn("subsampler", "/planes", manager="/far", config=config)
+    claim = field.acquire("Planes(field)").claim
+    assert claim.nodelets == ("/camera", "/planes")
+    looking = field.manager.look
+    field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
+    hang(field, "/far")
+    for _ in range(15):
+        field.tick()
+    field.manager.look = looking  # type: ignore[method-assign]
+    field.settle(5.0)
+    assert [reason for reason in field.reasons() if reason.startswith("mended")] == [
+        "mended: nodelet /camera does not answer; /bottom_camera_1, /subsampler_1 are used now"
+    ]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE

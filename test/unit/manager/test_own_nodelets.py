@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dyknow.manager.claims.plan_inputs import Instance, OwnNodelet, assigned
+from dyknow.manager.claims.supplies import Instance, OwnNodelet, assigned
 from dyknow.manager.planning.problem import Action, Demand, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 

@@ -69,7 +69,7 @@ def test_a_record_is_read_again_only_when_it_changed(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(world, "ends_of", counted)
     field = Field()
     claim = field.acquire("YUV(field)").claim
-    world_now = field.reconciler._connector.world
+    world_now = field.reconciler._context.connector.world
 
     def look() -> Topology:
         return world_now().topology
