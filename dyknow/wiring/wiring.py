@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Tuple
+from typing import Callable, Dict, Iterable, Iterator, List, Tuple
 from xml.sax.saxutils import quoteattr
 
 from dyknow import names
@@ -16,9 +16,15 @@ from dyknow.guards import NO_GUARDS
 from dyknow.manager.claims.ends import transformation_of_relay
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
-from dyknow.manager.specifications.reader import TRANSFORMATIONS, SpecificationReader
-from dyknow.manager.specifications.specification import transformations_of
-from dyknow.manager.specifications.xml_reader import ANY, NEEDED, Attribute, Attributes, Element
+from dyknow.manager.specifications.specification import TRANSFORMATIONS, transformations_of
+from dyknow.manager.specifications.xml_reader import (
+    ANY,
+    NEEDED,
+    Attribute,
+    Element,
+    Node,
+    XmlReader,
+)
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import Parameter, Transformation
 
@@ -106,14 +112,11 @@ def _nodelet_xml(nodelet: SpawnRequest) -> List[str]:
 _BOOL = Attribute(("true", "false", "1", "0"))
 _CONNECTION = Element("connection", attributes={"port": NEEDED, "topic": NEEDED}, may_repeat=True)
 _PARAM = Element(
-    "param",
-    attributes={"name": NEEDED, "type": ANY, "value": NEEDED},
-    may_repeat=True,
+    "param", attributes={"name": NEEDED, "type": ANY, "value": NEEDED}, may_repeat=True
 )
 _NODELET = Element(
     "nodelet",
-    _CONNECTION,
-    _PARAM,
+    (_CONNECTION, _PARAM),
     attributes={
         "name": NEEDED,
         "transformation": NEEDED,
@@ -122,12 +125,12 @@ _NODELET = Element(
         "isolated": _BOOL,
     },
     may_repeat=True,
+    is_unit=True,
 )
 _WIRING = Element(
     "wiring",
-    TRANSFORMATIONS,
-    Element("nodelets", _NODELET),
-    attributes={"version": Attribute((VERSION,), is_required=True)},
+    (TRANSFORMATIONS, Element("nodelets", (_NODELET,))),
+    attributes={"version": Attribute((VERSION,), is_required=True, is_version=True)},
 )
 
 
@@ -151,92 +154,95 @@ def read_wiring(
         SpecificationError: with every problem of the file.
     """
     findings = Findings(file, DEFAULT_LIMITS.problems)
-    reader = _WiringReader(findings, limit)
+    nodelets = _NodeletReader(findings, limit)
+    units = XmlReader(findings, DEFAULT_LIMITS, _WIRING).read(data)
     transformations: List[Transformation] = []
     with contextlib.suppress(EnoughProblems):
-        transformations.extend(transformations_of(reader.drafts(data), findings))
+        transformations += transformations_of(nodelets.take(units), findings)
     findings.raise_if_any()
     return Wiring(
         tuple(sorted(transformations, key=lambda each: each.label)),
-        tuple(sorted(reader.nodelets, key=lambda each: each.name)),
+        tuple(sorted(nodelets.requests, key=lambda each: each.name)),
     )
 
 
-class _WiringReader(SpecificationReader):
-    """Reads the nodelets of a wiring beside its transformations.
+class _NodeletReader:
+    """Reads the nodelets of a wiring.
 
     Attributes:
-        nodelets: those that were read; to be used only if no problem was noted.
+        requests: those that were read; to be used only if no problem was noted.
     """
 
     def __init__(self, findings: Findings, limit: Callable[[], int]) -> None:
-        super().__init__(findings, DEFAULT_LIMITS, _WIRING)
+        self._findings = findings
         self._limit = limit
         self._most = NO_GUARDS.nodelets
-        self.nodelets: List[SpawnRequest] = []
+        self.requests: List[SpawnRequest] = []
         self._lines: Dict[str, int] = {}
-        self._connections: Dict[str, str] = {}
-        self._parameters: List[Parameter] = []
-        self.on_start.update(wiring=self._begin_wiring, nodelet=self._begin_nodelet)
-        self.on_end.update(
-            connection=self._end_connection, param=self._end_param, nodelet=self._end_nodelet
-        )
 
-    def _begin_wiring(self, attributes: Attributes, line: int) -> None:
-        if attributes["version"] is None:
-            raise EnoughProblems  # what another version means is not known
+    def take(self, units: Iterable[Node]) -> Iterator[Node]:
+        """Read the nodelets among the units, and return the transformations."""
+        for unit in units:
+            if unit.name == "nodelet":
+                self._read(unit)
+            else:
+                yield unit
 
-    def _begin_nodelet(self, attributes: Attributes, line: int) -> None:
-        if len(self.nodelets) >= self._most:
+    def _read(self, nodelet: Node) -> None:
+        if len(self.requests) >= self._most:
             self._most = self._limit()
-        if len(self.nodelets) >= self._most:
-            self._findings.problem(line, too_many_nodelets(self._most))
+        if len(self.requests) >= self._most:
+            self._findings.problem(nodelet.line, too_many_nodelets(self._most))
             raise EnoughProblems
-        self._connections = {}
-        self._parameters = []
-
-    def _end_param(self, attributes: Attributes, line: int) -> None:
-        name, value = attributes["name"], attributes["value"]
-        if name is not None and value is not None:
-            self._parameters.append(Parameter(name, attributes.get("type") or "", value))
-
-    def _end_connection(self, attributes: Attributes, line: int) -> None:
-        port, topic = attributes["port"], self._global(attributes, "topic", line)
-        if port == "":
-            self._findings.problem(line, 'port=""; expected the name of a port')
-        if port in self._connections:
-            self._findings.problem(line, f"the port '{port}' is there already; expected it once")
-        if port is not None:
-            self._connections[port] = topic
-
-    def _end_nodelet(self, attributes: Attributes, line: int) -> None:
-        name, label = self._global(attributes, "name", line), attributes["transformation"]
-        if label == "":
-            self._findings.problem(line, 'transformation=""; expected the label of one')
-        first = self._lines.setdefault(name, line)
-        if name and first != line:
-            self._findings.problem(line, f"the nodelet '{name}' is there already, in line {first}")
-        self.nodelets.append(
+        name, label = self._global(nodelet, "name"), nodelet.get("transformation", "-")
+        if not label:
+            self._findings.problem(nodelet.line, 'transformation=""; expected the label of one')
+        first = self._lines.setdefault(name, nodelet.line)
+        if name and first != nodelet.line:
+            self._findings.problem(
+                nodelet.line, f"the nodelet '{name}' is there already, in line {first}"
+            )
+        good = [each for each in nodelet.children if each.is_good]
+        config: Dict[str, str] = {}
+        for each in good:
+            if each.name == "connection":
+                self._connect(config, each)
+        self.requests.append(
             SpawnRequest(
-                label or "",
+                label,
                 name,
-                self._connections,
-                attributes.get("protected") in ("true", "1"),
-                attributes.get("isolated") in ("true", "1"),
-                self._global(attributes, "manager", line) if attributes.get("manager") else "",
-                tuple(self._parameters),
+                config,
+                nodelet.get("protected") in ("true", "1"),
+                nodelet.get("isolated") in ("true", "1"),
+                self._global(nodelet, "manager") if nodelet.get("manager") else "",
+                tuple(
+                    Parameter(each.get("name"), each.get("type"), each.get("value"))
+                    for each in good
+                    if each.name == "param"
+                ),
             )
         )
 
-    def _global(self, attributes: Attributes, key: str, line: int) -> str:
+    def _connect(self, config: Dict[str, str], connection: Node) -> None:
+        port = connection.get("port")
+        if not port:
+            self._findings.problem(connection.line, 'port=""; expected the name of a port')
+        if port in config:
+            self._findings.problem(
+                connection.line, f"the port '{port}' is there already; expected it once"
+            )
+        config[port] = self._global(connection, "topic")
+
+    def _global(self, node: Node, key: str) -> str:
         """Return the global name that an attribute has; empty if there is a problem with it."""
-        name = attributes[key]
+        name = node.attributes.get(key)
         if name is None:
             return ""
         try:
             if names.check(name, key).startswith("/"):
                 return name
-            self._findings.problem(line, f"{key}=\"{name}\"; expected a global name, '/{name}'")
+            problem = f"{key}=\"{name}\"; expected a global name, '/{name}'"
         except InvalidName as error:
-            self._findings.problem(line, str(error))
+            problem = str(error)
+        self._findings.problem(node.line, problem)
         return ""

@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Makes transformations from drafts, with the checks that a grammar cannot make."""
+"""Makes transformations, with the checks that a grammar cannot make."""
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Dict, List, Optional, Set, Tuple
+from sys import intern
+from typing import Dict, List, Optional, Set, Tuple, Union
 
 from dyknow.errors import InvalidTag, InvalidType
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.reader import TransformationDraft
-from dyknow.manager.specifications.tags import parse_tag, with_variables
+from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.xml_reader import Node
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import (
     IN,
@@ -29,11 +30,12 @@ from dyknow.model.transformation import (
     Transformation,
 )
 
-MAX_COST = 2**32 - 1
+_MAX_COST = 2**32 - 1
 
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
 _GLOBAL_NAME = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
+_COST = re.compile(r"\+?[0-9]{1,20}\Z")
 #: Rates and latencies have at most six decimal places, and are no larger than this.
 _DECIMAL = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
 _MAX_DECIMAL = 1_000_000
@@ -42,7 +44,6 @@ _STATED = {
     "rate": (1e-6, "Hz above 0, such as 30 or 0.5"),
     "latency": (0.0, "seconds from 0, such as 0.05"),
 }
-_COST = re.compile(r"\+?[0-9]+\Z")
 
 
 class Builder:
@@ -62,142 +63,138 @@ class Builder:
         self._good_yaml: Set[str] = set()
         self._yaml_size = 0
 
-    def build(self, draft: TransformationDraft) -> Optional[Transformation]:
-        """Check a draft and make the transformation.
+    def build(self, node: Node) -> Optional[Transformation]:
+        """Check a `<transformation>` without variables, and make the transformation.
 
         Returns:
-            The transformation, to be used only if no problem was noted; None if the draft has
-            no label, or neither a source nor a node.
+            The transformation, to be used only if no problem was noted; None if there is no
+            label, or neither a source nor a node.
         """
-        self._check_label(draft)
-        self._check_source(draft)
-        self._check_node(draft)
-        cost = self._cost(draft)
-        parameters = self._parameters(draft)
-        ports = self._ports(draft)
-        _check_variables(draft, self._findings, self._ontology)
-        if draft.label is None or (draft.source is None and draft.node is None):
+        kind = node.get("type") or NODELET
+        label, source = node.child("label"), node.child("source")
+        if label is not None:
+            self._check_label(label)
+        if source is not None:
+            self._check_source(kind, source)
+        isolated = node.get("isolated") == "true"
+        if kind == TOPIC and isolated:
+            self._warning(node, "a topic has no process; isolated has no effect")
+        external = node.attributes.get("node")
+        if external is not None:
+            self._check_external(node, kind, external, isolated)
+        cost = self._cost(node)
+        parameters = self._parameters(node, kind, external)
+        ports = self.ports(node)
+        self._check_variables(node, kind, ports)
+        if label is None or (source is None and external is None):
             return None
+        source_text = "" if source is None else source.text
         return Transformation(
-            draft.label,
-            draft.source or "",
-            draft.type or NODELET,
-            cost,
-            parameters,
-            ports,
-            draft.isolated,
-            draft.node or "",
+            label.text, source_text, kind, cost, parameters, ports, isolated, external or ""
         )
 
-    def _check_label(self, draft: TransformationDraft) -> None:
-        label, line = draft.label, draft.label_line
-        if label is None:
-            return
-        if not label:
-            self._findings.problem(line, "<label> is empty; expected the transformation's name")
-        elif label in self._labels:
-            first = self._labels[label]
-            place = "results twice" if first == line else f"is there already, in line {first}"
-            self._findings.problem(
-                line, f"the label '{shorten(label)}' {place}; expected labels that differ"
-            )
-        else:
-            self._labels[label] = line
+    def _problem(self, node: Node, message: str) -> None:
+        self._findings.problem(node.line, message)
 
-    def _check_source(self, draft: TransformationDraft) -> None:
-        if draft.source is None:
+    def _warning(self, node: Node, message: str) -> None:
+        self._findings.warning(node.line, message)
+
+    def _check_label(self, label: Node) -> None:
+        if not label.text:
+            self._problem(label, "<label> is empty; expected the transformation's name")
             return
-        if draft.type == TOPIC:
-            self._check_name("topic", draft.source, draft.source_line)
-        elif draft.type == NODE:
+        first = self._labels.get(label.text)
+        if first is not None:
+            is_template = first == label.line
+            place = "results twice" if is_template else f"is there already, in line {first}"
+            self._problem(
+                label, f"the label '{shorten(label.text)}' {place}; expected labels that differ"
+            )
+        self._labels.setdefault(label.text, label.line)
+
+    def _check_source(self, kind: str, source: Node) -> None:
+        if kind == TOPIC:
+            self._check_name("topic", source)
+        elif kind == NODE:
             try:
-                Program.of(draft.source)
+                Program.of(source.text)
             except ValueError as error:
-                self._findings.problem(
-                    draft.source_line,
-                    f"<source> '{shorten(draft.source)}': {shorten(str(error))}; expected the "
+                self._problem(
+                    source,
+                    f"<source> '{shorten(source.text)}': {shorten(str(error))}; expected the "
                     "program of the node, package/executable, and its arguments",
                 )
         else:
-            trouble, _ = _name_trouble(draft.source)
+            trouble, _ = _name_trouble(source.text)
             if trouble:
-                self._findings.problem(
-                    draft.source_line, f"<source> {trouble}; expected the nodelet, package/Class"
-                )
+                self._problem(source, f"<source> {trouble}; expected the nodelet, package/Class")
 
-    def _check_node(self, draft: TransformationDraft) -> None:
-        """Check that it describes a node that no other one describes, if it describes one."""
-        node, line = draft.node, draft.line
-        if draft.type == TOPIC and draft.isolated:
-            self._findings.warning(line, "a topic has no process; isolated has no effect")
-        if node is None:
-            return
-        if draft.type != NODE:
-            self._findings.problem(
-                line, f'node="{shorten(node)}": expected it with type="node" alone'
-            )
-        elif not _GLOBAL_NAME.match(node):
-            self._findings.problem(
-                line,
-                f'node="{shorten(node)}": expected the global name of a node that others start, '
+    def _check_external(self, node: Node, kind: str, name: str, isolated: bool) -> None:
+        """Check that the transformation is the only one that describes an external node."""
+        if kind != NODE:
+            self._problem(node, f'node="{shorten(name)}": expected it with type="node" alone')
+        elif not _GLOBAL_NAME.match(name):
+            self._problem(
+                node,
+                f'node="{shorten(name)}": expected the global name of a node that others start, '
                 "such as /robot/camera_driver",
             )
-        elif node in self._nodes:
-            self._findings.problem(
-                line,
-                f"the node '{shorten(node)}' is described already, in line {self._nodes[node]}; "
+        elif name in self._nodes:
+            self._problem(
+                node,
+                f"the node '{shorten(name)}' is described already, in line {self._nodes[name]}; "
                 "expected one transformation for it, with all of its ports",
             )
-        elif draft.isolated:
-            self._findings.warning(
-                line, "a node that others start is as they start it; isolated has no effect"
+        elif isolated:
+            self._warning(
+                node, "a node that others start is as they start it; isolated has no effect"
             )
-        self._nodes.setdefault(node, line)
+        self._nodes.setdefault(name, node.line)
 
-    def _cost(self, draft: TransformationDraft) -> int:
-        if not _COST.match(draft.cost) or len(draft.cost) > 20 or int(draft.cost) > MAX_COST:
-            self._findings.problem(
-                draft.line,
-                f'cost="{shorten(draft.cost)}": expected an integer from 0 to {MAX_COST}',
+    def _cost(self, node: Node) -> int:
+        text = node.get("cost", "1")
+        cost = int(text) if _COST.match(text) else _MAX_COST + 1
+        if cost > _MAX_COST:
+            self._problem(
+                node, f'cost="{shorten(text)}": expected an integer from 0 to {_MAX_COST}'
             )
-            return 1
-        return int(draft.cost)
+        return cost
 
-    def _parameters(self, draft: TransformationDraft) -> Tuple[Parameter, ...]:
+    def _parameters(self, node: Node, kind: str, external: Optional[str]) -> Tuple[Parameter, ...]:
         made: List[Parameter] = []
         lines: Dict[str, int] = {}
-        for name, type_, text, line in draft.parameters:
-            self._check_name("parameter", name, line)
+        for param in node.all("params"):
+            name = param.get("name")
+            self._check_name("parameter", param, name)
             if name[:1] in ("/", "~"):
-                self._findings.problem(
-                    line,
+                self._problem(
+                    param,
                     f"the parameter '{shorten(name)}' is set in the nodelet's own namespace; "
                     f"expected '{shorten(name.lstrip('~/'))}'",
                 )
             if name in lines:
-                self._findings.problem(
-                    line,
+                self._problem(
+                    param,
                     f"the parameter '{shorten(name)}' is there already, in line {lines[name]}",
                 )
-            lines[name] = line
-            type_ = type_ or infer_type(text)
-            self._check_value(name, type_, text, line)
-            made.append(Parameter(name, type_, text))
-        if made and (draft.type == TOPIC or draft.node is not None):
-            what = "a topic" if draft.type == TOPIC else "a node that others start"
-            self._findings.warning(
-                draft.line, f"{what} has no parameters; these will never be set"
-            )
+            lines[name] = param.line
+            type_ = param.get("type") or infer_type(param.text)
+            self._check_value(name, type_, param)
+            made.append(Parameter(intern(name), type_, param.text))
+        if made and (kind == TOPIC or external is not None):
+            what = "a topic" if kind == TOPIC else "a node that others start"
+            self._warning(node, f"{what} has no parameters; these will never be set")
         return tuple(made)
 
-    def _check_value(self, name: str, type_: str, text: str, line: int) -> None:
+    def _check_value(self, name: str, type_: str, param: Node) -> None:
+        text = param.text
         if type_ == "yaml":
             if text in self._good_yaml:
                 return
             self._yaml_size += len(text)
             if self._yaml_size > self._limits.yaml_size:
                 limit = self._limits.yaml_size
-                self._findings.problem(line, f"more than {limit} characters of YAML in this text")
+                self._problem(param, f"more than {limit} characters of YAML in this text")
                 raise EnoughProblems
         names = dict.fromkeys(variables_of(text), "name")
         if names and type_ not in ("string", "yaml"):
@@ -205,115 +202,171 @@ class Builder:
         try:
             parse_value(type_, fill(text, names), self._limits)
         except BadValue as error:
-            self._findings.problem(line, f"the parameter '{shorten(name)}': {error}")
+            self._problem(param, f"the parameter '{shorten(name)}': {error}")
             return
         if type_ == "yaml":
             self._good_yaml.add(text)
 
-    def check_template(self, draft: TransformationDraft) -> None:
-        """Check the ports and tags of a template that cannot be expanded."""
-        self._ports(draft, is_template=True)
-
-    def _ports(self, draft: TransformationDraft, is_template: bool = False) -> Tuple[Port, ...]:
+    def ports(self, node: Node, is_template: bool = False) -> Tuple[Port, ...]:
+        """Check the ports and tags, also of a template that cannot be expanded."""
+        ports = node.all("ports")
         lines: Dict[str, int] = {}
-        tags: Dict[str, List[str]] = {}
         stated: Dict[str, Tuple[float, float]] = {}
-        for name, direction, datatype, line, rate, latency in draft.ports:
+        for port in ports:
+            name = port.text
             if not is_template:
-                self._check_name("port", name, line)
-                self._check_datatype(datatype, line)
-                if rate or latency:
-                    stated[name] = (
-                        self._stated("rate", rate, direction, line),
-                        self._stated("latency", latency, direction, line),
-                    )
+                self._check_name("port", port)
+                self._check_datatype(port)
+                if port.get("rate") or port.get("latency"):
+                    stated[name] = (self._stated("rate", port), self._stated("latency", port))
             if name in lines:
-                self._findings.problem(
-                    line,
+                self._problem(
+                    port,
                     f"the port '{shorten(name)}' is there already, in line {lines[name]}; "
                     "expected names that differ, also between in and out",
                 )
-            else:
-                lines[name] = line
-                tags[name] = []
-        self._distribute_tags(draft, tags)
-        one_out = len(draft.ports) == 1 and draft.ports[0].direction == OUT
-        if draft.type == TOPIC and draft.ports_known and not one_out:
-            self._findings.problem(
-                draft.line,
-                f"a topic with {_count_ports(draft)}; expected exactly one port, of type out",
+            lines.setdefault(name, port.line)
+        tags: Dict[str, List[str]] = {name: [] for name in lines}
+        self._distribute_tags(node, tags)
+        outs = sum(port.get("type") == OUT for port in ports)
+        ins = len(ports) - outs
+        if node.get("type") == TOPIC and _ports_are_known(node) and (ins, outs) != (0, 1):
+            self._problem(
+                node,
+                f"a topic with {ins} in-port{'s' * (ins != 1)} and {outs} "
+                f"out-port{'s' * (outs != 1)}; expected exactly one port, of type out",
             )
         return tuple(
-            Port(name, direction, datatype, tuple(tags[name]), *stated.get(name, ()))
-            for name, direction, datatype, *_ in draft.ports
+            Port(
+                intern(port.text),
+                intern(port.get("type")),
+                intern(port.get("datatype")),
+                tuple(tags[port.text]),
+                *stated.get(port.text, ()),
+            )
+            for port in ports
         )
 
-    def _stated(self, name: str, text: str, direction: str, line: int) -> float:
+    def _stated(self, name: str, port: Node) -> float:
         """Read a number that an out-port states; 0 if it does not."""
+        text = port.get(name)
         if not text:
             return 0.0
-        if direction != OUT:
-            self._findings.problem(
-                line, f"an in-port with a {name}; expected one of out-ports alone"
-            )
+        if port.get("type") != OUT:
+            self._problem(port, f"an in-port with a {name}; expected one of out-ports alone")
         least, expected = _STATED[name]
         value = float(text) if _DECIMAL.match(text) else -1.0
         if not least <= value <= _MAX_DECIMAL:
-            self._findings.problem(
-                line,
+            self._problem(
+                port,
                 f'{name}="{shorten(text)}": expected {expected}, at most {_MAX_DECIMAL} and '
                 "with at most six decimal places",
             )
         return value
 
-    def _distribute_tags(self, draft: TransformationDraft, tags: Dict[str, List[str]]) -> None:
-        for port, text, line in draft.tags:
+    def _distribute_tags(self, node: Node, tags: Dict[str, List[str]]) -> None:
+        for tag in node.all("tags"):
+            port, text = tag.get("port"), tag.text
             if not text:
-                self._findings.problem(line, "<tag> is empty; expected a term such as Image(cam1)")
+                self._problem(tag, "<tag> is empty; expected a term such as Image(cam1)")
             of_port = tags.get(port)
-            if of_port is not None:
-                if text in of_port:
-                    self._findings.warning(
-                        line, f"the port '{shorten(port)}' has this tag already"
+            if of_port is None:
+                if _ports_are_known(node):
+                    self._problem(
+                        tag,
+                        f"the tag is for the port '{shorten(port)}', which is not declared; known "
+                        f"ports: {listed(tags)}{meant(port, tags)}",
                     )
-                else:
-                    of_port.append(text)
-                    self._check_tag(text, line)
-            elif draft.ports_known:
-                self._findings.problem(
-                    line,
-                    f"the tag is for the port '{shorten(port)}', which is not declared; known "
-                    f"ports: {listed(tags)}{meant(port, tags)}",
-                )
+            elif text in of_port:
+                self._warning(tag, f"the port '{shorten(port)}' has this tag already")
+            else:
+                of_port.append(text)
+                if text:
+                    self._check_tag(tag)
 
-    def _check_tag(self, text: str, line: int) -> None:
-        if not text:
-            return
-        try:
-            parse_tag(text)
-        except InvalidType as error:
-            self._findings.problem(line, f"the tag '{shorten(text)}': {error.expected}")
-        except InvalidTag as error:
-            self._findings.warning(
-                line,
-                f"the tag '{shorten(text)}' is passed over by the planner: {error.expected}",
+    def _check_tag(self, tag: Node) -> None:
+        found = _read_tag(tag.text)
+        if isinstance(found, InvalidType):
+            self._problem(tag, f"the tag '{shorten(tag.text)}': {found.expected}")
+        elif isinstance(found, InvalidTag):
+            self._warning(
+                tag,
+                f"the tag '{shorten(tag.text)}' is passed over by the planner: {found.expected}",
             )
 
-    def _check_datatype(self, datatype: str, line: int) -> None:
+    def _check_datatype(self, port: Node) -> None:
+        datatype = port.get("datatype")
         if datatype and not _DATATYPE.match(datatype):
-            self._findings.problem(
-                line,
+            self._problem(
+                port,
                 f'datatype="{shorten(datatype)}": expected a ROS type such as sensor_msgs/Image',
             )
 
-    def _check_name(self, what: str, name: str, line: int) -> None:
+    def _check_name(self, what: str, node: Node, name: Optional[str] = None) -> None:
+        name = node.text if name is None else name
         trouble, doubt = _name_trouble(name)
         if trouble:
-            self._findings.problem(line, f"the name of a {what} {trouble}; expected a ROS name")
+            self._problem(node, f"the name of a {what} {trouble}; expected a ROS name")
         elif doubt:
-            self._findings.warning(
-                line, f"the {what} '{shorten(name)}' {doubt}; some tools will not find it"
+            self._warning(
+                node, f"the {what} '{shorten(name)}' {doubt}; some tools will not find it"
             )
+
+    def _check_variables(self, node: Node, kind: str, ports: Tuple[Port, ...]) -> None:
+        """Note unbound variables, and types that are not classes.
+
+        The streams at the in-ports of a nodelet bind its variables, so tags of out-ports and texts
+        of parameters may use only variables that stand in the tags of in-ports.
+        """
+        in_ports = {port.name for port in ports if port.direction == IN}
+        used: List[Tuple[str, str, Node]] = []  # variable, where, element
+        bound: Dict[str, None] = {}
+        for tag in node.all("tags"):
+            term = _read_tag(tag.text) if "?" in tag.text else None
+            if not isinstance(term, Term):
+                continue
+            where = f"the tag '{shorten(tag.text)}'"
+            for type_ in term.types:
+                if type_ and self._ontology is not None and not self._ontology.is_class(type_):
+                    unknown = f"{where} has the type '{shorten(type_)}', which is no class"
+                    self._warning(tag, f"{unknown} of the ontology")
+            if tag.get("port") in in_ports:
+                bound.update(dict.fromkeys(term.variables))
+            else:
+                used += [(each, where, tag) for each in term.variables]
+        for param in node.all("params"):
+            used += [
+                (each, f"the parameter '{shorten(param.get('name'))}'", param)
+                for each in variables_of(param.text)
+            ]
+        for variable, where, element in used:
+            if kind == TOPIC:
+                self._problem(
+                    element,
+                    f"{where} of a topic has the variable {shorten(variable)}; expected names, as "
+                    "nothing binds it",
+                )
+            elif variable not in bound and _ports_are_known(node):
+                self._problem(
+                    element,
+                    f"{where} has the variable {shorten(variable)}, which no tag of an in-port "
+                    f"binds; known variables: {listed(bound)}{meant(variable, bound)}",
+                )
+
+
+def _ports_are_known(node: Node) -> bool:
+    """Whether all ports could be read."""
+    sections = (each for each in node.children if each.name == "ports")
+    return all(port.is_good for section in sections for port in section.children)
+
+
+@lru_cache(maxsize=4096)
+def _read_tag(text: str) -> Union[Term, InvalidTag]:
+    """Read a tag, which is looked at several times, or return what is wrong with it."""
+    try:
+        return parse_tag(text)
+    except InvalidTag as error:
+        return error
 
 
 @lru_cache(maxsize=4096)
@@ -326,49 +379,3 @@ def _name_trouble(name: str) -> Tuple[str, str]:
     if _ROS_NAME.match(name) and "//" not in name:
         return "", ""
     return "", "is no ROS name (a letter, then letters, digits, '_' and '/')"
-
-
-def _count_ports(draft: TransformationDraft) -> str:
-    ins = sum(port.direction != OUT for port in draft.ports)
-    outs = len(draft.ports) - ins
-    return f"{ins} in-port{'s' * (ins != 1)} and {outs} out-port{'s' * (outs != 1)}"
-
-
-def _check_variables(
-    draft: TransformationDraft, findings: Findings, ontology: Optional[Concepts] = None
-) -> None:
-    """Note unbound variables, and types that are not classes.
-
-    The streams at the in-ports of a nodelet bind its variables, so tags of out-ports and texts of
-    parameters may use only variables that stand in the tags of in-ports.
-    """
-    directions = {port.name: port.direction for port in draft.ports}
-    used: List[Tuple[str, str, int]] = []  # variable, where, line
-    bound: Dict[str, None] = {}
-    for tag in draft.tags:
-        term, where = with_variables(tag.text), f"the tag '{shorten(tag.text)}'"
-        if term is None:
-            continue
-        for type_ in term.types:
-            if type_ and ontology is not None and not ontology.is_class(type_):
-                unknown = f"{where} has the type '{shorten(type_)}', which is no class"
-                findings.warning(tag.line, f"{unknown} of the ontology")
-        if directions.get(tag.port) == IN:
-            bound.update(dict.fromkeys(term.variables))
-        else:
-            used += [(each, where, tag.line) for each in term.variables]
-    for name, _, text, line in draft.parameters:
-        used += [(each, f"the parameter '{shorten(name)}'", line) for each in variables_of(text)]
-    for variable, where, line in used:
-        if draft.type == TOPIC:
-            findings.problem(
-                line,
-                f"{where} of a topic has the variable {shorten(variable)}; expected names, as "
-                "nothing binds it",
-            )
-        elif variable not in bound and draft.ports_known:
-            findings.problem(
-                line,
-                f"{where} has the variable {shorten(variable)}, which no tag of an in-port binds; "
-                f"known variables: {listed(bound)}{meant(variable, bound)}",
-            )

@@ -5,17 +5,66 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass
-from typing import Iterable, Iterator, Optional, Tuple, Union
+from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.builder import Builder
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.specifications.reader import SpecificationReader, TransformationDraft
 from dyknow.manager.specifications.template import Concepts, Expander
+from dyknow.manager.specifications.xml_reader import (
+    ANY,
+    NEEDED,
+    Attribute,
+    Element,
+    Node,
+    XmlReader,
+)
 from dyknow.model.transformation import Transformation
+
+# The elements are those of `transformations.rng`, which is for people and their editors; a test
+# compares the two.
+
+_ARG = Element("arg", attributes={"label": NEEDED}, holds_text=True, may_repeat=True)
+_PARAM_TYPE = Attribute(("string", "int", "double", "bool", "yaml"))
+_PARAM = Element(
+    "param", attributes={"name": NEEDED, "type": _PARAM_TYPE}, holds_text=True, may_repeat=True
+)
+_PORT = Element(
+    "port",
+    attributes={
+        "type": Attribute(("in", "out"), is_required=True),
+        "datatype": ANY,
+        "rate": ANY,
+        "latency": ANY,
+    },
+    holds_text=True,
+    may_repeat=True,
+)
+_TAG = Element("tag", attributes={"port": NEEDED}, holds_text=True, may_repeat=True)
+TRANSFORMATION = Element(
+    "transformation",
+    (
+        Element("label", holds_text=True, is_required=True),
+        Element("source", holds_text=True, is_required=True, unless="node"),
+        Element("args", (_ARG,)),
+        Element("params", (_PARAM,)),
+        Element("ports", (_PORT,)),
+        Element("tags", (_TAG,)),
+    ),
+    attributes={
+        "type": Attribute(("nodelet", "node", "topic")),
+        "cost": ANY,
+        "isolated": Attribute(("true", "false")),
+        "node": ANY,
+    },
+    may_repeat=True,
+    is_unit=True,
+)
+TRANSFORMATIONS = Element("transformations", (TRANSFORMATION,))
 
 
 @dataclass(frozen=True)
@@ -28,21 +77,6 @@ class Specifications:
     """
 
     transformations: Tuple[Transformation, ...]
-    warnings: Tuple[Problem, ...]
-
-
-@dataclass(frozen=True)
-class Report:
-    """The outcome of `check`.
-
-    Attributes:
-        labels: The labels of the transformations; empty if there are problems.
-        problems: Why the text would be refused; empty if it would be accepted.
-        warnings: Accepted texts that are probably mistakes.
-    """
-
-    labels: Tuple[str, ...]
-    problems: Tuple[Problem, ...]
     warnings: Tuple[Problem, ...]
 
 
@@ -60,34 +94,22 @@ def parse(
         ontology: Has the individuals of the classes that templates name.
         limits: The caps to hold.
 
-    Returns:
-        The transformations and the warnings.
-
     Raises:
         SpecificationError: With every problem of the text.
     """
     findings = Findings(file_name, limits.problems)
-    try:
-        transformations = tuple(
-            transformations_of(
-                SpecificationReader(findings, limits).drafts(text), findings, ontology, limits
-            )
-        )
-    except EnoughProblems:
-        transformations = ()
+    nodes = XmlReader(findings, limits, TRANSFORMATION, TRANSFORMATIONS).read(text)
+    found: List[Transformation] = []
+    with contextlib.suppress(EnoughProblems):
+        found += transformations_of(nodes, findings, ontology, limits)
     findings.raise_if_any()
-    return Specifications(transformations, findings.warnings)
+    return Specifications(tuple(found), findings.warnings)
 
 
 def parse_file(
     path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> Specifications:
-    """Parse a file.
-
-    Args:
-        path: The file; messages name it as it is given here.
-        ontology: Has the individuals of the classes that templates name.
-        limits: The caps to hold; no more than the allowed size is read.
+    """Parse a file, which messages name as it is given here.
 
     Raises:
         SpecificationError: With every problem of the text, or because the file cannot be read.
@@ -102,43 +124,27 @@ def parse_file(
     return parse(data, name, ontology, limits)
 
 
-def check(
-    path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
-) -> Report:
-    """Parse a file; report problems instead of raising them."""
-    try:
-        found = parse_file(path, ontology, limits)
-    except SpecificationError as error:
-        return Report((), error.problems, error.warnings)
-    return Report(tuple(t.label for t in found.transformations), (), found.warnings)
-
-
 def transformations_of(
-    drafts: Iterable[TransformationDraft],
+    nodes: Iterable[Node],
     findings: Findings,
     ontology: Optional[Concepts] = None,
     limits: SpecificationLimits = DEFAULT_LIMITS,
 ) -> Iterator[Transformation]:
-    """Expand the templates among the drafts of one text, and make transformations of all.
+    """Make the transformations of one text from its `<transformation>` elements.
 
     Problems are noted in `findings`; if there are any, the transformations are not to be used.
     """
-    builder = Builder(findings, limits, ontology)
-    for draft in _expanded(drafts, Expander(findings, limits, ontology), builder):
-        transformation = builder.build(draft)
-        if transformation is not None:
-            yield transformation
-
-
-def _expanded(
-    drafts: Iterable[TransformationDraft], expander: Expander, builder: Builder
-) -> Iterator[TransformationDraft]:
-    for draft in drafts:
-        if not draft.args and not draft.has_variables:
-            yield draft
-            continue
-        expanded = expander.expand(draft)
+    builder, expander = Builder(findings, limits, ontology), Expander(findings, limits, ontology)
+    for count, node in enumerate(nodes, 1):
+        if count > limits.transformations:
+            message = f"more than {limits.transformations} transformations in one text"
+            findings.problem(node.line, message)
+            raise EnoughProblems
+        expanded = expander.expand(node)
         if expanded is None:
-            builder.check_template(draft)
-        else:
-            yield from expanded
+            builder.ports(node, is_template=True)
+            continue
+        for each in expanded:
+            transformation = builder.build(each)
+            if transformation is not None:
+                yield transformation

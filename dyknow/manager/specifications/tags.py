@@ -225,13 +225,3 @@ def types_of(terms: Iterable[Term]) -> Dict[str, frozenset[str]]:
             if type_:
                 found[arg] = found.get(arg, frozenset()) | {type_}
     return found
-
-
-def with_variables(tag: str) -> Optional[Term]:
-    """Read a tag; None if it has no variable, or is passed over by the planner."""
-    if "?" not in tag:
-        return None
-    try:
-        return parse_tag(tag)
-    except InvalidTag:
-        return None

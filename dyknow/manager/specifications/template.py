@@ -16,14 +16,13 @@ import re
 from collections import Counter
 from itertools import product
 from math import prod
-from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
+from typing import Dict, Iterable, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.reader import ArgDraft, TransformationDraft
 from dyknow.manager.specifications.tags import Subsumption
-from dyknow.manager.specifications.xml_reader import BLANK
+from dyknow.manager.specifications.xml_reader import BLANK, Node
 from dyknow.model import placeholders
 from dyknow.model.placeholders import Placeholder
 
@@ -32,14 +31,9 @@ _BESIDE_PLACEHOLDERS = re.compile(r"\$\$\{(?!\?)|\$\{(?!\?)([^{}]*)\}|\$\{(?!\?)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")
 _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\s<>\"{}|\\^`]+\Z")
 
-_Pieces = Tuple[Union[str, int], ...]
+_Pieces = List[Union[str, int, Placeholder]]
 """A text cut at its variables: literals, and for each variable its position among the args."""
 
-_ValuePieces = Tuple[Union[str, int, Placeholder], ...]
-"""The text of a parameter, which is cut at its placeholders too."""
-
-_Texts = Dict[str, _Pieces]
-_Values = Dict[str, _ValuePieces]
 _Terms = Sequence[Tuple[str, ...]]
 
 
@@ -69,50 +63,52 @@ class Expander:
         self._items = 0
         self._characters = 0
 
-    def expand(self, draft: TransformationDraft) -> Optional[Iterator[TransformationDraft]]:
-        """Expand a draft.
-
-        Args:
-            draft: A draft with variables, or without any.
+    def expand(self, node: Node) -> Optional[Iterable[Node]]:
+        """Expand a `<transformation>`.
 
         Returns:
-            An iterator over drafts without variables, one for every combination of terms, the
-            last variable varying fastest. None if the template has problems, which were noted.
+            Transformations without variables, one for every combination of terms, the last
+            variable varying fastest. None if the template has problems, which were noted.
         """
-        terms = self._all_terms(draft.args)
-        positions = {arg.label: position for position, arg in enumerate(draft.args)}
-        known = self._variables_are_known(draft, positions)
-        if terms is None or not known or not self._labels_differ(draft, positions, terms):
+        args = node.all("args")
+        if not args and not node.has_variables:
+            return [node]
+        node.children = [each for each in node.children if each.name != "args"]
+        names = {arg.get("label"): number for number, arg in enumerate(args)}
+        terms = self._all_terms(args)
+        known = self._variables_are_known(node, names)
+        if terms is None or not known or not self._labels_differ(node, names, terms):
             return None
-        texts = {text: _cut(text, positions) for text, _ in draft.texts()}
-        values = {text: _cut_value(text, positions) for text, _ in draft.values()}
-        if not self._fits(draft, texts, values, terms):
+        pieces = {
+            (text, is_value): _cut(text, names, is_value) for text, _, is_value in node.texts()
+        }
+        if not self._fits(node, pieces, terms):
             return None
-        return _substitutions(draft, texts, values, terms)
+        return _substitutions(node, pieces, terms)
 
-    def _all_terms(self, args: List[ArgDraft]) -> Optional[_Terms]:
+    def _all_terms(self, args: List[Node]) -> Optional[_Terms]:
         lines: Dict[str, int] = {}
         sets: List[Tuple[str, ...]] = []
         for arg in args:
-            if not _NAME.match(arg.label):
+            label = arg.get("label")
+            if not _NAME.match(label):
                 self._problem(
                     arg, "has no name for a label; expected letters, digits, '_', '-' and '.'"
                 )
-            if arg.label in lines:
-                self._problem(arg, f"is there already, in line {lines[arg.label]}")
-            lines.setdefault(arg.label, arg.line)
+            if label in lines:
+                self._problem(arg, f"is there already, in line {lines[label]}")
+            lines.setdefault(label, arg.line)
             sets.append(self._terms(arg))
         return sets if all(sets) and len(lines) == len(args) else None
 
-    def _terms(self, arg: ArgDraft) -> Tuple[str, ...]:
+    def _terms(self, arg: Node) -> Tuple[str, ...]:
         """Return the terms of one arg; empty if there is a problem with them."""
-        text = arg.terms
+        text = arg.text
         if text.startswith("{") and text.endswith("}") and len(text) > 1:
             return self._explicit_terms(arg)
         if not _URI.match(text):
             self._problem(
-                arg,
-                "has no terms; expected a set such as {cam1; cam2} or the URI of a class",
+                arg, "has no terms; expected a set such as {cam1; cam2} or the URI of a class"
             )
             return ()
         if self._ontology is None:
@@ -133,38 +129,37 @@ class Expander:
             self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
         return terms
 
-    def _explicit_terms(self, arg: ArgDraft) -> Tuple[str, ...]:
-        terms = tuple(term.strip(BLANK) for term in arg.terms[1:-1].split(";"))
+    def _explicit_terms(self, arg: Node) -> Tuple[str, ...]:
+        terms = tuple(term.strip(BLANK) for term in arg.text[1:-1].split(";"))
         if "" in terms:
             self._problem(arg, "has an empty term; expected terms around each ';' in {...}")
             return ()
-        if len(set(terms)) < len(terms):
-            doubled = [term for term, count in Counter(terms).items() if count > 1]
+        doubled = [term for term, count in Counter(terms).items() if count > 1]
+        if doubled:
             self._problem(arg, f"has a term twice: {listed(doubled)}")
             return ()
         return terms
 
-    def _problem(self, arg: ArgDraft, message: str) -> None:
-        self._findings.problem(arg.line, f"the arg '{shorten(arg.label)}' {message}")
+    def _problem(self, arg: Node, message: str) -> None:
+        self._findings.problem(arg.line, f"the arg '{shorten(arg.get('label'))}' {message}")
 
-    def _variables_are_known(self, draft: TransformationDraft, positions: Dict[str, int]) -> bool:
+    def _variables_are_known(self, node: Node, names: Dict[str, int]) -> bool:
         good = True
-        for text, line in draft.texts():
-            for match in _VARIABLE.finditer(text):
-                good = self._is_known(match, positions, line) and good
-        for text, line in draft.values():
-            for match in _BESIDE_PLACEHOLDERS.finditer(text):
-                good = self._is_known(match, positions, line) and good
-            try:
-                placeholders.cut(text)
-            except ValueError as error:
-                good = False
-                self._findings.problem(line, f"{error} (write $${{? for ${{? itself)")
+        for text, line, is_value in node.texts():
+            pattern = _BESIDE_PLACEHOLDERS if is_value else _VARIABLE
+            for match in pattern.finditer(text):
+                good = self._is_known(match, names, line) and good
+            if is_value:
+                try:
+                    placeholders.cut(text)
+                except ValueError as error:
+                    good = False
+                    self._findings.problem(line, f"{error} (write $${{? for ${{? itself)")
         return good
 
-    def _is_known(self, match: re.Match[str], positions: Dict[str, int], line: int) -> bool:
+    def _is_known(self, match: re.Match[str], names: Dict[str, int], line: int) -> bool:
         found, name = match.group(), match.group(1)
-        if found == "$${" or name in positions:
+        if found == "$${" or name in names:
             return True
         if name and name[0] == "?":
             self._findings.problem(
@@ -176,75 +171,57 @@ class Expander:
         shown = "'${' without '}'" if found == "${" else shorten(found)
         self._findings.problem(
             line,
-            f"unknown variable {shown}; known variables: {listed(positions)} (write $${{ for ${{ "
-            f"itself){meant(name or '', positions)}",
+            f"unknown variable {shown}; known variables: {listed(names)} (write $${{ for ${{ "
+            f"itself){meant(name or '', names)}",
         )
         return False
 
-    def _labels_differ(
-        self, draft: TransformationDraft, positions: Dict[str, int], terms: _Terms
-    ) -> bool:
-        used = {match.group(1) for match in _VARIABLE.finditer(draft.label or "")}
-        good = draft.label is not None
-        for name, position in positions.items():
-            if good and name not in used and len(terms[position]) > 1:
-                good = False
-                self._findings.problem(
-                    draft.label_line,
-                    f"{len(terms[position])} transformations would have the same label; expected "
-                    f"${{{name}}} in the label '{shorten(draft.label or '')}'",
-                )
-        return good
-
-    def _fits(
-        self, draft: TransformationDraft, texts: _Texts, values: _Values, terms: _Terms
-    ) -> bool:
-        """Compute the size of the expansion, and check the limits before anything is expanded."""
-        count = prod(len(each) for each in terms)
-        if self._transformations + count > self._limits.transformations:
-            self._findings.problem(
-                draft.line,
-                f"{self._transformations + count} transformations in this text; expected at most "
-                f"{self._limits.transformations}",
-            )
+    def _labels_differ(self, node: Node, names: Dict[str, int], terms: _Terms) -> bool:
+        label = node.child("label")
+        if label is None:
             return False
-        each_items = len(draft.parameters) + len(draft.ports) + len(draft.tags)
-        if self._items + count * each_items > self._limits.expanded_items:
-            self._findings.problem(
-                draft.line,
-                f"{self._items + count * each_items} params, ports and tags would result in all; "
-                f"expected at most {self._limits.expanded_items}",
-            )
-            return False
-        totals = [sum(map(len, each)) * (count // len(each)) for each in terms]
-        longest = [max(map(len, each)) for each in terms]
-        characters = 0
-        every: List[Tuple[_ValuePieces, int]] = [
-            (texts[text], line) for text, line in draft.texts()
-        ]
-        every += [(values[text], line) for text, line in draft.values()]
-        for pieces, line in every:
-            most = sum(longest[p] if isinstance(p, int) else _length(p) for p in pieces)
-            if most > self._limits.string_length:
+        used = {match.group(1) for match in _VARIABLE.finditer(label.text)}
+        for name, number in names.items():
+            if name not in used and len(terms[number]) > 1:
                 self._findings.problem(
-                    line,
-                    f"a value of {most} characters would result; expected at most "
-                    f"{self._limits.string_length}",
+                    label.line,
+                    f"{len(terms[number])} transformations would have the same label; expected "
+                    f"${{{name}}} in the label '{shorten(label.text)}'",
                 )
                 return False
-            characters += sum(
-                totals[p] if isinstance(p, int) else _length(p) * count for p in pieces
-            )
-        if self._characters + characters > self._limits.expanded_size:
-            self._findings.problem(
-                draft.line,
-                f"{self._characters + characters} characters would result in all; expected at "
-                f"most {self._limits.expanded_size}",
-            )
+        return True
+
+    def _fits(self, node: Node, pieces: Dict[Tuple[str, bool], _Pieces], terms: _Terms) -> bool:
+        """Compute the size of the expansion, and check the limits before anything is expanded."""
+        limits = self._limits
+        count = prod(len(each) for each in terms)
+        transformations = self._transformations + count
+        items = self._items + count * sum(
+            len(node.all(section)) for section in ("params", "ports", "tags")
+        )
+        totals = [sum(map(len, each)) * (count // len(each)) for each in terms]
+        longest = [max(map(len, each)) for each in terms]
+        characters = self._characters
+        too_long = None
+        for text, line, is_value in node.texts():
+            cut = pieces[text, is_value]
+            most = sum(longest[p] if isinstance(p, int) else _length(p) for p in cut)
+            characters += sum(totals[p] if isinstance(p, int) else _length(p) * count for p in cut)
+            if most > limits.string_length and too_long is None:
+                expected = f"expected at most {limits.string_length}"
+                too_long = (line, f"a value of {most} characters would result; {expected}")
+        for number, limit, what in (
+            (transformations, limits.transformations, "transformations in this text"),
+            (items, limits.expanded_items, "params, ports and tags would result in all"),
+            (characters, limits.expanded_size, "characters would result in all"),
+        ):
+            if number > limit:
+                self._findings.problem(node.line, f"{number} {what}; expected at most {limit}")
+                return False
+        if too_long is not None:
+            self._findings.problem(*too_long)
             return False
-        self._transformations += count
-        self._items += count * each_items
-        self._characters += characters
+        self._transformations, self._items, self._characters = transformations, items, characters
         return True
 
 
@@ -252,41 +229,41 @@ def _length(piece: Union[str, Placeholder]) -> int:
     return len(piece) if isinstance(piece, str) else len(piece.variable)
 
 
-def _cut(text: str, positions: Dict[str, int], variables: re.Pattern[str] = _VARIABLE) -> _Pieces:
-    """Cut a text at its variables, which are known."""
-    pieces: List[Union[str, int]] = []
+def _cut(text: str, names: Dict[str, int], is_value: bool) -> _Pieces:
+    """Cut a text at its variables, which are known, and a value also at its placeholders."""
+    if not is_value:
+        return _cut_plain(text, names, _VARIABLE)
+    pieces: _Pieces = []
+    for piece in placeholders.cut(text):
+        if isinstance(piece, Placeholder):
+            pieces.append(piece)
+        else:
+            pieces += _cut_plain(piece, names, _BESIDE_PLACEHOLDERS)
+    return pieces
+
+
+def _cut_plain(text: str, names: Dict[str, int], variables: re.Pattern[str]) -> _Pieces:
+    pieces: _Pieces = []
     end = 0
     for match in variables.finditer(text):
-        pieces.append(text[end : match.start()])
-        if match.group() == "$${":
-            pieces.append("${")
-        else:
-            pieces.append(positions.get(match.group(1), match.group()))
+        escaped = match.group() == "$${"
+        pieces += [
+            text[end : match.start()],
+            "${" if escaped else names.get(match.group(1), match.group()),
+        ]
         end = match.end()
     pieces.append(text[end:])
-    return tuple(piece for piece in pieces if piece != "")
-
-
-def _cut_value(text: str, positions: Dict[str, int]) -> _ValuePieces:
-    """Cut the text of a parameter at its placeholders, and the rest at its variables."""
-    pieces: List[Union[str, int, Placeholder]] = []
-    for piece in placeholders.cut(text):
-        if isinstance(piece, str):
-            pieces += _cut(piece, positions, _BESIDE_PLACEHOLDERS)
-        else:
-            pieces.append(piece)
-    return tuple(pieces)
+    return [piece for piece in pieces if piece != ""]
 
 
 def _substitutions(
-    draft: TransformationDraft, texts: _Texts, values: _Values, terms: _Terms
-) -> Iterator[TransformationDraft]:
+    node: Node, pieces: Dict[Tuple[str, bool], _Pieces], terms: _Terms
+) -> Iterator[Node]:
     for choice in product(*terms):
 
-        def render(text: str, choice: Tuple[str, ...] = choice) -> str:
-            return "".join([choice[p] if isinstance(p, int) else p for p in texts[text]])
+        def render(text: str, is_value: bool, choice: Tuple[str, ...] = choice) -> str:
+            cut = pieces[text, is_value]
+            filled = [choice[piece] if isinstance(piece, int) else piece for piece in cut]
+            return placeholders.join(filled) if is_value else "".join(map(str, filled))
 
-        def render_value(text: str, choice: Tuple[str, ...] = choice) -> str:
-            return placeholders.join(choice[p] if isinstance(p, int) else p for p in values[text])
-
-        yield draft.map(render, render_value)
+        yield node.rendered(render)

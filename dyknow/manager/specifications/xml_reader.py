@@ -3,19 +3,26 @@
 
 """Reads XML by the rules of its elements, safely, and explains problems in plain words.
 
-The text may come from any client of the manager's service, so the reader streams: it builds no
-tree, knows the exact line of everything, and stops at a DOCTYPE before anything in it is looked
-at. Without a DOCTYPE there are no entities to expand; nothing is ever fetched.
+The text may come from any client of the manager's service, so the reader streams: it keeps one
+transformation or nodelet at a time, knows the exact line of everything, and stops at a DOCTYPE
+before anything in it is looked at. Without a DOCTYPE there are no entities to expand; nothing is
+ever fetched.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from textwrap import dedent
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple, Union
 from xml.parsers import expat
 
-from dyknow.manager.specifications.findings import Findings, meant, shorten
+from dyknow.manager.specifications.findings import EnoughProblems, Findings, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
+
+BLANK = " \t\r\n"
+"""XML's white space, which is stripped from both ends of every value and term."""
+
+_CHUNK = 2**18
 
 #: Reasons of expat when an element is not closed.
 _UNFINISHED = (
@@ -24,6 +31,118 @@ _UNFINISHED = (
     expat.errors.XML_ERROR_UNCLOSED_TOKEN,
     expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
 )
+
+
+class Attribute(NamedTuple):
+    """The rule of an attribute.
+
+    Attributes:
+        values: the values it may have; empty if it may have any.
+        is_required: whether its element must have it.
+        is_version: whether reading ends at another value, as nothing else is understood.
+    """
+
+    values: Tuple[str, ...] = ()
+    is_required: bool = False
+    is_version: bool = False
+
+
+ANY = Attribute()
+NEEDED = Attribute(is_required=True)
+
+
+@dataclass
+class Element:
+    """The rule of an element.
+
+    Attributes:
+        name: its name.
+        children: the rules of its children.
+        attributes: the rules of its attributes, by name.
+        holds_text: whether it holds text; if not, it holds only elements.
+        is_required: whether it must be in its parent.
+        unless: attribute of its parent with which it need not be there; empty for none.
+        may_repeat: whether it may be in its parent more than once.
+        is_unit: whether the reader returns it by itself, instead of in its parent.
+    """
+
+    name: str
+    children: Tuple[Element, ...] = ()
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)
+    holds_text: bool = False
+    is_required: bool = False
+    unless: str = ""
+    may_repeat: bool = False
+    is_unit: bool = False
+
+    def __post_init__(self) -> None:
+        self.by_name = {child.name: child for child in self.children}
+        self.required = [child for child in self.children if child.is_required]
+
+    @property
+    def expected(self) -> str:
+        """Its children, in words."""
+        names = " or ".join(f"<{name}>" for name in sorted(self.by_name))
+        return names or ("text alone" if self.holds_text else "nothing")
+
+
+class Node:
+    """An element as it was read.
+
+    Attributes:
+        name: its name.
+        line: the line of its start tag.
+        attributes: those without problems; missing ones are not there.
+        text: its text, if it holds text.
+        children: its children.
+        is_good: whether its text and its attributes can be used; False if one is missing.
+        has_variables: of a unit, whether `${` is in one of its texts.
+    """
+
+    __slots__ = ("attributes", "children", "has_variables", "is_good", "line", "name", "text")
+
+    def __init__(self, name: str, line: int, attributes: Dict[str, str]) -> None:
+        self.name = name
+        self.line = line
+        self.attributes = attributes
+        self.text = ""
+        self.children: List[Node] = []
+        self.is_good = True
+        self.has_variables = False
+
+    def get(self, attribute: str, default: str = "") -> str:
+        return self.attributes.get(attribute, default)
+
+    def child(self, name: str) -> Optional[Node]:
+        """Return the first child of that name that can be used."""
+        return next((each for each in self.children if each.name == name and each.is_good), None)
+
+    def all(self, section: str) -> List[Node]:
+        """Return what a section holds, without elements that cannot be used."""
+        return [
+            each
+            for part in self.children
+            if part.name == section
+            for each in part.children
+            if each.is_good
+        ]
+
+    def texts(self) -> Iterator[Tuple[str, int, bool]]:
+        """Return texts and attributes: the line of each, and whether it is a parameter's text."""
+        yield self.text, self.line, self.name == "param"
+        for text in self.attributes.values():
+            yield text, self.line, False
+        for child in self.children:
+            yield from child.texts()
+
+    def rendered(self, render: Callable[[str, bool], str]) -> Node:
+        """Make a copy in which all of ``texts`` are rendered."""
+        attributes = {name: render(text, False) for name, text in self.attributes.items()}
+        made = Node(self.name, self.line, attributes)
+        made.text = render(self.text, self.name == "param")
+        made.children = [child.rendered(render) for child in self.children]
+        made.is_good = self.is_good
+        return made
 
 
 class Unreadable(Exception):
@@ -35,16 +154,220 @@ class Unreadable(Exception):
         self.message = message
 
 
-def to_utf8(text: Union[str, bytes], limits: SpecificationLimits) -> bytes:
-    """Encode a text, or make sure that it is UTF-8 already.
+class XmlReader:
+    """Reads one text."""
 
-    Args:
-        text: The characters, or the bytes of a file.
-        limits: The cap on its size.
+    def __init__(self, findings: Findings, limits: SpecificationLimits, *roots: Element) -> None:
+        """Prepare to read.
 
-    Raises:
-        Unreadable: It is too large, or not UTF-8.
-    """
+        Args:
+            findings: where problems are noted. Reading goes on after a problem for as long as the
+                text is well-formed.
+            limits: the caps to hold.
+            roots: the rules of the elements that the text may start with.
+        """
+        self._findings = findings
+        self._limits = limits
+        self._top = Element("", roots)
+        #: Open elements: the rule, the element, and the lines of the first children by name.
+        self._stack: List[Tuple[Element, Node, Dict[str, int]]] = []
+        self._stack.append((self._top, Node("", 0, {}), {}))
+        #: Open elements without a rule, with their lines.
+        self._unknown: List[Tuple[str, int]] = []
+        self._texts: List[str] = []
+        self._items = 0
+        self._has_variables = False
+        self._units: List[Node] = []
+        self._parser = expat.ParserCreate("utf-8")
+        self._parser.buffer_text = True
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.CharacterDataHandler = self._texts.append
+        self._parser.StartDoctypeDeclHandler = self._doctype
+        self._parser.ProcessingInstructionHandler = self._instruction
+        self._parser.XmlDeclHandler = self._declaration
+
+    def read(self, text: Union[str, bytes]) -> Iterator[Node]:
+        """Return the units of a text that are complete, problems or not.
+
+        Args:
+            text: the XML, as characters or as UTF-8.
+        """
+        try:
+            data = _to_utf8(text, self._limits)
+            view = memoryview(data)
+            longest = self._limits.string_length + 2 * _CHUNK
+            for start in range(0, len(data), _CHUNK):
+                self._parser.Parse(view[start : start + _CHUNK], False)
+                yield from self._take_units()
+                # expat keeps a tag until it ends: stop before one without an end fills the memory.
+                if start - self._parser.CurrentByteIndex > 2 * longest:
+                    raise Unreadable(self._line, "a tag or comment here is too long")
+            self._parser.Parse(b"", True)
+            yield from self._take_units()
+        except (Unreadable, expat.ExpatError) as error:
+            yield from self._take_units()
+            if isinstance(error, expat.ExpatError):
+                error = self._explained(error)
+            self._findings.problem(error.line, error.message)
+
+    def _take_units(self) -> List[Node]:
+        units, self._units = self._units, []
+        return units
+
+    def _explained(self, error: expat.ExpatError) -> Unreadable:
+        reason = expat.errors.messages[error.code]
+        expected = f"well-formed XML with one root element, {self._top.expected}"
+        opened = [(node.name, node.line) for _, node, _ in self._stack[1:]] + self._unknown
+        if opened and reason in _UNFINISHED:
+            name, line = opened[-1]
+            expected = f"the end </{name}> of the element in line {line}"
+        return Unreadable(
+            error.lineno, f"{reason} at column {error.offset + 1}; expected {expected}"
+        )
+
+    @property
+    def _line(self) -> int:
+        return self._parser.CurrentLineNumber
+
+    def _start(self, name: str, attributes: Dict[str, str]) -> None:
+        line = self._parser.CurrentLineNumber
+        if self._unknown:
+            if len(self._unknown) + len(self._stack) > self._limits.nesting:
+                raise Unreadable(line, f"elements nest deeper than {self._limits.nesting}")
+            self._unknown.append((name, line))
+            return
+        parent, above, seen = self._stack[-1]
+        if self._texts and not parent.holds_text:
+            self._refuse_text(parent)
+        rule = parent.by_name.get(name)
+        if rule is None:
+            self._findings.problem(line, _unexpected_element(name, parent))
+            above.is_good = False
+            self._unknown.append((name, line))
+            return
+        if name not in seen:
+            seen[name] = line
+        elif not rule.may_repeat:
+            self._findings.problem(
+                line, f"a second <{name}>; expected one, which stands in line {seen[name]}"
+            )
+        node = Node(name, line, attributes)
+        if rule.is_unit:
+            self._items, self._has_variables = 0, False
+        else:
+            above.children.append(node)
+        if attributes or rule.attributes:
+            self._check_attributes(rule, node)
+        self._stack.append((rule, node, {}))
+
+    def _end(self, name: str) -> None:
+        if self._unknown:
+            self._unknown.pop()
+            self._texts.clear()
+            return
+        rule, node, seen = self._stack.pop()
+        if rule.holds_text:
+            self._end_text(rule, node)
+            return
+        if self._texts:
+            self._refuse_text(rule)
+        for child in rule.required:
+            if child.name not in seen and child.unless not in node.attributes:
+                self._findings.problem(node.line, f"<{name}> has no <{child.name}>; expected one")
+        if rule.is_unit:
+            node.has_variables = self._has_variables
+            self._units.append(node)
+
+    def _end_text(self, rule: Element, node: Node) -> None:
+        text = "".join(self._texts)
+        self._texts.clear()
+        if node.get("type") == "yaml":
+            # The indentation of YAML has a meaning, relative to that of its first line.
+            text = dedent(text)
+        node.text = text.strip(BLANK)
+        if "${" in text:
+            self._has_variables = True
+        if len(node.text) > self._limits.string_length:
+            self._refuse_length(node, f"<{node.name}>", node.text)
+        self._items += rule.may_repeat
+        if self._items > self._limits.items:
+            raise Unreadable(
+                node.line,
+                f"more than {self._limits.items} args, params, ports and tags in one "
+                "<transformation>",
+            )
+
+    def _refuse_text(self, rule: Element) -> None:
+        text = "".join(self._texts).lstrip(BLANK)
+        self._texts.clear()
+        if text:
+            self._findings.problem(
+                self._line - text.count("\n"),
+                f"text '{shorten(text.rstrip(BLANK))}' directly in <{rule.name}>; expected "
+                f"{rule.expected}",
+            )
+
+    def _check_attributes(self, rule: Element, node: Node) -> None:
+        attributes = node.attributes
+        given = list(attributes)
+        for name in given:
+            known = rule.attributes.get(name)
+            text = attributes[name] = attributes[name].strip(BLANK)
+            if "${" in text:
+                self._has_variables = True
+            if known is None:
+                self._findings.problem(node.line, _unexpected_attribute(name, rule))
+                del attributes[name]
+                continue
+            if known.values and text not in known.values:
+                self._findings.problem(
+                    node.line,
+                    f'<{rule.name} {name}="{shorten(text)}">: expected {_one_of(known.values)}',
+                )
+                self._drop_attribute(node, name, known)
+            elif len(text) > self._limits.string_length:
+                self._refuse_length(node, f"attribute {name}", text)
+                del attributes[name]
+        for name, known in rule.attributes.items():
+            if known.is_required and name not in given:
+                which = f", {_one_of(known.values)}" if known.values else ""
+                self._findings.problem(
+                    node.line, f"<{rule.name}> has no attribute {name}; expected one{which}"
+                )
+                self._drop_attribute(node, name, known)
+
+    def _drop_attribute(self, node: Node, name: str, rule: Attribute) -> None:
+        if rule.is_version:
+            raise EnoughProblems
+        node.attributes.pop(name, None)
+        node.is_good = False
+
+    def _refuse_length(self, node: Node, what: str, text: str) -> None:
+        node.is_good = False
+        self._findings.problem(
+            node.line,
+            f"{what} has {len(text)} characters; expected at most {self._limits.string_length}",
+        )
+
+    def _doctype(self, *_: object) -> None:
+        raise Unreadable(self._line, f"a DOCTYPE is refused; expected {self._top.expected} alone")
+
+    def _instruction(self, target: str, _: str) -> None:
+        self._findings.problem(
+            self._line,
+            f"the processing instruction <?{shorten(target)}?> is refused; expected none",
+        )
+
+    def _declaration(self, _: str, encoding: Optional[str], __: int) -> None:
+        if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii"):
+            self._findings.problem(
+                self._line, f"the encoding {shorten(encoding)} is declared; expected UTF-8"
+            )
+
+
+def _to_utf8(text: Union[str, bytes], limits: SpecificationLimits) -> bytes:
+    """Encode a text, or make sure that it is UTF-8 already."""
     _check_size(len(text), limits)
     if isinstance(text, str):
         try:
@@ -68,291 +391,6 @@ def _check_size(size: int, limits: SpecificationLimits) -> None:
         raise Unreadable(0, f"the text has {size} bytes; expected at most {limits.text_size}")
 
 
-def explain(
-    error: expat.ExpatError, open_elements: List[Tuple[str, int]], roots: str
-) -> Unreadable:
-    """Return an error with the place and the expected text.
-
-    Args:
-        error: The error of expat.
-        open_elements: Names and lines of the open elements, outermost first.
-        roots: The elements that the text may start with, in words.
-    """
-    reason = expat.errors.messages[error.code]
-    expected = f"well-formed XML with one root element, {roots}"
-    if open_elements and reason in _UNFINISHED:
-        name, line = open_elements[-1]
-        expected = f"the end </{name}> of the element in line {line}"
-    return Unreadable(error.lineno, f"{reason} at column {error.offset + 1}; expected {expected}")
-
-
-BLANK = " \t\r\n"
-"""XML's white space, which is stripped from both ends of every value and term."""
-
-_CHUNK = 2**18
-
-Attributes = Dict[str, Optional[str]]
-"""The attributes of an element by name; a wrong or missing one, which was noted, is None."""
-
-TextHandler = Callable[[Optional[str], Attributes, int], None]
-"""Takes the text of an element, None if it was wrong, its attributes and its line."""
-
-
-class Attribute(NamedTuple):
-    """The rule of an attribute.
-
-    Attributes:
-        values: the values it may have; empty if it may have any.
-        is_required: whether its element must have it.
-    """
-
-    values: Tuple[str, ...] = ()
-    is_required: bool = False
-
-
-ANY = Attribute()
-NEEDED = Attribute(is_required=True)
-
-
-class Element:
-    """The rule of an element.
-
-    Attributes:
-        name: its name.
-        children: the rules of its children, by name.
-        required: the names of the children that must be there.
-        attributes: the rules of its attributes, by name.
-        holds_text: whether it holds text; if not, it holds only elements.
-        is_required: whether it must be in its parent.
-        unless: attribute of its parent with which it need not be there; empty for none.
-        may_repeat: whether it may be in its parent more than once.
-    """
-
-    __slots__ = (
-        "attributes",
-        "children",
-        "holds_text",
-        "is_required",
-        "may_repeat",
-        "name",
-        "required",
-        "unless",
-    )
-
-    def __init__(
-        self,
-        name: str,
-        *children: Element,
-        attributes: Optional[Mapping[str, Attribute]] = None,
-        holds_text: bool = False,
-        is_required: bool = False,
-        unless: str = "",
-        may_repeat: bool = False,
-    ) -> None:
-        self.name = name
-        self.attributes: Mapping[str, Attribute] = attributes or {}
-        self.holds_text = holds_text
-        self.is_required = is_required
-        self.unless = unless
-        self.may_repeat = may_repeat
-        self.children = {child.name: child for child in children}
-        self.required = tuple(child for child in children if child.is_required)
-
-    @property
-    def expected(self) -> str:
-        """Its children, in words."""
-        names = " or ".join(f"<{name}>" for name in sorted(self.children))
-        return names or ("text alone" if self.holds_text else "nothing")
-
-
-_Frame = Tuple[Element, Attributes, int, Dict[str, int]]
-
-
-class XmlReader:
-    """Reads one text. A subclass fills in the handlers of elements.
-
-    Attributes:
-        on_start: called with attributes and line when an element begins, by its name.
-        on_text: called when an element that holds text ends, by its name.
-        on_end: called with attributes and line when another element ends, by its name.
-        has_variables: whether `${` was in a text or attribute since a handler set it to False.
-    """
-
-    def __init__(self, findings: Findings, limits: SpecificationLimits, *roots: Element) -> None:
-        """Prepare to read.
-
-        Args:
-            findings: where problems and warnings are noted. Reading goes on after a problem for
-                as long as the text is well-formed.
-            limits: the caps to hold.
-            roots: the rules of the elements that the text may start with.
-        """
-        self.on_start: Dict[str, Callable[[Attributes, int], None]] = {}
-        self.on_text: Dict[str, TextHandler] = {}
-        self.on_end: Dict[str, Callable[[Attributes, int], None]] = {}
-        self.has_variables = False
-        self._findings = findings
-        self._limits = limits
-        self._top = Element("", *roots)
-        self._stack: List[_Frame] = [(self._top, {}, 0, {})]
-        self._unknown: List[Tuple[str, int]] = []
-        self._texts: List[str] = []
-        self._is_spoiled = False
-        self._parser = expat.ParserCreate("utf-8")
-        self._parser.buffer_text = True
-        self._parser.StartElementHandler = self._start  # type: ignore[assignment]
-        self._parser.EndElementHandler = self._end
-        self._parser.CharacterDataHandler = self._texts.append
-        self._parser.StartDoctypeDeclHandler = self._doctype
-        self._parser.ProcessingInstructionHandler = self._instruction
-        self._parser.XmlDeclHandler = self._declaration
-
-    def read(self, text: Union[str, bytes]) -> Iterator[None]:
-        """Read a text; yield after each part, so that the caller can take its content.
-
-        Args:
-            text: the XML, as characters or as UTF-8.
-        """
-        try:
-            data = to_utf8(text, self._limits)
-            view = memoryview(data)
-            longest = self._limits.string_length + 2 * _CHUNK
-            for start in range(0, len(data), _CHUNK):
-                self._parser.Parse(view[start : start + _CHUNK], False)
-                yield
-                # expat keeps a tag until it ends: stop before one without an end fills the memory.
-                if start - self._parser.CurrentByteIndex > 2 * longest:
-                    raise Unreadable(self._line, "a tag or comment here is too long")
-            self._parser.Parse(b"", True)
-            yield
-        except (Unreadable, expat.ExpatError) as error:
-            yield
-            if isinstance(error, expat.ExpatError):
-                open_ = [(rule.name, line) for rule, _, line, _ in self._stack[1:]]
-                error = explain(error, open_ + self._unknown, self._top.expected)
-            self._findings.problem(error.line, error.message)
-
-    @property
-    def _line(self) -> int:
-        return self._parser.CurrentLineNumber
-
-    def _start(self, name: str, attributes: Attributes) -> None:
-        line = self._parser.CurrentLineNumber
-        if self._unknown:
-            if len(self._unknown) + len(self._stack) > self._limits.nesting:
-                raise Unreadable(line, f"elements nest deeper than {self._limits.nesting}")
-            self._unknown.append((name, line))
-            return
-        parent, _, _, seen = self._stack[-1]
-        if self._texts and not parent.holds_text:
-            self._refuse_text(parent)
-        rule = parent.children.get(name)
-        if rule is None:
-            self._findings.problem(line, _unexpected_element(name, parent))
-            self._is_spoiled = True
-            self._unknown.append((name, line))
-            return
-        if name not in seen:
-            seen[name] = line
-        elif not rule.may_repeat:
-            self._findings.problem(
-                line, f"a second <{name}>; expected one, which stands in line {seen[name]}"
-            )
-        if attributes or rule.attributes:
-            self._check_attributes(rule, attributes, line)
-        self._stack.append((rule, attributes, line, {}))
-        self._is_spoiled = False
-        if name in self.on_start:
-            self.on_start[name](attributes, line)
-
-    def _end(self, name: str) -> None:
-        if self._unknown:
-            self._unknown.pop()
-            self._texts.clear()
-            return
-        rule, attributes, line, seen = self._stack.pop()
-        if rule.holds_text:
-            text = "".join(self._texts)
-            self._texts.clear()
-            if attributes.get("type") == "yaml":
-                # The indentation of YAML has a meaning, relative to that of its first line.
-                text = dedent(text)
-            text = text.strip(BLANK)
-            if len(text) > self._limits.string_length:
-                self._is_spoiled = True
-                self._too_long(line, f"<{name}>", len(text))
-            if "${" in text:
-                self.has_variables = True
-            self.on_text[name](None if self._is_spoiled else text, attributes, line)
-            return
-        if self._texts:
-            self._refuse_text(rule)
-        for child in rule.required:
-            if child.name not in seen and child.unless not in attributes:
-                self._findings.problem(line, f"<{name}> has no <{child.name}>; expected one")
-        if name in self.on_end:
-            self.on_end[name](attributes, line)
-
-    def _refuse_text(self, rule: Element) -> None:
-        text = "".join(self._texts).lstrip(BLANK)
-        self._texts.clear()
-        if text:
-            self._findings.problem(
-                self._line - text.count("\n"),
-                f"text '{shorten(text.rstrip(BLANK))}' directly in <{rule.name}>; expected "
-                f"{rule.expected}",
-            )
-
-    def _check_attributes(self, rule: Element, attributes: Attributes, line: int) -> None:
-        rules = rule.attributes
-        for name, value in attributes.items():
-            known = rules.get(name)
-            if known is None:
-                self._findings.problem(line, _unexpected_attribute(name, rule))
-                continue
-            text = (value or "").strip(BLANK)
-            attributes[name] = text
-            if "${" in text:
-                self.has_variables = True
-            if known.values and text not in known.values:
-                self._findings.problem(
-                    line,
-                    f'<{rule.name} {name}="{shorten(text)}">: expected {_one_of(known.values)}',
-                )
-                attributes[name] = None
-            elif len(text) > self._limits.string_length:
-                self._too_long(line, f"attribute {name}", len(text))
-                attributes[name] = None
-        for name, (values, is_required) in rules.items():
-            if is_required and name not in attributes:
-                which = f", {_one_of(values)}" if values else ""
-                self._findings.problem(
-                    line, f"<{rule.name}> has no attribute {name}; expected one{which}"
-                )
-                attributes[name] = None
-
-    def _too_long(self, line: int, what: str, length: int) -> None:
-        self._findings.problem(
-            line,
-            f"{what} has {length} characters; expected at most {self._limits.string_length}",
-        )
-
-    def _doctype(self, *_: object) -> None:
-        raise Unreadable(self._line, f"a DOCTYPE is refused; expected {self._top.expected} alone")
-
-    def _instruction(self, target: str, _: str) -> None:
-        self._findings.problem(
-            self._line,
-            f"the processing instruction <?{shorten(target)}?> is refused; expected none",
-        )
-
-    def _declaration(self, _: str, encoding: Optional[str], __: int) -> None:
-        if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii"):
-            self._findings.problem(
-                self._line, f"the encoding {shorten(encoding)} is declared; expected UTF-8"
-            )
-
-
 def _one_of(values: Tuple[str, ...]) -> str:
     return " or ".join(f"'{value}'" for value in values)
 
@@ -360,7 +398,7 @@ def _one_of(values: Tuple[str, ...]) -> str:
 def _unexpected_element(name: str, parent: Element) -> str:
     where = f"in <{parent.name}>" if parent.name else "as the root"
     foreign = "; elements of other namespaces are refused" if ":" in name else ""
-    hint = foreign or meant(name, parent.children)
+    hint = foreign or meant(name, parent.by_name)
     return f"unexpected <{shorten(name)}> {where}; expected {parent.expected}{hint}"
 
 

@@ -10,16 +10,13 @@ from hypothesis import strategies as st
 from lxml import etree
 from specification_strategies import transformations
 
-from dyknow.manager.specifications import reader
+from dyknow.manager.specifications import specification
 from dyknow.manager.specifications.findings import Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
-from dyknow.manager.specifications.reader import (
-    TRANSFORMATION,
-    TRANSFORMATIONS,
-    SpecificationReader,
-)
+from dyknow.manager.specifications.specification import TRANSFORMATION, TRANSFORMATIONS
+from dyknow.manager.specifications.xml_reader import XmlReader
 
-SCHEMA = Path(reader.__file__).with_name("transformations.rng")
+SCHEMA = Path(specification.__file__).with_name("transformations.rng")
 SCHEMA_OF_LIBXML2 = etree.RelaxNG(etree.parse(str(SCHEMA)))
 RNG = "{http://relaxng.org/ns/structure/1.0}"
 
@@ -64,7 +61,7 @@ TREES = st.recursive(
 
 def reader_accepts(text):
     findings = Findings("x.xml", 1000)
-    list(SpecificationReader(findings, DEFAULT_LIMITS).drafts(text))
+    list(XmlReader(findings, DEFAULT_LIMITS, TRANSFORMATION, TRANSFORMATIONS).read(text))
     return not findings.problems
 
 
@@ -104,10 +101,10 @@ def elements_of(rule):
     found = {
         rule.name: (
             {name: attribute.values for name, attribute in rule.attributes.items()},
-            set(rule.children),
+            {child.name for child in rule.children},
         )
     }
-    for child in rule.children.values():
+    for child in rule.children:
         found.update(elements_of(child))
     return found
 
@@ -141,4 +138,4 @@ def elements_of_schema():
 
 def test_the_rules_name_what_the_schema_names():
     assert elements_of(TRANSFORMATIONS) == elements_of_schema()
-    assert TRANSFORMATIONS.children == {"transformation": TRANSFORMATION}
+    assert TRANSFORMATIONS.children == (TRANSFORMATION,)

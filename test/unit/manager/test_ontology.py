@@ -10,7 +10,7 @@ import pytest
 
 from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
 from dyknow.manager.specifications.ontology import load_ontology
-from dyknow.manager.specifications.specification import check
+from dyknow.manager.specifications.specification import parse_file
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SOCCER = "http://dyknow.example.org/soccer#"
@@ -43,11 +43,11 @@ def test_individuals_are_sorted_and_those_of_subclasses_included(soccer):
 
 
 def test_the_soccer_example_is_clean(soccer):
-    report = check(str(EXAMPLES / "transformations" / "soccer.xml"), soccer)
+    found = parse_file(str(EXAMPLES / "transformations" / "soccer.xml"), soccer)
 
-    assert (report.problems, report.warnings) == ((), ())
-    assert len(report.labels) == 8
-    assert "driver(nao)" in report.labels
+    assert found.warnings == ()
+    assert len(found.transformations) == 8
+    assert "driver(nao)" in {each.label for each in found.transformations}
 
 
 def test_a_concept_that_is_not_there(soccer):
