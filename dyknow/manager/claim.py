@@ -20,11 +20,7 @@ MOST_BUDGET = 60.0
 
 
 def check_request(request: StreamRequest) -> None:
-    """Check the parameters of a request, apart from the tag.
-
-    Raises:
-        BadParameter: a value is out of range.
-    """
+    """Check the parameters of a request, apart from the tag; may raise BadParameter."""
     infinity = float("inf")
     for name, value, most, expected in (
         ("lease", request.lease, infinity, "seconds from 0 (which means: until released)"),
@@ -83,7 +79,6 @@ class Claim:
 
     @property
     def nodelets(self) -> Tuple[str, ...]:
-        """Nodelets of the stream, by name."""
         return tuple(sorted(self.wiring))
 
     def body(self, now: Moment) -> Dict[str, Any]:
@@ -97,11 +92,7 @@ class Claim:
 
     @classmethod
     def from_body(cls, body: Mapping[str, Any], now: Moment) -> Claim:
-        """Read a JSON body; the lease has run on since it was written.
-
-        Raises:
-            KeyError, TypeError, ValueError, InvalidTag: the body is not a claim.
-        """
+        """Read a JSON body; the lease has run on since it was written."""
         fields = dict(body)
         left = fields.pop("left")
         written = Moment(**fields.pop("written", asdict(now)))
@@ -150,7 +141,6 @@ class Moment:
 
     @classmethod
     def now(cls, steady: Callable[[], float]) -> Moment:
-        """Return this moment."""
         return cls(steady(), time.time(), _boot())
 
     def since(self, earlier: Moment) -> float:

@@ -60,20 +60,13 @@ class Graph:
 
     @property
     def revision(self) -> int:
-        """Grows with every change."""
         return self._revision
 
     def all(self) -> List[Record]:
-        """Return every record, by name."""
         with self._changed:
             return [self._records[name] for name in sorted(self._records)]
 
     def get(self, name: str) -> Record:
-        """Return the record of that name.
-
-        Raises:
-            UnknownNodelet: there is none.
-        """
         with self._changed:
             found = self._records.get(name)
             if found is None:
@@ -81,7 +74,6 @@ class Graph:
             return found
 
     def find(self, name: str) -> Optional[Record]:
-        """Return the record of that name, or None."""
         with self._changed:
             return self._records.get(name)
 
@@ -94,7 +86,6 @@ class Graph:
             return (self._clock.now() if life.end is None else life.end) - life.begin
 
     def is_busy(self, name: str) -> bool:
-        """Whether an operation works on it now."""
         return name in self._busy
 
     @contextlib.contextmanager

@@ -59,7 +59,6 @@ class ProcessState:
 
     @property
     def alive(self) -> bool:
-        """Whether its process is there."""
         return bool(self.incarnation)
 
 
@@ -150,7 +149,7 @@ class Listening(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End the listening; does not wait."""
+        pass
 
 
 class Host(ABC):
@@ -158,11 +157,7 @@ class Host(ABC):
 
     @abstractmethod
     def kind_of(self, transformation: Transformation) -> NodeletKind:
-        """Return the kind of nodelet or node that a transformation makes.
-
-        Raises:
-            HostError: no package declares the nodelet type, or has a usable program.
-        """
+        """Return the kind that a transformation makes; HostError if its source is unknown."""
 
     @abstractmethod
     def states(self) -> Mapping[str, ProcessState]:
@@ -181,20 +176,13 @@ class Host(ABC):
 
     @abstractmethod
     def look_for(self, manager: str) -> None:
-        """Probe an external nodelet manager now instead of at its next poll.
-
-        One that does not answer is not awaited.
-        """
+        """Probe an external nodelet manager now; one that does not answer is not awaited."""
 
     @abstractmethod
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """Return the name of a nodelet manager that is up, starting it if need be.
+        """Return the name of a nodelet manager that is up for a kind, starting it if need be.
 
         A node hosts itself, under its own name, and is not up before it is loaded.
-
-        Args:
-            kind: kind of nodelets that it must be able to host.
-            isolated_for: the only nodelet of the process; empty for a shared process.
         """
 
     @abstractmethod
@@ -222,11 +210,7 @@ class Host(ABC):
 
     @abstractmethod
     def ports(self, name: str) -> Tuple[PortState, ...]:
-        """Return the ports of a nodelet that has a proxy.
-
-        Raises:
-            HostError: the proxy does not answer.
-        """
+        """Return the ports of a nodelet that has a proxy."""
 
     def detail(self, name: str) -> str:
         """Return the problem of a nodelet as its process announced it; empty for none."""
@@ -234,19 +218,11 @@ class Host(ABC):
 
     @abstractmethod
     def connect(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a nodelet that has a proxy, all or none.
-
-        Raises:
-            HostError: the proxy does not answer, or refused for the reason in the text.
-        """
+        """Connect ports of a nodelet that has a proxy, all or none."""
 
     @abstractmethod
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Return the topics that have a publisher now.
-
-        Raises:
-            HostError: the ROS master does not answer.
-        """
+        """Return the topics that have a publisher now."""
 
     @abstractmethod
     def counts(

@@ -29,12 +29,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Library:
-    """Transformations by label, in memory and in the store; safe from any thread.
-
-    Attributes:
-        ontology: subsumption of concepts.
-        revision: grows with every change.
-    """
+    """Transformations by label, in memory and in the store; safe from any thread."""
 
     def __init__(
         self,
@@ -42,13 +37,7 @@ class Library:
         ontology: Optional[Concepts] = None,
         limits: SpecificationLimits = DEFAULT_LIMITS,
     ) -> None:
-        """Read the transformations in the store.
-
-        Args:
-            store: keeps the transformations.
-            ontology: has the individuals of concepts, for templates; None for no ontology.
-            limits: caps for texts and for the library.
-        """
+        """Read the store; the ``ontology`` has the individuals of concepts, for templates."""
         self._store = store
         self._concepts = ontology
         self.ontology: Subsumption = NO_ONTOLOGY if ontology is None else ontology
@@ -65,16 +54,14 @@ class Library:
         self._follow_schema()
 
     def __len__(self) -> int:
-        """Count the transformations."""
         return len(self._by_label)
 
     def all(self) -> List[Transformation]:
-        """Return every transformation, by label."""
         with self._state_lock:
             return [self._by_label[label] for label in sorted(self._by_label)]
 
     def topics(self) -> List[Transformation]:
-        """Return the transformations of type topic, by label."""
+        """Return the transformations of type topic, by label: the same list until one changes."""
         with self._state_lock:
             self._find_described()
             return self._topics
@@ -92,11 +79,7 @@ class Library:
             return self._nodes.get(name)
 
     def get(self, label: str) -> Transformation:
-        """Return the transformation of that label.
-
-        Raises:
-            UnknownTransformation: there is none; similar labels are named.
-        """
+        """Return the transformation of that label; UnknownTransformation names similar labels."""
         with self._state_lock:
             found = self._by_label.get(label)
             if found is not None:
@@ -137,11 +120,7 @@ class Library:
         return specifications
 
     def remove(self, label: str) -> Transformation:
-        """Remove a transformation; its nodelets run on.
-
-        Raises:
-            UnknownTransformation: there is none of that label.
-        """
+        """Remove a transformation; its nodelets run on."""
         with self._turn:
             found = self.get(label)
             self._store.remove_transformation(label, self.revision + 1)

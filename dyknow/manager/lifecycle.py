@@ -78,7 +78,7 @@ class Lifecycle:
         clock: Clock,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
-        """Prepare; a nodelet may take ``spawn_timeout`` seconds to come up."""
+        """A nodelet may take ``spawn_timeout`` seconds to come up."""
         self._host = host
         self._graph = graph
         self._guards = guards
@@ -94,17 +94,7 @@ class Lifecycle:
         claimed: bool = False,
         near: Iterable[str] = (),
     ) -> Record:
-        """Make a nodelet of a transformation.
-
-        Args:
-            transformation: its blueprint.
-            request: its global name, connections and so on.
-            claimed: whether it is made for a claim, not by hand.
-            near: topics that it will be connected to: it is placed near their nodelets.
-
-        Raises:
-            DyKnowError: it did not work, and nothing is left of it.
-        """
+        """Make a nodelet, ``near`` those of topics; if that fails, nothing is left of it."""
         if transformation.is_described:
             what = f"node '{transformation.node}'" if transformation.node else ""
             what = what or f"topic '{transformation.source}'"
@@ -201,15 +191,7 @@ class Lifecycle:
         return running
 
     def destroy(self, name: str) -> None:
-        """Destroy a nodelet.
-
-        Raises:
-            UnknownNodelet: there is none of that name.
-            Protected: it is protected.
-            HostTimeout: its nodelet manager does not answer; the nodelet is destroyed as soon as
-                it does.
-            HostError: its nodelet manager refused.
-        """
+        """Destroy a nodelet; if its process does not answer in time, as soon as it does."""
         self._graph.get(name)
         with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None:

@@ -39,7 +39,7 @@ class Loading:
     """Chooses nodelet managers for nodelets, and loads them there."""
 
     def __init__(self, host: Host, graph: Graph, timeout: float, clock: Clock) -> None:
-        """Prepare; a nodelet may take ``timeout`` seconds to come up."""
+        """A nodelet may take ``timeout`` seconds to come up."""
         self._host = host
         self._graph = graph
         self._timeout = timeout
@@ -51,19 +51,9 @@ class Loading:
     ) -> str:
         """Choose, and start if need be, a nodelet manager for a new nodelet.
 
-        It is the requested one; else a new process for an isolated nodelet; else the one that runs
-        most neighbours of the nodelet, since messages go by reference there; else the one that
-        runs fewest nodelets. One without live ports is used only if it was requested, or if the
-        host can start no other.
-
-        Args:
-            kind: kind of the nodelet.
-            topics: its topics, for finding neighbours.
-            asked: the requested nodelet manager; empty for any.
-            isolated_for: the nodelet, if it is to have a process of its own; else empty.
-
-        Raises:
-            HostError: the requested nodelet manager cannot host it.
+        It is the one that runs most neighbours of the nodelet on ``topics``, since messages go by
+        reference there; else the one with fewest nodelets. One without live ports is used only if
+        it was ``asked`` for, or if the host can start no other.
         """
         if asked:
             self._check(asked, kind, isolated_for)
@@ -118,11 +108,7 @@ class Loading:
             )
 
     def bring_up(self, record: Record) -> Record:
-        """Load a nodelet, or start a node; check and connect its ports; returns its new record.
-
-        Raises:
-            DyKnowError: it did not work; something may be left of it.
-        """
+        """Load a nodelet, or start a node; check and connect its ports."""
         transformation = record.transformation
         assert transformation is not None
         request = LoadRequest(
@@ -194,11 +180,7 @@ class Loading:
     def _settled_ports(
         self, name: str, transformation: Transformation, deadline: float
     ) -> Tuple[PortState, ...]:
-        """Wait for the declared ports of a node, which makes them one after the other.
-
-        Raises:
-            HostError: it has made none of them in time.
-        """
+        """Wait for the declared ports of a node, which makes them one after the other."""
         declared = {port.name for port in transformation.ports}
         seen: Set[str] = set()
         since = self._clock.now()

@@ -44,12 +44,7 @@ from dyknow.periodic import STEADY, Clock
 
 @dataclass(frozen=True)
 class ManagerOptions:
-    """Options of a manager.
-
-    Attributes:
-        namespace: where relative names of nodelets resolve.
-        spawn_timeout: seconds that a nodelet may take to come up.
-    """
+    """Where relative names resolve, and seconds that a nodelet may take to come up."""
 
     namespace: str = "/"
     spawn_timeout: float = 10.0
@@ -82,19 +77,7 @@ class Manager:
         graph: Optional[Graph] = None,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
-        """Put the parts together; call ``start`` next.
-
-        Args:
-            host: reaches the nodelet managers.
-            store: durable state.
-            library: transformations.
-            guards: restrictions.
-            options: namespace and timeout.
-            run: runs the restoring of a nodelet, by key; it may take long.
-            clock: steady time.
-            graph: the nodelets; by default an empty one on the store.
-            keeper: keeps streams on that graph.
-        """
+        """Put the parts together; ``start`` comes next. ``run`` brings nodelets back, by key."""
         self.library = library
         self.guards = guards
         self.host = host
@@ -128,11 +111,7 @@ class Manager:
         self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Iterable[str] = ()) -> float:
-        """Compare the picture with reality; ask nodelets that ``changed`` for their ports.
-
-        Returns:
-            Seconds until the next look.
-        """
+        """Compare the picture with reality; returns the seconds until the next look."""
         self.store.write_pending()
         return self.observer.look(changed)
 
@@ -146,12 +125,7 @@ class Manager:
     # Transformations
 
     def add_transformation(self, text: str) -> Specifications:
-        """Add the transformations of a specification.
-
-        Raises:
-            SpecificationError: it is wrong; nothing was added.
-            Denied: the mode is read-only, or it would start a program that must not be started.
-        """
+        """Add the transformations of a specification, all or none."""
         self.guards.check_writable("adding transformations")
         specifications = self.library.add(text, check=self._check_programs)
         for each in specifications.transformations:
@@ -165,12 +139,7 @@ class Manager:
                 self.guards.check_program(Program.of(each.source).name)
 
     def remove_transformation(self, label: str) -> Transformation:
-        """Remove a transformation; its nodelets run on.
-
-        Raises:
-            UnknownTransformation: there is none.
-            Denied: the mode is read-only.
-        """
+        """Remove a transformation; its nodelets run on."""
         self.guards.check_writable(f"removing transformation '{label}'")
         removed = self.library.remove(label)
         self.graph.on_change()
@@ -179,45 +148,26 @@ class Manager:
     # Nodelets
 
     def resolve(self, name: str) -> str:
-        """Make the name of a nodelet global.
-
-        Raises:
-            InvalidName: it is not a valid name.
-        """
+        """Make the name of a nodelet global."""
         return names.resolve(
             names.check(name, "nodelet name"), self._options.namespace, "/", "nodelet name"
         )
 
     def spawn(self, request: SpawnRequest) -> Record:
-        """Make a nodelet, which runs and is connected when this returns.
-
-        Raises:
-            DyKnowError: it did not work; nothing is left of it.
-        """
+        """Make a nodelet, which runs and is connected when this returns; else nothing is left."""
         request = replace(request, name=self.resolve(request.name))
         self.guards.check_writable(f"spawning '{request.name}'")
         return self.lifecycle.spawn(self.library.get(request.label), request)
 
     def destroy(self, name: str) -> None:
-        """Destroy a nodelet, whoever loaded it.
-
-        Raises:
-            UnknownNodelet: there is none of that name.
-            Protected: it is protected.
-            HostError: its nodelet manager refused or does not answer.
-        """
+        """Destroy a nodelet, whoever loaded it."""
         name = self.resolve(name)
         self.guards.check_writable(f"destroying '{name}'")
         self.lifecycle.destroy(name)
         self._suspects.acquit(name)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
-        """Protect a nodelet from being destroyed, or release it.
-
-        Raises:
-            UnknownNodelet: there is none of that name.
-            HostError: this manager did not spawn it, and keeps no record of it.
-        """
+        """Protect a nodelet from being destroyed, or release it."""
         name = self.resolve(name)
         self.guards.check_writable(f"changing the protection of '{name}'")
         self.graph.get(name)
@@ -288,7 +238,6 @@ class Manager:
     # The model
 
     def graph_model(self) -> Model:
-        """Return the nodelets and their connections."""
         nodelets = tuple(record.status for record in self.graph.all())
         return Model(self.graph.revision, self.library.revision, nodelets)
 

@@ -68,18 +68,7 @@ class Observer:
         run: Callable[[str, Callable[[], object]], None] = at_once,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
-        """Prepare; ``adopt`` comes first, then one ``look`` after the other.
-
-        Args:
-            host: polled for its nodelet managers and their nodelets.
-            graph: the picture to keep true.
-            lifecycle: restores nodelets.
-            suspects: accused of crashes.
-            described: returns the library's description of an external node.
-            clock: steady time, in seconds.
-            run: runs the restoring of a nodelet, by key; a look does not wait for it.
-            keeper: learns of deaths and crashes.
-        """
+        """``adopt`` comes first; ``run`` brings a nodelet back, by key, while looks go on."""
         self._host = host
         self._graph = graph
         self._lifecycle = lifecycle
@@ -117,13 +106,9 @@ class Observer:
             self._to_ask.update(names)
 
     def look(self, changed: Iterable[str] = ()) -> float:
-        """Compare the picture with one report of the host.
+        """Compare the picture with a report of the host; query the ports of ``changed`` nodelets.
 
-        Args:
-            changed: nodelets whose ports are queried; those of new ones always are.
-
-        Returns:
-            Seconds until the next look: it comes soon if operations held up this one.
+        Returns the seconds until the next look, which comes soon if operations held up this one.
         """
         with self._turn:
             with self._state_lock:

@@ -87,7 +87,6 @@ class Record:
 
     @property
     def is_spawned(self) -> bool:
-        """Whether the manager made it, and ends it."""
         return self.transformation is not None and not self.transformation.node
 
     @property
@@ -202,12 +201,10 @@ def movable_ports(record: Record) -> Tuple[PortState, ...]:
 
 
 def topics_of(record: Record) -> Dict[str, str]:
-    """Return the connected ports and their topics, as last seen."""
     return {port.name: port.topic for port in record.ports if port.topic}
 
 
 def ports_on(record: Record, direction: str, topic: str) -> List[str]:
-    """Return the names of a nodelet's ports of one direction that were seen on a topic."""
     return [
         each.name for each in record.ports if (each.direction, each.topic) == (direction, topic)
     ]

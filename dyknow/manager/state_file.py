@@ -64,15 +64,7 @@ class StateFile:
     """Texts by table and key; safe from any thread."""
 
     def __init__(self, path: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Open the file, or start an empty one.
-
-        Args:
-            path: the file; ``IN_MEMORY`` for none.
-            clock: steady time, in seconds.
-
-        Raises:
-            StoreError: the folder cannot be made, or the file is there and cannot be read at all.
-        """
+        """Open the file, or start an empty one; StoreError if it is of no use at all."""
         self.path = path
         #: Why the latest changes are not on disk yet, and what to do; empty if they are.
         self.trouble = ""
@@ -92,22 +84,14 @@ class StateFile:
             self._start()
 
     def rows(self, table: str) -> Dict[str, str]:
-        """Read a table, by key.
-
-        Raises:
-            StoreError: it cannot be read.
-        """
+        """Read a table, by key."""
         with self._turn:
             stored = {(table, key): text for key, text in self._stored(table).items()}
             rows = changed(stored, self._pending)
         return {key: text for (kind, key), text in sorted(rows.items()) if kind == table}
 
     def write(self, changes: Changes) -> None:
-        """Write rows, all or none: to the disk or, as long as it does not take them, to memory.
-
-        Raises:
-            StoreError: the file is closed.
-        """
+        """Write rows, all or none: to the disk or, as long as it does not take them, to memory."""
         with self._turn:
             if self.trouble and self._clock() < self._retry_at:
                 self._pending.update(changes)
@@ -202,11 +186,7 @@ class StateFile:
             self._write({})
 
     def _reopen(self) -> None:
-        """Open a file that could not be opened, or was damaged, the last time.
-
-        Raises:
-            sqlite3.Error, OSError: it still does not work.
-        """
+        """Open a file that could not be opened, or was damaged, the last time."""
         if self._found is None:
             found = state_tables.read_instead(self.path)
             if found.damage:  # the backup lacks what this process has written since

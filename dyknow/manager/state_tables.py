@@ -51,13 +51,7 @@ class Damaged(Exception):
 
 @dataclass(frozen=True)
 class Found:
-    """What there is instead of a file that could not be opened.
-
-    Attributes:
-        rows: those of the file or, if it is damaged, of its newest good backup.
-        damage: the cause why the file is damaged; empty if it is sound.
-        backup: the backup that the rows are from, with its time; empty if there is none.
-    """
+    """What there is instead of a file that could not be opened."""
 
     rows: Rows
     damage: str = ""
@@ -103,12 +97,7 @@ def connect(path: str, patience: float) -> sqlite3.Connection:
 
 
 def read(connection: sqlite3.Connection) -> Rows:
-    """Read all rows of a file, and check it on the way.
-
-    Raises:
-        sqlite3.Error: the file cannot be used now.
-        Damaged: the contents differ from the last write.
-    """
+    """Read all rows of a file, and check it on the way; Damaged if it is not as it was written."""
     try:
         (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
         if verdict != "ok":
@@ -126,12 +115,7 @@ def read(connection: sqlite3.Connection) -> Rows:
 
 
 def rows_of(connection: sqlite3.Connection, table: str) -> Iterator[Tuple[str, str]]:
-    """Read a table: keys with their texts.
-
-    Raises:
-        sqlite3.Error: the file cannot be used now.
-        Damaged: a row differs from the last write.
-    """
+    """Read a table: keys with their texts; Damaged if a row differs from the last write."""
     # Files of format 1 have no third column.
     for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):
         if not isinstance(key, str) or not isinstance(text, str):
@@ -142,17 +126,12 @@ def rows_of(connection: sqlite3.Connection, table: str) -> Iterator[Tuple[str, s
 
 
 def put(connection: sqlite3.Connection, changes: Changes) -> None:
-    """Write rows, all or none.
-
-    Raises:
-        sqlite3.Error: they were not written.
-    """
+    """Write rows, all or none."""
     with _transaction(connection):
         _put(connection, changes)
 
 
 def changed(rows: Rows, changes: Changes) -> Rows:
-    """Return rows as they are after changes."""
     after = {**rows, **changes}
     return {where: text for where, text in after.items() if text is not None}
 
@@ -161,12 +140,7 @@ def changed(rows: Rows, changes: Changes) -> Rows:
 
 
 def back_up(path: str) -> None:
-    """Make a backup of a file, as it is at one moment; another one is kept.
-
-    Raises:
-        sqlite3.Error, OSError: it cannot be made now.
-        Damaged: the contents differ from the last write.
-    """
+    """Make a backup of a file, as it is at one moment; the one before it is kept."""
     new = path + ".backup.new"
     _remove(new)
     _make_private(new)
@@ -183,7 +157,6 @@ def back_up(path: str) -> None:
 
 
 def has_backup(path: str) -> bool:
-    """Whether a file has a backup."""
     return os.path.exists(path + _BACKUPS[0])
 
 
@@ -232,14 +205,7 @@ def read_instead(path: str) -> Found:
 
 
 def replace_file(path: str, rows: Rows) -> str:
-    """Write a new file with these rows; the old one is set aside once the new one is complete.
-
-    Returns:
-        Where the old file is.
-
-    Raises:
-        sqlite3.Error, OSError: it did not work.
-    """
+    """Write a new file with these rows; the old one is set aside, to the path that is returned."""
     new = path + ".new"
     _remove(new)
     with contextlib.closing(connect(new, 0.0)) as connection:

@@ -53,11 +53,7 @@ def pack(transformation: Transformation) -> str:
 
 
 def unpack(body: str) -> Transformation:
-    """Read a transformation that ``pack`` wrote.
-
-    Raises:
-        ValueError, TypeError: it is not one.
-    """
+    """Read a transformation that ``pack`` wrote; ValueError or TypeError if it is not one."""
     label, source, kind, cost, parameters, ports, *rest = json.loads(body)
     isolated, node = rest or (False, "")
     texts = [label, source, kind, node]  # checked by hand: there may be hundreds of thousands
@@ -93,15 +89,7 @@ class Store:
     """The manager's state on disk; safe from any thread."""
 
     def __init__(self, path: str = IN_MEMORY, clock: Callable[[], float] = time.monotonic) -> None:
-        """Open the state, or start an empty one.
-
-        Args:
-            path: the file; the default keeps everything in memory.
-            clock: steady time, in seconds.
-
-        Raises:
-            StoreError: the folder cannot be made, or the file is there and cannot be read at all.
-        """
+        """Open the state, or start an empty one; StoreError if the file is of no use at all."""
         self._file = StateFile(path, clock)
 
     @property
@@ -120,11 +108,9 @@ class Store:
         return f"done, but not on disk yet: {self.trouble}" if self.trouble else ""
 
     def write_pending(self) -> None:
-        """Write the pending changes, if the disk takes them now."""
         self._file.write_pending()
 
     def back_up(self) -> None:
-        """Make a backup, if there is something new."""
         self._file.back_up()
 
     # Facts: small numbers that outlive the process
@@ -134,14 +120,11 @@ class Store:
         return self._read("facts", lambda key, text: int(text)).get(name, 0)
 
     def set_number(self, name: str, value: int) -> None:
-        """Write a number."""
         self._file.write({("facts", name): str(value)})
 
     # Transformations
 
     def transformations(self) -> List[Transformation]:
-        """Read all, by label."""
-
         def read(label: str, body: str) -> Transformation:
             found = unpack(body)
             if found.label != label:
@@ -158,7 +141,6 @@ class Store:
         self._file.write({**rows, ("facts", "library_revision"): str(library_revision)})
 
     def remove_transformation(self, label: str, library_revision: int) -> None:
-        """Remove one."""
         self._file.write(
             {
                 ("transformations", label): None,
@@ -169,29 +151,23 @@ class Store:
     # Nodelets
 
     def nodelets(self) -> List[Record]:
-        """Read all records, by name."""
         return list(self._read("nodelets", _record).values())
 
     def put_nodelet(self, record: Record) -> None:
-        """Add or replace the record of a nodelet."""
         self._file.write({("nodelets", record.name): _body(record)})
 
     def remove_nodelet(self, name: str) -> None:
-        """Forget a nodelet."""
         self._file.write({("nodelets", name): None})
 
     # Claims, as their owner writes them
 
     def claims(self) -> Dict[str, Dict[str, Any]]:
-        """Read all claims, by id."""
         return self._read("claims", lambda claim_id, text: dict(json.loads(text)))
 
     def put_claim(self, claim_id: str, body: Dict[str, Any]) -> None:
-        """Add or replace a claim."""
         self._file.write({("claims", claim_id): json.dumps(body)})
 
     def remove_claim(self, claim_id: str) -> None:
-        """Forget a claim."""
         self._file.write({("claims", claim_id): None})
 
     def reject_claims(self, causes: Mapping[str, str]) -> None:
@@ -209,7 +185,6 @@ class Store:
         )
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     # Inside
@@ -269,11 +244,7 @@ def _record(name: str, text: str) -> Record:
 
 
 def check_types(value: Any) -> None:
-    """Check that the fields of a dataclass or named tuple have their declared types.
-
-    Raises:
-        TypeError: a field has another type.
-    """
+    """Raise TypeError if a field of a dataclass or named tuple has not its declared type."""
     for name, hint in _fields(value.__class__).items():
         if not _fits(getattr(value, name), hint):
             raise TypeError(f"{name} is {getattr(value, name)!r}, expected {_written(hint)}")

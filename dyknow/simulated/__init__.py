@@ -9,10 +9,22 @@ flows; counts of ports are invented.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, TypeVar
+from typing import (
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
@@ -36,8 +48,6 @@ from dyknow.model.streams import (
 from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
 from dyknow.periodic import STEADY, Clock, ControlLoop
 from dyknow.simulated.host import FakeHost
-
-T = TypeVar("T")
 
 
 class SimulatedHost(FakeHost):
@@ -171,46 +181,52 @@ class SimulatedManagerClient(BaseManagerClient):
     # The interface
 
     def add_transformation(self, specification: str) -> Added:
-        def add() -> Added:
+        with self._request("add_transformation", specification):
             found = self.core.add_transformation(specification)
             if isinstance(self.host, SimulatedHost):
                 self.host.learn(found.transformations)
             labels = tuple(sorted({each.label for each in found.transformations}))
             return Added(labels, "\n".join(map(str, found.warnings)))
 
-        return self._do("add_transformation", specification, add)
-
     def remove_transformation(self, label: str) -> None:
-        self._do("remove_transformation", label, lambda: self.core.remove_transformation(label))
+        with self._request("remove_transformation", label):
+            self.core.remove_transformation(label)
 
     def spawn_nodelet(self, request: SpawnRequest) -> None:
-        self._do("spawn", request.name, lambda: self.core.spawn(request))
+        with self._request("spawn", request.name):
+            self.core.spawn(request)
 
     def destroy(self, name: str) -> None:
-        self._do("destroy", name, lambda: self.core.destroy(name))
-        self._altered.pop(self.core.resolve(name), None)
+        with self._request("destroy", name):
+            self.core.destroy(name)
+            self._altered.pop(self.core.resolve(name), None)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
-        self._do("set_protection", name, lambda: self.core.set_protection(name, is_protected))
+        with self._request("set_protection", name):
+            self.core.set_protection(name, is_protected)
 
     def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
-        subject = ", ".join(name for name, _ in moves)
-        self._do("connect", subject, lambda: self.core.connect(moves))
+        with self._request("connect", ", ".join(name for name, _ in moves)):
+            self.core.connect(moves)
 
     def get_model(self) -> Model:
-        return self._do("get_model", "", lambda: self._show(self.core.get_model()))
+        with self._request("get_model"):
+            return self._show(self.core.get_model())
 
     def get_graph(self) -> Model:
-        return self._do("get_graph", "", lambda: self._show(self.core.graph_model()))
+        with self._request("get_graph"):
+            return self._show(self.core.graph_model())
 
     def nodelet_managers(self) -> List[str]:
-        return self._do("nodelet_managers", "", lambda: sorted(self.host.processes))
+        with self._request("nodelet_managers"):
+            return sorted(self.host.processes)
 
     def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
-        return self._do("get_config", nodelet, lambda: self._ports(nodelet))
+        with self._request("get_config", nodelet):
+            return self._ports(nodelet)
 
     def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
-        def connect() -> None:
+        with self._request("set_config", nodelet):
             space = names.parent(nodelet)
             topics = {
                 port: names.resolve(names.check(topic, "topic"), space, nodelet) if topic else ""
@@ -220,18 +236,14 @@ class SimulatedManagerClient(BaseManagerClient):
             self.host.connect(nodelet, topics)
             self.core.look({nodelet})
 
-        self._do("set_config", nodelet, connect)
-
     def get_statistics(self, nodelet: str) -> NodeletStatistics:
-        def count() -> NodeletStatistics:
+        with self._request("get_statistics", nodelet):
             age = time.monotonic() - self._start
             ports = tuple(self._port(nodelet, port, age) for port in self._ports(nodelet))
             return NodeletStatistics(age, 0, 0, ports)
 
-        return self._do("get_statistics", nodelet, count)
-
     def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
-        def acquire() -> Acquisition:
+        with self._request("plan_stream" if dry_run else "acquire_stream", request.tag):
             try:
                 acquired = self.reconciler.acquire(request, dry_run)
             except DyKnowError as error:
@@ -239,54 +251,44 @@ class SimulatedManagerClient(BaseManagerClient):
             warnings = unknown_labels(self.core, request.exclude)
             return self._answers.acquisition(acquired, warnings)
 
-        return self._do("plan_stream" if dry_run else "acquire_stream", request.tag, acquire)
-
     def release_stream(self, claim_id: str) -> None:
-        self._do("release_stream", claim_id, lambda: self.reconciler.release(claim_id))
+        with self._request("release_stream", claim_id):
+            self.reconciler.release(claim_id)
 
     def renew_stream(self, claim_id: str, lease: float) -> float:
-        def renew() -> float:
+        with self._request("renew_stream", claim_id):
             return self._answers.expires(self.reconciler.renew(claim_id, lease))
 
-        return self._do("renew_stream", claim_id, renew)
-
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
-        def replan() -> Replanned:
+        with self._request("replan_stream", claim_id):
             return self._answers.replanned(self.reconciler.replan(claim_id, dry_run))
 
-        return self._do("replan_stream", claim_id, replan)
-
     def list_streams(self) -> Tuple[StreamStatus, ...]:
-        return self._do(
-            "list_streams", "", lambda: tuple(map(self._answers.status, self.reconciler.claims()))
-        )
+        with self._request("list_streams"):
+            return tuple(map(self._answers.status, self.reconciler.claims()))
 
     def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
-        def find() -> Tuple[str, ...]:
+        with self._request("find_bindings", tag):
             found, _ = self.reconciler.find_bindings(tag, datatype)
             return tuple(map(written_bindings, found))
 
-        return self._do("find_bindings", tag, find)
-
     # Inside
 
-    def _do(self, method: str, subject: str, action: Callable[[], T]) -> T:
+    @contextlib.contextmanager
+    def _request(self, method: str, subject: str = "") -> Iterator[None]:
         """Answer as a manager of the ROS graph does."""
-        self._note(method, subject)
-        with self._turn:
-            try:
-                return action()
-            except (Refused, NodeletUnreachable, _Silent):
-                raise
-            except DyKnowError as error:
-                raise Refused(str(error)) from error
-
-    def _note(self, method: str, subject: str) -> None:
         self.calls.append((method, subject))
         if self.delay:
             time.sleep(self.delay)
         if not self.is_up:
             raise HostError(f"service {self.manager}/{method} is not there")
+        with self._turn:
+            try:
+                yield
+            except (Refused, NodeletUnreachable, _Silent):
+                raise
+            except DyKnowError as error:
+                raise Refused(str(error)) from error
 
     def _ports(self, nodelet: str) -> Tuple[PortState, ...]:
         self._check_runs(nodelet)

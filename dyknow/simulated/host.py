@@ -78,7 +78,6 @@ class FakeListening(Listening):
     """Counts the messages of one topic; ``FakeHost.flow`` sends them."""
 
     def __init__(self, host: FakeHost, topic: str) -> None:
-        """Start at 0."""
         self.topic = topic
         self.messages = 0
         self._host = host
@@ -94,30 +93,8 @@ class FakeListening(Listening):
 class FakeHost(Host):
     """Keeps everything in dictionaries; tests inject the faults.
 
-    Attributes:
-        sources: ports of each nodelet type, as (name, direction, datatype).
-        cpp: types that are C++ nodelets.
-        scripts: programs that are Python scripts; other programs are C++ nodes.
-        ending: programs that end at their start.
-        lazy: ports of nodelet types that do not show until they have a subscriber; taking one
-            out lets it show.
-        stock: whether nodelet managers for these are stock ones, which cannot re-wire them.
-        topics: ordinary topics that are published.
-        silent: nodelets, by name or type, and ordinary topics that send nothing.
-        dividers: how many messages, by nodelet, type or ordinary topic, make one that is sent;
-            1 where nothing is said. The nodelet's own entry comes before that of its type.
-        delays: seconds that a nodelet, type or ordinary topic adds to the age of messages; 0 where
-            nothing is said, None for one that sends them without a stamp.
-        unnoticed: stopped nodelet managers that seem to be well until they are called.
-        unstamped: ROS types without a header.
-        slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
-            made later all the same (``arrive``).
-        details: problems of nodelets, by name.
-        fail: called before each operation with its name and argument; may raise.
-        on_change: called after each change of nodelets and connections.
-        calls: every operation, in order.
-        clock: steady time, in seconds.
-        listeners: open listenings.
+    ``dividers`` and ``delays`` are by nodelet, type or ordinary topic; a nodelet's entry comes
+    before that of its type.
     """
 
     def __init__(
@@ -133,28 +110,42 @@ class FakeHost(Host):
         """
         self.sources = dict(sources)
         self.clock = clock
-        self.listeners: List[FakeListening] = []
+        #: Types that are C++ nodelets, and whether nodelet managers for these are stock ones.
         self.cpp: set[str] = set()
+        self.stock = False
+        #: Programs that are Python scripts (others are C++ nodes), and those that end at once.
         self.scripts: set[str] = set()
         self.ending: set[str] = set()
-        self.stock = False
+        #: Ports of nodelet types that do not show until they have a subscriber.
         self.lazy: Dict[str, Collection[str]] = {}
+        #: Ordinary topics that are published.
         self.topics: set[str] = set()
+        #: Nodelets, by name or type, and ordinary topics that send nothing.
         self.silent: set[str] = set()
+        #: How many messages make one that is sent; 1 by default.
         self.dividers: Dict[str, int] = {}
+        #: Seconds that are added to the age of messages; None for messages without a stamp.
         self.delays: Dict[str, Optional[float]] = {}
+        #: Stopped nodelet managers that seem to be well until they are called.
         self.unnoticed: set[str] = set()
+        #: ROS types without a header.
         self.unstamped: set[str] = set()
+        #: Nodelets whose connections fail with a timeout, and are made by ``arrive``.
         self.slow: set[str] = set()
-        self.fail: Callable[[str, str], object] = lambda operation, argument: None
-        self.on_change: Callable[[], None] = lambda: None
-        self.calls: List[Tuple[str, str]] = []
-        self.processes: Dict[str, FakeProcess] = {}
-        self.parameters: Dict[str, object] = {}
+        #: Problems by nodelet.
         self.details: Dict[str, str] = {}
-        self._incarnations = itertools.count(1)
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
+        #: Called before each operation with its name and argument; may raise.
+        self.fail: Callable[[str, str], object] = lambda operation, argument: None
+        #: Called after each change of nodelets and connections.
+        self.on_change: Callable[[], None] = lambda: None
+        #: Every operation, in order.
+        self.calls: List[Tuple[str, str]] = []
+        self.listeners: List[FakeListening] = []
+        self.processes: Dict[str, FakeProcess] = {}
+        self.parameters: Dict[str, object] = {}
+        self._incarnations = itertools.count(1)
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
         self._cut: Dict[str, ProcessState] = {}
@@ -183,13 +174,7 @@ class FakeHost(Host):
     def crash(
         self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
     ) -> None:
-        """Let a nodelet manager crash.
-
-        Args:
-            manager: its name.
-            running: nodelets whose code was running; None if that is not known.
-            unloading: nodelets that were being unloaded on request.
-        """
+        """Let a nodelet manager crash; ``running`` is None if it is not known whose code ran."""
         at_work = None if running is None else frozenset(map(names.mark, running))
         unloaded = frozenset(map(names.mark, unloading))
         incarnation = self.processes[manager].state.incarnation
@@ -209,15 +194,10 @@ class FakeHost(Host):
         return manager in self.leased
 
     def is_hung(self, manager: str) -> bool:
-        """Whether a nodelet manager's process is stopped."""
         return manager in self._hung
 
     def arrive(self) -> List[str]:
-        """Make the connections that took too long, but not those to stopped processes.
-
-        Returns:
-            Names of the nodelets that were connected.
-        """
+        """Make the connections that took too long, but not those to stopped processes."""
         waiting, self._on_the_way = self._on_the_way, []
         arrived = []
         for nodelet, config in waiting:
@@ -235,14 +215,7 @@ class FakeHost(Host):
     def run_node(
         self, name: str, source: str, topics: Mapping[str, str], kind: NodeletKind
     ) -> None:
-        """Start, or restart, an external node.
-
-        Args:
-            name: of the node.
-            source: its program, with ports in ``sources``.
-            topics: where its ports are.
-            kind: kind of node.
-        """
+        """Start, or restart, an external node."""
         self.add(name, kind)
         nodelet = FakeNodelet(LoadRequest(name, source, kind=kind))
         for port, direction, datatype in self.sources[source]:
@@ -256,13 +229,7 @@ class FakeHost(Host):
         self.processes[manager] = FakeProcess(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
-        """Cut the network to the host of an external nodelet manager.
-
-        Args:
-            manager: its name.
-            known: whether it answered since the DyKnow manager was started.
-            unseen: whether it was not looked for since then.
-        """
+        """Cut the network to a host, ``known`` or ``unseen`` since the manager's start."""
         self._cut[manager] = replace(
             self.processes[manager].state,
             incarnation=self.processes[manager].state.incarnation if known else "",
@@ -272,11 +239,10 @@ class FakeHost(Host):
         )
 
     def mend(self, manager: str) -> None:
-        """Connect a host that was cut off."""
         del self._cut[manager]
 
     def flow(self) -> set[str]:
-        """Send one message on every topic that is published; nodelets with input pass it on.
+        """Send a message on each topic that is published; nodelets with input pass it on.
 
         Returns:
             The topics on which a message was sent.
@@ -330,11 +296,7 @@ class FakeHost(Host):
         next(p for p in self.processes.values() if name in p.nodelets).nodelets.pop(name)
 
     def nodelet(self, name: str) -> FakeNodelet:
-        """Return a running nodelet.
-
-        Raises:
-            HostError: it does not run.
-        """
+        """Return a running nodelet."""
         process = self._place_of(name)
         if process is None:
             raise HostError(f"nodelet '{name}' does not run")
