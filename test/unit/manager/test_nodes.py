@@ -48,6 +48,10 @@ NODES = f"""
     <source>pkg/absent</source>
   </transformation>
   <transformation type="node">
+    <label>ending</label>
+    <source>pkg/ending</source>
+  </transformation>
+  <transformation type="node">
     <label>misnamed</label>
     <source>{COPIER}</source>
     <ports><port type="in">sentences</port></ports>
@@ -63,31 +67,6 @@ def world(tmp_path: Path) -> World:
     world.host.scripts.add(SCRIPT)
     world.manager.add_transformation(NODES)
     return world
-
-
-def test_guards_say_which_programs_are_started() -> None:
-    tools = Guards(allowed_programs=(("topic_tools/*",),))
-    world = World(guards=tools)
-    with pytest.raises(Denied, match="'pkg/filter.py' is denied.*allowed_programs"):
-        world.manager.add_transformation(NODES)
-    # What came into the library before, or from the manager's own files, is checked at the spawn.
-    world.manager.library.add(NODES)
-    world.host.sources.update({COPIER: PORTS, SCRIPT: PORTS})
-    world.host.scripts.add(SCRIPT)
-    with pytest.raises(Denied, match="allowed_programs"):
-        world.spawn("script", "/script")
-    world.spawn("copier", "/copier")
-    assert world.host.running == ["/copier"]
-
-
-def test_services_add_no_programs_where_only_own_files_do() -> None:
-    world = World(guards=Guards(remote_programs=False))
-    with pytest.raises(Denied, match="remote_programs"):
-        world.manager.add_transformation(NODES)
-    world.manager.library.add(NODES)
-    world.host.sources.update({COPIER: PORTS})
-    world.spawn("copier", "/copier")
-    assert world.host.running == ["/copier"]
 
 
 def test_a_node_is_a_process_of_its_own(world: World) -> None:
@@ -122,37 +101,6 @@ def test_a_node_that_dies_comes_back_as_it_was(world: World) -> None:
     )
     assert world.host.nodelet("/copier").request.remappings["/copy"] == "/b"
     assert world.host.parameters == {"/copier/rate": 7}
-
-
-def test_a_node_that_cannot_come_back_says_why(world: World) -> None:
-    world.spawn("copier", "/copier")
-    world.host.ending.add(COPIER)
-    world.host.kill("/copier")
-    world.manager.look()
-
-    record = world.manager.graph.get("/copier")
-    assert record.state is State.FAILED
-    assert "it ended at its start" in record.detail
-
-
-def test_a_node_that_runs_is_adopted_by_the_next_manager(world: World) -> None:
-    before = world.spawn("copier", "/copier", config={"words": "/a"})
-    world.host.calls.clear()
-
-    world.kill_manager()
-
-    assert world.manager.graph.get("/copier").status == before.status
-    assert ("load", "/copier") not in world.host.calls
-
-
-def test_a_node_that_died_meanwhile_is_restored_by_the_next_manager(world: World) -> None:
-    world.spawn("copier", "/copier", config={"words": "/a"}, parameters=(rate(7),))
-    world.host.kill("/copier")
-    world.kill_manager()
-
-    record = world.manager.graph.get("/copier")
-    assert (record.state, record.status.connections) == (State.RUNNING, {"words": "/a"})
-    assert record.parameters == (rate(7),)
 
 
 def rate(value: int) -> Parameter:
@@ -201,18 +149,6 @@ def test_a_transformation_may_ask_for_a_process_of_its_own(world: World, label: 
     assert (told.isolated, told.manager) == (False, shared)
 
 
-def test_what_is_no_program_is_refused(world: World) -> None:
-    with pytest.raises(HostError, match="package 'pkg' has no program 'absent'"):
-        world.spawn("absent", "/x")
-    assert "/x" not in world.states()
-
-
-def test_a_node_goes_into_no_nodelet_manager(world: World) -> None:
-    shared = world.spawn("camera", "/camera").manager
-    with pytest.raises(HostError, match=r"a C\+\+ node has a process of its own"):
-        world.spawn("copier", "/copier", manager=shared)
-
-
 def test_the_name_of_another_node_is_taken(world: World) -> None:
     world.host.run_node("/copier", COPIER, {}, NodeletKind.CPP_NODE)
     with pytest.raises(NameTaken):
@@ -222,39 +158,72 @@ def test_the_name_of_another_node_is_taken(world: World) -> None:
     assert world.manager.graph.get("/copier").label == ""
 
 
-def test_a_node_that_ends_at_its_start_leaves_nothing(world: World) -> None:
-    world.host.ending.add(COPIER)
-    with pytest.raises(SpawnFailed, match="it ended at its start"):
-        world.spawn("copier", "/copier")
-    assert world.states() == {}
-    assert world.host.parameters == {}
+@pytest.mark.parametrize(
+    ("guards", "words", "label"),
+    [
+        (
+            Guards(allowed_programs=(("topic_tools/*",),)),
+            "'pkg/filter.py'.*allowed_programs",
+            "script",
+        ),
+        (Guards(remote_programs=False), "remote_programs", ""),
+    ],
+)
+def test_guards_say_which_programs_are_started(guards: Guards, words: str, label: str) -> None:
+    world = World(guards=guards)
+    world.host.sources.update({COPIER: PORTS, SCRIPT: PORTS})
+    with pytest.raises(Denied, match=words):
+        world.manager.add_transformation(NODES)
+    # The manager's own files are not checked before the spawn.
+    world.manager.library.add(NODES)
+    if label:
+        with pytest.raises(Denied, match="allowed_programs"):
+            world.spawn(label, "/script")
+    world.spawn("copier", "/copier")
+    assert world.host.running == ["/copier"]
 
 
-def test_ports_that_come_late_are_waited_for(world: World) -> None:
-    world.host.lazy[COPIER] = {"words", "copy"}
+@pytest.mark.parametrize(
+    ("label", "manager", "words"),
+    [
+        ("absent", "", "package 'pkg' has no program 'absent'"),
+        ("copier", "/shared", r"a C\+\+ node has a process of its own"),
+        (
+            "misnamed",
+            "",
+            "none of the declared ports sentences within 10 s; its ports: copy, words",
+        ),
+        ("ending", "", "it ended at its start"),
+    ],
+)
+def test_a_node_that_cannot_be_made_leaves_nothing(
+    world: World, label: str, manager: str, words: str
+) -> None:
+    world.host.sources["pkg/ending"] = PORTS
+    world.host.ending.add("pkg/ending")
+    with pytest.raises((HostError, SpawnFailed), match=words):
+        world.spawn(label, "/x", manager=manager)
+    assert (world.states(), world.host.running, world.host.parameters) == ({}, [], {})
+
+
+@pytest.mark.parametrize(
+    ("lazy", "until", "least", "most"),
+    [({"words", "copy"}, 4.0, 4.0, 4.5), ({"copy"}, 99.0, 1.0, 2.0)],
+    ids=["late", "lazy"],
+)
+def test_ports_are_waited_for_until_the_first_ones_are_there(
+    world: World, lazy: set[str], until: float, least: float, most: float
+) -> None:
+    world.host.lazy[COPIER] = lazy
 
     def appear(operation: str, _: str) -> None:
-        if operation == "ports" and world.clock.now() >= 4.0:
+        if operation == "ports" and world.clock.now() >= until:
             world.host.lazy[COPIER] = set()
 
     world.host.fail = appear
-    made = world.spawn("copier", "/copier", config={"words": "/a"})
-    assert 4.0 <= world.clock.now() < 4.5
-    assert [port.datatype for port in made.ports] == ["std_msgs/String"] * 2
-
-
-def test_a_lazy_port_is_not_waited_for_once_the_others_are_there(world: World) -> None:
-    world.host.lazy[COPIER] = {"copy"}
     made = world.spawn("copier", "/copier", config={"words": "/a", "copy": "/b"})
-    assert 1.0 <= world.clock.now() < 2.0
+    assert least <= world.clock.now() < most
     assert made.status.connections == {"words": "/a", "copy": "/b"}
-
-
-def test_a_node_without_any_of_its_ports_is_refused(world: World) -> None:
-    with pytest.raises(SpawnFailed, match="none of the declared ports sentences .* copy, words"):
-        world.spawn("misnamed", "/copier")
-    assert world.host.running == []
-    assert world.clock.now() >= 10.0
 
 
 SEEN = """<transformations>

@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from clocks import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError
@@ -112,24 +111,6 @@ def test_what_may_still_publish_is_not_taken_for_lost(world: World, goes_on: boo
     assert world.states() == {"/a": "RUNNING" if goes_on else "LOST"}
 
 
-def test_what_has_died_publishes_no_more(world: World) -> None:
-    world.spawn("camera", "a")
-    world.host.leased.add("/fake_0")
-    world.host.kill("/fake_0")
-    world.manager.look()
-    assert world.host.calls.count(("load", "/a")) == 2
-
-
-def test_connections_that_others_made_come_back_too(world: World) -> None:
-    world.spawn("relay", "b", config={"in": "/i"})
-    world.host.connect("/b", {"in": "/elsewhere"})
-    world.manager.look({"/b"})
-    assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
-    world.host.kill("/fake_0")
-    world.manager.look()
-    assert world.host.nodelet("/b").ports["in"].topic == "/elsewhere"
-
-
 def test_ports_that_could_not_be_asked_for_are_asked_for_again(world: World) -> None:
     world.spawn("relay", "b", config={"in": "/i"})
     world.host.connect("/b", {"in": "/elsewhere"})
@@ -203,24 +184,6 @@ def test_a_nodelet_that_others_loaded_appears_without_a_transformation(world: Wo
     assert world.states() == {"/a": "RUNNING"}
 
 
-def test_an_isolated_nodelet_that_crashes_comes_back_alone(world: World) -> None:
-    record = world.spawn("camera", "alone", isolated=True)
-    world.spawn("camera", "shared")
-    before = list(world.host.calls)
-    world.host.kill(record.manager)
-    world.manager.look()
-    assert world.states() == {"/alone": "RUNNING", "/shared": "RUNNING"}
-    assert ("load", "/shared") not in world.host.calls[len(before) :]
-
-
-def test_polling_has_no_effect(world: World) -> None:
-    record = world.spawn("camera", "a")
-    world.host.crash("/fake_0", running=["/a"])
-    report = world.host.poll()
-    assert report.crashes[record.incarnation].manager == "/fake_0"
-    assert world.host.poll() == report
-
-
 def test_a_crash_is_remembered_while_its_nodelet_is_busy(world: World) -> None:
     world.spawn("camera", "a")
     world.host.crash("/fake_0", unloading=["/a"])  # which a third party had requested
@@ -248,29 +211,6 @@ def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> 
     assert world.states() == {"/a": "RUNNING"}
 
 
-def test_the_pause_grows_between_attempts() -> None:
-    clock = HandClock()
-    world = World(clock=clock)
-    world.spawn("camera", "a")
-
-    def fail(operation: str, argument: str) -> None:
-        if operation == "load":
-            raise HostError("no")
-
-    world.host.fail = fail
-    world.host.kill("/fake_0")
-    times = []
-    for _ in range(400):
-        before = world.host.calls.count(("load", "/a"))
-        world.manager.look()
-        if world.host.calls.count(("load", "/a")) > before:
-            times.append(clock.time)
-        clock.time += 0.1
-    pauses = [later - earlier for earlier, later in zip(times, times[1:])]
-    assert len(times) < 12
-    assert pauses[-1] > 4 * pauses[1]
-
-
 def test_a_manager_that_was_killed_adopts_what_runs_and_restores_what_does_not(
     world: World,
 ) -> None:
@@ -288,28 +228,6 @@ def test_a_manager_that_was_killed_adopts_what_runs_and_restores_what_does_not(
     world.open()
     assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
     assert world.host.nodelet("/b").ports["in"].topic == "/i"
-
-
-def test_a_spawn_that_was_never_acknowledged_is_taken_down(world: World) -> None:
-    class Killed(BaseException):
-        pass
-
-    def die(operation: str, argument: str) -> None:
-        if operation == "loaded":
-            raise Killed
-
-    world.host.fail = die
-    take_down = world.manager.lifecycle._take_down
-    world.manager.lifecycle._take_down = lambda record: None  # type: ignore[method-assign]
-    world.manager.graph.remove = lambda name: None  # type: ignore[method-assign]
-    with pytest.raises(Killed):
-        world.spawn("camera", "a")
-    assert take_down is not None
-    assert world.host.running == ["/a"]
-    world.host.fail = lambda operation, argument: None
-    world.kill_manager()
-    assert world.states() == {}
-    assert world.host.running == []
 
 
 def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: World) -> None:
@@ -348,14 +266,6 @@ def test_a_nodelet_that_is_lost_is_logged_once(
         world.host.wake("/fake_0")
         world.manager.look()
     assert all(each.getMessage().count("/fake_0") <= 1 for each in caplog.records)
-
-
-def test_a_plain_nodelet_has_its_ports_after_a_restart_of_the_manager(world: World) -> None:
-    world.spawn("native", "n", config={"image": "/raw"})
-    ports = world.manager.graph.get("/n").ports
-    assert {port.name: port.topic for port in ports}["image"] == "/raw"
-    world.kill_manager()
-    assert world.manager.graph.get("/n").ports == ports
 
 
 def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:

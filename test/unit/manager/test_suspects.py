@@ -13,7 +13,7 @@ from unit.manager.field import Field, transformation
 from unit.manager.world import World
 
 from dyknow import names
-from dyknow.errors import HostError, NoPlanFound, SpawnFailed
+from dyknow.errors import HostError, NoPlanFound
 from dyknow.manager.host import Crash
 from dyknow.manager.suspects import ENOUGH, MEMORY, Suspects
 from dyknow.model.graph import State
@@ -46,22 +46,17 @@ def test_after_two_crashes_the_one_at_work_is_restored_alone(world: World) -> No
     assert bad.manager != SHARED
     assert (good.manager, good.isolated, good.detail) == (SHARED, False, "")
     assert "SIGSEGV" in bad.detail
+    world.kill_manager()
+    world.manager.look({"/bad"})
+    assert world.manager.graph.get("/bad").detail == bad.detail
     loads = world.host.calls.count(("load", "/good"))
     for _ in range(3):
         world.host.crash(world.manager.graph.get("/bad").manager, ["/bad"])
         world.manager.look()
     assert world.host.calls.count(("load", "/good")) == loads
-
-
-def test_why_it_is_alone_is_still_shown_after_a_restart_of_the_manager(world: World) -> None:
-    for _ in range(ENOUGH):
-        crash(world, "/bad")
-    detail = world.manager.graph.get("/bad").detail
-    assert detail
-    world.kill_manager()
-    assert world.manager.graph.get("/bad").detail == detail
-    world.manager.look({"/bad"})
-    assert world.manager.graph.get("/bad").detail == detail
+    world.manager.set_protection("/bad", False)
+    world.manager.destroy("bad")
+    assert not world.spawn("camera", "bad").isolated, "its code may have been mended"
 
 
 def test_who_was_killed_is_no_suspect(world: World) -> None:
@@ -100,39 +95,6 @@ def test_one_that_cannot_be_restored_alone_ends_nobody_else(world: World) -> Non
     world.manager.set_protection("/bad", False)
     world.manager.destroy("/bad")
     assert world.host.running == ["/good"]
-
-
-def test_a_spawn_whose_process_crashes_again_and_again_is_made_alone(world: World) -> None:
-    def die(operation: str, argument: str) -> None:
-        if (operation, argument) == ("load", "/new"):
-            if world.manager.graph.get("/new").manager == SHARED:
-                world.host.crash(SHARED, ["/new"])
-            raise HostError("its process ends")
-
-    world.host.fail = die
-    for _ in range(ENOUGH):
-        with pytest.raises(SpawnFailed):
-            world.spawn("camera", "new")
-        world.manager.look()
-    loads = world.host.calls.count(("load", "/good"))
-    with pytest.raises(SpawnFailed):
-        world.spawn("camera", "new")
-    world.manager.look()
-    assert world.host.calls.count(("load", "/good")) == loads
-
-
-def test_what_died_while_it_was_unloaded_is_gone(world: World) -> None:
-    world.host.crash(SHARED, ["/good"], unloading=["/good"])
-    world.manager.look()
-    assert world.states() == {"/bad": "RUNNING"}
-
-
-def test_a_destroyed_nodelet_begins_anew(world: World) -> None:
-    world.manager.set_protection("/bad", False)
-    for _ in range(ENOUGH):
-        crash(world, "/bad")
-    world.manager.destroy("/bad")
-    assert not world.spawn("camera", "bad").isolated
 
 
 # Nodelets that are made for claims
