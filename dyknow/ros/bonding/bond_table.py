@@ -4,7 +4,7 @@
 """The bond protocol as plain Python: no thread, no clock, no ROS.
 
 A bond ties two processes together so that each learns when the other ends. Both publish on one
-topic about once a second that they are alive, and each limits the silence of the other. `BondEnd`
+topic about once a second that they are alive, and each limits the silence of the other. `_BondEnd`
 is our end of one bond; the other end is its sister:
 
     WAITING --alive--> ALIVE --dead, or silence--> DEAD
@@ -56,11 +56,11 @@ class BondTimings:
     """Limits and periods of an end, in seconds.
 
     Attributes:
-        connect_timeout: From the start to the sister's first heartbeat.
-        heartbeat_timeout: The longest silence of a sister that was heard.
-        disconnect_timeout: From the end's parting to the sister's acknowledgement.
-        heartbeat_period: Between two "alive".
-        dead_publish_period: Between two "dead" while the sister has not acknowledged.
+        connect_timeout: from the start to the sister's first heartbeat.
+        heartbeat_timeout: the longest silence of a sister that was heard.
+        disconnect_timeout: from the end's parting to the sister's acknowledgement.
+        heartbeat_period: between two "alive".
+        dead_publish_period: between two "dead" while the sister has not acknowledged.
     """
 
     connect_timeout: float
@@ -84,10 +84,9 @@ class Effects:
     """Actions that an event asks of the table's owner.
 
     Attributes:
-        announcements: To publish, in this order.
-        broken: The callbacks of the bonds that broke by themselves, in the order of their
-            breaking.
-        intruded: The ids of bonds on which a third party published.
+        announcements: to publish, in this order.
+        broken: callbacks of the bonds that broke by themselves, in that order.
+        intruded: ids of bonds on which a third party published.
     """
 
     announcements: list[Announcement] = field(default_factory=list)
@@ -95,28 +94,15 @@ class Effects:
     intruded: list[str] = field(default_factory=list)
 
     def __bool__(self) -> bool:
-        """Whether there is anything to do."""
         return bool(self.announcements or self.broken or self.intruded)
 
 
-class BondState(enum.Enum):
-    """State of an end; see the module's diagram."""
-
-    WAITING = "waiting for the sister"
-    ALIVE = "alive"
-    PARTING = "waiting for the sister to acknowledge our death"
-    DEAD = "dead"
+_State = enum.Enum("_State", "WAITING ALIVE PARTING DEAD")
+"""State of an end; see the module's diagram."""
 
 
-class BondEnd:
-    """Our end of one bond.
-
-    Each method takes the time (seconds, monotonic), and adds to the effects.
-
-    Attributes:
-        state: See the module's diagram.
-        deadline: When `tick` has to be called next; None: not before another event.
-    """
+class _BondEnd:
+    """Our end of one bond. Each method takes the time (s, steady), and adds to the effects."""
 
     def __init__(
         self,
@@ -124,11 +110,12 @@ class BondEnd:
         on_broken: OnBroken,
         timings: BondTimings,
         now: float,
-        former: BondEnd | None,
+        former: _BondEnd | None,
     ) -> None:
         """Wait for the sister; ``former`` is our end of an earlier bond with the same id."""
         self.bond_id = bond_id
-        self.state = BondState.WAITING
+        self.state = _State.WAITING
+        #: When `tick` has to be called next; None: not before another event.
         self.deadline: float | None = now + timings.connect_timeout
         self._on_broken = on_broken
         self._timings = timings
@@ -144,16 +131,14 @@ class BondEnd:
 
     @property
     def is_living(self) -> bool:
-        """Whether this end publishes heartbeats."""
-        return self.state in (BondState.WAITING, BondState.ALIVE)
+        return self.state in (_State.WAITING, _State.ALIVE)
 
     @property
     def is_over(self) -> bool:
         """Whether no event can change this end any more."""
-        return self.state is BondState.DEAD and self.deadline is None
+        return self.state is _State.DEAD and self.deadline is None
 
     def announce(self, active: bool, effects: Effects) -> None:
-        """Publish "alive" or "dead"."""
         effects.announcements.append(Announcement(self.bond_id, self._instance_id, active))
 
     def receive(self, instance_id: str, active: bool, now: float, effects: Effects) -> None:
@@ -174,14 +159,14 @@ class BondEnd:
         if self.deadline is None or now < self.deadline:
             return
         parting_ends = self._parted_at + self._timings.disconnect_timeout
-        if self.state is BondState.WAITING or (self.state is BondState.ALIVE and silence_counts):
+        if self.state is _State.WAITING or (self.state is _State.ALIVE and silence_counts):
             self._die()
             self.announce(False, effects)
             effects.broken.append(self._on_broken)
-        elif self.state is BondState.ALIVE:
+        elif self.state is _State.ALIVE:
             if silence_counts is not None:
                 self.deadline = now + self._timings.heartbeat_timeout
-        elif self.state is BondState.PARTING and now < parting_ends:
+        elif self.state is _State.PARTING and now < parting_ends:
             self.deadline = now + self._timings.dead_publish_period
             self.announce(False, effects)
         else:
@@ -190,30 +175,30 @@ class BondEnd:
     def part(self, now: float, effects: Effects) -> None:
         """Break the bond on purpose: the sister is notified, the owner is not."""
         if self.is_living:
-            self.state = BondState.PARTING
+            self.state = _State.PARTING
             self._parted_at = now
             self.deadline = now + self._timings.dead_publish_period
             self.announce(False, effects)
 
     def _sister_alive(self, now: float, effects: Effects) -> None:
         if self.is_living:
-            if self.state is BondState.WAITING:
+            if self.state is _State.WAITING:
                 self.announce(True, effects)
-            self.state = BondState.ALIVE
+            self.state = _State.ALIVE
             self.deadline = now + self._timings.heartbeat_timeout
 
     def _sister_dead(self, now: float, effects: Effects) -> None:
-        if self.state is BondState.PARTING:
+        if self.state is _State.PARTING:
             self._die()
         elif self.is_living:
-            self.state = BondState.DEAD
+            self.state = _State.DEAD
             self.deadline = now + self._timings.disconnect_timeout
             effects.broken.append(self._on_broken)
         if self.deadline is not None:
             self.announce(False, effects)
 
     def _die(self) -> None:
-        self.state = BondState.DEAD
+        self.state = _State.DEAD
         self.deadline = None
 
 
@@ -222,32 +207,27 @@ class BondTable:
 
     So forty bonds wake their thread as often as one does. A table is not thread-safe and calls
     nothing: every event returns `Effects`, which the owner carries out after it has released its
-    lock.
-
-    An end that parted, or whose sister died, stays until nothing more is expected of it; its id
-    can be used again at once nevertheless.
+    lock. An end that parted, or whose sister died, stays until nothing more is expected of it.
     """
 
     def __init__(self, timings: BondTimings) -> None:
-        """Make an empty table of bonds that follow the same timings."""
         self._timings = timings
-        self._ends: dict[str, BondEnd] = {}
+        self._ends: dict[str, _BondEnd] = {}
         self._next_heartbeat = 0.0
 
     def __len__(self) -> int:
-        """The number of bonds, including those that are ending."""
         return len(self._ends)
 
     def is_parting(self) -> bool:
         """Whether a sister has not acknowledged yet that we broke a bond on purpose."""
-        return any(end.state is BondState.PARTING for end in self._ends.values())
+        return any(end.state is _State.PARTING for end in self._ends.values())
 
     def silent(self, now: float) -> list[str]:
         """Ids of the bonds whose sister has been silent for too long."""
         return [
             end.bond_id
             for end in self._ends.values()
-            if end.state is BondState.ALIVE and end.deadline is not None and end.deadline <= now
+            if end.state is _State.ALIVE and end.deadline is not None and end.deadline <= now
         ]
 
     def next_due(self) -> float | None:
@@ -258,18 +238,14 @@ class BondTable:
         return min(due, default=None)
 
     def add(self, bond_id: str, on_broken: OnBroken, now: float) -> Effects:
-        """Start a bond.
-
-        Raises:
-            DuplicateBond: There is a living one with this id.
-        """
+        """Start a bond; raises `DuplicateBond` if there is a living one with this id."""
         former = self._ends.get(bond_id)
         if former is not None and former.is_living:
             raise DuplicateBond(bond_id)
         if not self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
         effects = Effects()
-        end = self._ends[bond_id] = BondEnd(bond_id, on_broken, self._timings, now, former)
+        end = self._ends[bond_id] = _BondEnd(bond_id, on_broken, self._timings, now, former)
         end.announce(True, effects)
         return effects
 
@@ -299,8 +275,8 @@ class BondTable:
         """Act on all deadlines, and publish heartbeats.
 
         Args:
-            now: The time.
-            silence_counts: Whether silence breaks bonds; if not, each silent sister is waited for
+            now: the time.
+            silence_counts: whether silence breaks bonds; if not, each silent sister is waited for
                 once more. None leaves silent bonds alone, for a later call to decide.
         """
         effects = Effects()

@@ -4,15 +4,14 @@
 """The bonds of a process on one topic, one thread for all of them.
 
 A nodelet manager has a bond with every client that loaded a nodelet and stays to watch over it.
-With python3-bondpy each bond has a publisher, a subscriber, a publishing thread and up to three
-timer threads: forty bonds cost a hundred threads, which compete for the interpreter lock. `Bonds`
-speaks the same protocol, with stock sisters at the other end, through one publisher, one
+With python3-bondpy forty bonds cost a hundred threads, which compete for the interpreter lock.
+`Bonds` speaks the same protocol, with stock sisters at the other end, through one publisher, one
 subscriber and one thread, and has none of the three while there is no bond.
 
-The rules are in `bond_table`, which knows neither rospy nor threads. Who owns what: the condition
-guards the table. The thread owns the publisher and the subscriber, which come and go with it; so
-it is not a `PeriodicWorker`, whose thread would stay. A turn is held while something is published,
-since a rospy publisher must not be unregistered meanwhile.
+The rules are in `bond_table`. Ownership: the condition guards the table. The thread owns the
+publisher and the subscriber, which come and go with it; so it is not a `PeriodicWorker`, whose
+thread would stay. A turn is held while something is published, since a rospy publisher must not be
+unregistered meanwhile.
 """
 
 from __future__ import annotations
@@ -57,10 +56,7 @@ class BondsClosed(DyKnowError):
 
 
 class Bonds:
-    """Every bond of this process on one topic.
-
-    All methods can be called from any thread.
-    """
+    """Every bond of this process on one topic; every method is safe from any thread."""
 
     def __init__(
         self,
@@ -72,11 +68,11 @@ class Bonds:
         """Make an end without bonds; the topic is registered with the first.
 
         Args:
-            topic: Where both ends publish, `MANAGER/bond` for nodelets.
-            timings: Limits and periods of all bonds.
-            executor: Runs the callbacks of broken bonds. By default they have a short-lived
+            topic: where both ends publish, `MANAGER/bond` for nodelets.
+            timings: limits and periods of all bonds.
+            executor: runs the callbacks of broken bonds. By default they have a short-lived
                 thread, since a slow unload must not delay the heartbeats of the other bonds.
-            clock: Seconds by which silence is measured. A clock of the time for which this
+            clock: seconds by which silence is measured. A clock of the time for which this
                 process has run leaves sisters time to answer after a pause.
         """
         self._clock = clock
@@ -94,11 +90,11 @@ class Bonds:
         """Start a bond; the sister may be there already or come within the connect timeout.
 
         Args:
-            bond_id: The id that both ends share.
-            on_broken: Called once, when the sister dies, falls silent or never comes.
+            bond_id: the id that both ends share.
+            on_broken: called once, when the sister dies, falls silent or never comes.
 
         Raises:
-            DuplicateBond: There is a bond with this id.
+            DuplicateBond: there is a bond with this id.
             BondsClosed: `close` was called.
         """
         with self._changed:
@@ -121,11 +117,7 @@ class Bonds:
         self._perform(effects)
 
     def close(self, timeout: float = 0.5) -> None:
-        """Break all bonds on purpose and refuse new ones.
-
-        Args:
-            timeout: How long (s) to wait at most for the sisters to acknowledge.
-        """
+        """Break all bonds on purpose, refuse new ones, and wait for acknowledgements."""
         with self._changed:
             now = self._clock()
             self._closed_until = now + timeout
@@ -175,7 +167,6 @@ class Bonds:
         return True
 
     def _next_due(self, now: float) -> float | None:
-        """When the thread has to act next, None: never again."""
         due = self._table.next_due()
         if due is None or self._closed_until is None:
             return due
@@ -194,7 +185,13 @@ class Bonds:
 
     def _perform(self, effects: Effects) -> None:
         """Carry out the effects; never called with the lock."""
-        self._publish(effects.announcements)
+        with self._publishing_turn:
+            publisher = self._publisher  # the thread may be about to make it; what matters repeats
+            for each in effects.announcements if publisher is not None else ():
+                try:
+                    publisher.publish(status_message(each, self._timings))
+                except rospy.ROSException:
+                    break  # the node shuts down; our silence has the same meaning
         for bond_id in effects.intruded:
             rospy.logerr_throttle(
                 10,
@@ -203,17 +200,6 @@ class Bonds:
             )
         if effects.broken:
             self._executor(partial(_call_each, effects.broken))
-
-    def _publish(self, announcements: Sequence[Announcement]) -> None:
-        with self._publishing_turn:
-            publisher = self._publisher
-            if publisher is None:
-                return  # the thread is about to make it; messages that matter are repeated
-            for each in announcements:
-                try:
-                    publisher.publish(status_message(each, self._timings))
-                except rospy.ROSException:
-                    return  # the node shuts down; our silence has the same meaning
 
     def _is_heartbeat_timeout_disabled(self, silent: Sequence[str]) -> bool:
         """Whether silence breaks no bonds, as a parameter for debugging says."""

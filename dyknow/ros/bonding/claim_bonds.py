@@ -35,11 +35,12 @@ class ClaimBonds:
         Args:
             claims: returns the claims of this moment.
             expire: ends a claim, given its id and a reason.
-            running: time for which this process has run, in seconds.
+            running: time for which this process has run (s).
         """
         self._claims = claims
         self._expire = expire
         self._bonds = Bonds(names.join(rospy.get_name(), TOPIC), clock=running)
+        self.close = self._bonds.close
         #: Changes of claims are followed in turn: the last one decides.
         self._turn = turn_lock("bonds of claims")
         self._state_lock = state_lock("claims by bond")
@@ -60,10 +61,6 @@ class ClaimBonds:
                 self._bonds.remove(bond_id)
             for bond_id in new:
                 self._add(bond_id)
-
-    def close(self) -> None:
-        """Break all bonds."""
-        self._bonds.close()
 
     def _add(self, bond_id: str) -> None:
         try:
