@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import fcntl
-import os
-import re
 import signal
 import subprocess
 import sys
@@ -160,33 +158,6 @@ def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
     finally:
         found.end(1.0)
         other.end(1.0)
-
-
-def test_records_tell_of_processes_of_this_boot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = str(tmp_path / "children.json")
-    assert child_records.read(path) == []
-    records = [
-        ChildRecord("/a", NodeletKind.CPP, "", ProcessId.of(os.getpid())),
-        ChildRecord("/not_started", NodeletKind.PYTHON, "/n"),
-    ]
-    child_records.write(path, records)
-    assert child_records.read(path) == records
-    text = Path(path).read_text()
-    Path(path).write_text(re.sub(r',\s*"boot": "[^"]*"', "", text))  # as earlier versions wrote it
-    assert child_records.read(path) == records
-    Path(path).write_text(text)
-    monkeypatch.setattr(os_process, "boot", lambda: "another boot")
-    assert child_records.read(path) == [replace(records[0], process=None), records[1]]
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", '[{"name": "/a"}]', "{}x"])
-def test_damaged_records_are_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "children.json"
-    path.write_text(text)
-    with pytest.raises(ValueError):
-        child_records.read(str(path))
 
 
 def test_one_owner_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
