@@ -18,7 +18,7 @@ LONG = 30.0
 
 
 class NameServer:
-    """A name server that answers when the test allows it."""
+    """A name server that answers when the test allows it; of "known" at once."""
 
     def __init__(self) -> None:
         self.asked = threading.Semaphore(0)
@@ -27,6 +27,8 @@ class NameServer:
         self.addresses: Tuple[str, ...] = ("192.0.2.1",)
 
     def look_up(self, host: str) -> Tuple[str, ...]:
+        if host == "known":
+            return ("192.0.2.2",)
         self.count += 1
         self.asked.release()
         assert self.answers.wait(LONG)
@@ -42,39 +44,22 @@ def server() -> Iterator[NameServer]:
     server.answers.set()
 
 
-def test_what_is_an_address_is_not_looked_up(server: NameServer) -> None:
+def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(
+    server: NameServer,
+) -> None:
     addresses = Addresses(server.look_up)
     assert addresses.of("192.0.2.7", 0.0) == ("192.0.2.7",)
     assert addresses.of("::1", 0.0) == ("::1",)
-    assert server.count == 0
-
-
-def test_a_silent_name_server_costs_a_caller_no_more_than_its_time(server: NameServer) -> None:
-    addresses = Addresses(server.look_up)
-    with pytest.raises(socket.timeout):
-        addresses.of("robot", 0.01)
-
-
-def test_callers_share_one_thread_and_its_answer(server: NameServer) -> None:
-    addresses = Addresses(server.look_up)
+    assert server.count == 0, "an address is not looked up"
     for _ in range(20):
         with pytest.raises(socket.timeout):
             addresses.of("alone", 0.001)
     names = [thread.name for thread in threading.enumerate()]
     assert names.count("address of alone") == 1
+    assert addresses.of("known", LONG) == ("192.0.2.2",), "another name is not held up"
     server.answers.set()
     assert addresses.of("alone", LONG) == ("192.0.2.1",)
     assert server.count == 1
-
-
-def test_another_name_is_not_held_up(server: NameServer) -> None:
-    def look_up(host: str) -> Tuple[str, ...]:
-        return server.look_up(host) if host == "silent" else ("192.0.2.2",)
-
-    addresses = Addresses(look_up)
-    with pytest.raises(socket.timeout):
-        addresses.of("silent", 0.001)
-    assert addresses.of("known", LONG) == ("192.0.2.2",)
 
 
 def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) -> None:
@@ -85,14 +70,16 @@ def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) 
         addresses.of("robot", LONG)
     server.addresses = ("192.0.2.3",)
     assert addresses.of("robot", LONG) == ("192.0.2.3",)
+    with pytest.raises(OSError, match="."):
+        Addresses().of("x" * 300, LONG)  # it can be no name
 
 
 def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServer) -> None:
     clock = HandClock()
     server.answers.set()
     addresses = Addresses(server.look_up, clock)
-    assert addresses.of("robot", LONG) == ("192.0.2.1",)
-    assert addresses.of("robot", LONG) == ("192.0.2.1",)
+    for _ in range(2):
+        assert addresses.of("robot", LONG) == ("192.0.2.1",)
     assert server.count == 1
     server.answers.clear()
     server.addresses = ("192.0.2.4",)
@@ -104,8 +91,3 @@ def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServe
     while addresses.of("robot", 0.0) == ("192.0.2.1",):
         pass
     assert addresses.of("robot", 0.0) == ("192.0.2.4",)
-
-
-def test_what_can_be_no_name_is_an_error_of_the_system(server: NameServer) -> None:
-    with pytest.raises(OSError, match="."):
-        Addresses().of("x" * 300, LONG)

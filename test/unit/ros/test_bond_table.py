@@ -57,91 +57,79 @@ def bond():
     return OneBond()
 
 
-@pytest.fixture
-def formed(bond):
-    bond.hear(1.0)
-    return bond
+#: Steps: a time (s), an event, and what the table does then. "over": the bond is forgotten.
+SCRIPTS = {
+    "the first heartbeat is answered at once, and silence counts from it": (
+        "1 hear alive | 4.9 tick | 5.1 tick dead broken | over"
+    ),
+    "a sister that never comes breaks the bond": "9.9 tick | 10 tick dead broken | 99 tick | over",
+    "silence that does not count is measured again": (
+        "1 hear alive | 5.5 no-silence | 9.4 tick | 9.5 tick dead broken | over"
+    ),
+    "silence that is judged later may end before": (
+        "1 hear alive | 5 judged-later | 5.1 hear | 5.2 tick | 9.0 tick | 9.1 tick dead broken"
+    ),
+    "parting before silence is judged stays on purpose": (
+        "1 hear alive | 5.1 part dead | 5.2 tick | 5.6 tick dead"
+    ),
+    "her death is acknowledged each time and reported once": (
+        "1 hear alive | 2 death dead broken | 2.1 death dead | 2.2 hear | 4 tick | over | 5 death"
+    ),
+    "so it is of one that was never heard": (
+        "2 death dead broken | 2.1 death dead | 2.2 hear | 4 tick | over | 4.1 death"
+    ),
+    "parting is repeated until she acknowledges": (
+        "1 hear alive | 2 part dead | 2.1 part | 2.4 tick | 2.5 tick dead | 2.6 hear | "
+        "2.7 death | over | 2.8 part"
+    ),
+    "so it is for one that was never heard": (
+        "2 part dead | 2.1 part | 2.4 tick | 2.5 tick dead | 2.6 hear | 2.7 death | over"
+    ),
+    "parting without acknowledgement ends too": (
+        "1 hear alive | 2 part dead | 2.5 tick dead | 3 tick dead | 3.5 tick dead | 4 tick | over"
+    ),
+    "answers to the end of an earlier bond do not count": (
+        "1 hear alive | 2 part dead | 2 again | 2.1 hear | 2.1 death | 2.1 death-of-us | "
+        "2.2 other alive | 5 death | 5 hear"
+    ),
+    "a sister of an earlier bond who lives on is taken up again": (
+        "1 hear alive | 2 part dead | 2.5 again | 4.4 hear | 4.5 death | 4.5 hear alive | "
+        "5 death dead broken"
+    ),
+}
 
 
-def test_the_first_heartbeat_forms_the_bond_and_is_answered_at_once(bond):
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_one_bond(bond, name):
+    first = bond.we
+    events = {
+        "hear": bond.hear,
+        "death": lambda now: bond.hear(now, active=False),
+        "tick": bond.tick,
+        "judged-later": lambda now: bond.tick(now, silence_counts=None),
+        "no-silence": lambda now: bond.tick(now, silence_counts=False),
+        "part": bond.part,
+        "again": bond.add,
+        "death-of-us": lambda now: bond.hear(now, active=False, who=first),
+        "other": lambda now: bond.hear(now, who="another she"),
+    }
+    for step in SCRIPTS[name].split(" | "):
+        if step == "over":
+            assert bond.is_over() and bond.table.next_due() is None
+            continue
+        now, event, *expected = step.split()
+        assert (events[event](float(now)) or "") == " ".join(expected), step
+    assert bond.broken == SCRIPTS[name].count("broken")
+
+
+def test_heartbeats_keep_a_bond(bond):
     assert bond.hear(3.0) == "alive"
     assert bond.table.next_due() == 7.0
     for now in range(4, 30):
         assert bond.hear(float(now)) == ""
         assert bond.tick(now + 3.9) == ""
-    assert not bond.is_over()
-
-
-def test_a_sister_that_never_comes_breaks_the_bond(bond):
-    assert bond.tick(9.9) == ""
-    assert bond.tick(10.0) == "dead broken"
-    assert bond.is_over()
-    assert bond.table.next_due() is None
-    assert bond.tick(99.0) == ""
-
-
-def test_silence_counts_from_the_first_heartbeat(formed):
-    assert formed.tick(4.9) == ""
-    assert formed.table.silent(4.9) == []
-    assert formed.table.silent(5.0) == ["id"]
-    assert formed.tick(5.1) == "dead broken"
-    assert formed.is_over()
-
-
-def test_silence_that_does_not_count_is_measured_again(formed):
-    assert formed.tick(5.5, silence_counts=False) == ""
-    assert formed.table.silent(9.4) == []
-    assert formed.table.silent(9.5) == ["id"]
-
-
-def test_silence_is_left_for_a_later_decision_and_may_end_before(formed):
-    assert formed.tick(5.0, silence_counts=None) == ""
-    assert formed.table.silent(5.0) == ["id"]
-    formed.hear(5.1)
-    assert formed.tick(5.2) == ""
-    assert not formed.is_over()
-
-
-def test_parting_before_silence_is_judged_stays_on_purpose(formed):
-    assert formed.table.silent(5.0) == ["id"]
-    assert formed.part(5.1) == "dead"
-    assert formed.tick(5.2) == ""
-    assert formed.broken == 0
-
-
-@pytest.mark.parametrize("heard_before", [True, False])
-def test_the_sisters_death_is_acknowledged_each_time_and_reported_once(bond, heard_before):
-    if heard_before:
-        bond.hear(1.0)
-    assert bond.hear(2.0, active=False) == "dead broken"
-    assert bond.hear(2.1, active=False) == "dead"
-    assert bond.hear(2.2) == ""  # she does not come back
-    assert not bond.is_over()
-    assert bond.tick(4.0) == ""
-    assert bond.is_over()
-    assert bond.hear(4.1, active=False) == ""
-
-
-@pytest.mark.parametrize("heard_before", [True, False])
-def test_parting_is_repeated_until_the_sister_acknowledges(bond, heard_before):
-    if heard_before:
-        bond.hear(1.0)
-    assert bond.part(2.0) == "dead"
-    assert bond.table.is_parting()
-    assert bond.part(2.1) == ""
-    assert bond.tick(2.4) == ""
-    assert bond.tick(2.5) == "dead"
-    assert bond.hear(2.6) == ""
-    assert bond.hear(2.7, active=False) == ""
-    assert bond.is_over()
-    assert bond.part(2.8) == ""
-    assert bond.broken == 0
-
-
-def test_parting_without_acknowledgement_ends_too(formed):
-    formed.part(2.0)
-    assert [formed.tick(now) for now in (2.5, 3.0, 3.5, 4.0)] == ["dead", "dead", "dead", ""]
-    assert formed.is_over()
+    assert bond.table.silent(32.9) == []
+    assert bond.table.silent(33.0) == ["id"]
 
 
 def test_messages_of_our_own_and_of_third_parties_change_nothing(bond):
@@ -149,27 +137,6 @@ def test_messages_of_our_own_and_of_third_parties_change_nothing(bond):
     bond.hear(1.0)
     assert bond.hear(2.0, active=False, who="intruder") == "id"
     assert bond.table.next_due() == 5.0
-
-
-def test_answers_to_the_end_of_an_earlier_bond_do_not_count(formed):
-    formed.part(2.0)
-    before = formed.we
-    formed.add(2.0)
-    assert formed.hear(2.1) == ""
-    assert formed.hear(2.1, active=False) == ""
-    assert formed.hear(2.1, active=False, who=before) == ""
-    assert formed.hear(2.2, who="she again") == "alive"
-    assert formed.hear(5.0, active=False) == ""
-    assert formed.hear(5.0, who=before) == ""
-
-
-def test_a_sister_of_an_earlier_bond_who_lives_on_is_taken_up_again(formed):
-    formed.part(2.0)
-    formed.add(2.5)
-    assert formed.hear(4.4) == ""
-    assert formed.hear(4.5, active=False) == ""
-    assert formed.hear(4.5) == "alive"
-    assert formed.hear(5.0, active=False) == "dead broken"
 
 
 def test_a_sister_who_ignores_the_end_of_each_bond_has_the_next_one(bond):
@@ -230,10 +197,20 @@ def pair():
     return Network()
 
 
-def test_bonds_last(pair):
-    pair.run(60.0)
+def test_a_client_that_parts_or_is_killed_breaks_its_own_bond(pair):
+    pair.run(5.5)
     assert pair.broken == []
     assert list(map(len, pair.tables)) == [2, 1, 1]
+    pair.tables.remove(pair.a)
+    pair.run(8.9)
+    assert pair.broken == []
+    pair.run(9.0)
+    assert pair.broken == [("manager", "a")]
+    pair.remove(pair.b, "b")
+    assert pair.broken == [("manager", "a"), ("manager", "b")]
+    pair.run(60.0)
+    assert len(pair.broken) == 2
+    assert list(map(len, pair.tables)) == [0, 0]
 
 
 def test_all_bonds_of_a_table_share_a_heartbeat():
@@ -243,24 +220,6 @@ def test_all_bonds_of_a_table_share_a_heartbeat():
     assert table.next_due() == 1.0
     assert len(table.tick(1.0).announcements) == 42
     assert table.next_due() == 2.0
-
-
-def test_a_client_that_parts_breaks_its_bond_only(pair):
-    pair.run(5.0)
-    pair.remove(pair.a, "a")
-    assert pair.broken == [("manager", "a")]
-    pair.run(60.0)
-    assert pair.broken == [("manager", "a")]
-    assert list(map(len, pair.tables)) == [1, 0, 1]
-
-
-def test_a_killed_client_is_missed(pair):
-    pair.run(5.5)
-    pair.tables.remove(pair.a)
-    pair.run(8.9)
-    assert pair.broken == []
-    pair.run(9.0)
-    assert pair.broken == [("manager", "a")]
 
 
 def test_the_manager_removes_its_ends(pair):

@@ -110,7 +110,7 @@ def test_an_older_state_never_replaces_a_newer_one(
     assert subscribed == set()
 
 
-def test_old_accusations_are_forgotten() -> None:
+def test_old_accusations_take_no_memory() -> None:
     now = [0.0]
     suspects = Suspects(lambda: now[0])
     for number in range(50):
@@ -136,26 +136,21 @@ def launcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Launcher:
 
 
 def test_outputs_of_the_last_processes_are_kept(launcher: Launcher, tmp_path: Path) -> None:
-    tails = []
+    def launch(name: str) -> ChildRecord:
+        record = ChildRecord(name, NodeletKind.PYTHON)
+        assert isinstance(launcher.launch(record)[1], LogTail)
+        return record
+
     for number in range(30):
-        name = f"/n{number}"
-        _, tail = launcher.launch(ChildRecord(name, NodeletKind.PYTHON))
-        tails.append(tail)
+        again = launch("/again")
+        other = launch(f"/n{number}")
         if number != 3:
-            launcher.clean_up(ChildRecord(name, NodeletKind.PYTHON))
+            launcher.clean_up(other)
+        assert launcher.last_line("/again") == "it runs"
+        launcher.clean_up(again)
     (folder,) = tmp_path.iterdir()
     left = sorted(each for each in os.listdir(folder) if each.endswith(".log"))
     assert "n3-output.log" in left, "it runs"
     assert "n29-output.log" in left
     assert len(left) == 1 + launcher_module._OUTPUTS
     assert len(os.listdir(folder)) == 2 * len(left)
-    assert all(isinstance(tail, LogTail) for tail in tails)
-
-
-def test_the_output_of_a_process_that_runs_again_is_kept(launcher: Launcher) -> None:
-    for number in range(30):
-        launcher.launch(ChildRecord("/again", NodeletKind.PYTHON))
-        launcher.launch(ChildRecord(f"/n{number}", NodeletKind.PYTHON))
-        launcher.clean_up(ChildRecord(f"/n{number}", NodeletKind.PYTHON))
-        assert launcher.last_line("/again") == "it runs"
-        launcher.clean_up(ChildRecord("/again", NodeletKind.PYTHON))

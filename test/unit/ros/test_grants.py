@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, cast
+from typing import Any, Callable, Dict, List, Tuple
 
 import pytest
 from clocks import HandClock
@@ -27,7 +27,7 @@ LONG = 30.0
 
 
 class Far:
-    """A nodelet manager, as the keeper's clients see it."""
+    """A nodelet manager, as the client of a lease sees it."""
 
     def __init__(self) -> None:
         self.requests: List[Any] = []
@@ -63,28 +63,22 @@ def far(monkeypatch: pytest.MonkeyPatch) -> Far:
     return far
 
 
-def lease(clock: HandClock, ended: threading.Event | None = None) -> Lease:
-    ended = ended or threading.Event()
+def lease(clock: HandClock) -> Tuple[Lease, threading.Event]:
+    """A lease, and an event that is set when it has run out."""
+    ended = threading.Event()
     context = PeerContext(
         Master("/manager"), on_change=ended.set, running=clock, producers={"/topic": "/camera"}
     )
-    return Lease(context, "/far", lambda: True)
+    return Lease(context, "/far", lambda: True), ended
 
 
-def test_what_an_answer_said_is_confirmed_by_the_next_renewal(far: Far) -> None:
-    kept = lease(HandClock())
+def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far: Far) -> None:
+    kept, _ = lease(HandClock())
     kept.grant()
     first, second, third = far.wait_for(3)[:3]
-    kept.close()
     assert [each["confirmed"] for each in (first, second, third)] == [0.0, 6.0, 7.0]
     assert first["topics"] == ["/topic"] and first["nodelets"] == ["/camera"]
     assert first["duration"] == DURATION
-
-
-def test_a_process_that_is_lost_is_not_confirmed_what_another_one_said(far: Far) -> None:
-    kept = lease(HandClock())
-    kept.grant()
-    far.wait_for(2)
     far.error = ServiceLost("gone")
     count = len(far.wait_for(3))
     while far.wait_for(count)[-1]["confirmed"]:
@@ -93,10 +87,13 @@ def test_a_process_that_is_lost_is_not_confirmed_what_another_one_said(far: Far)
 
 
 def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far: Far) -> None:
-    clock, ended = HandClock(), threading.Event()
-    kept = lease(clock, ended)
+    """One may be held that an earlier life of the manager granted."""
+    clock = HandClock()
+    kept, ended = lease(clock)
+    assert kept.may_be_held
+    clock.time = DURATION
+    assert not kept.may_be_held
     far.error = PeerTimeout("/far", 1.0)
-    clock.time = 10.0
     kept.grant()
     far.wait_for(1)
     clock.time += DURATION - 0.1
@@ -105,14 +102,6 @@ def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far: Far) -> N
     assert not kept.may_be_held
     assert ended.wait(LONG)
     kept.close()
-
-
-def test_what_an_earlier_life_granted_is_waited_for() -> None:
-    clock = HandClock()
-    kept = lease(clock)
-    assert kept.may_be_held
-    clock.time = DURATION
-    assert not kept.may_be_held
 
 
 def test_a_pause_of_the_manager_does_not_count() -> None:
@@ -149,67 +138,69 @@ KEY = "/far/guards/manager"
 STATE = ProcessState("/far", NodeletKind.PYTHON, "1")
 
 
+class Guarded:
+    """Guards of one process, the parameters at the master, and a clock."""
+
+    def __init__(self) -> None:
+        guards = Guards(denied_topics=("/e_stop",), allowed_topics=(("/a/*",),), read_only=True)
+        self.clock = HandClock()
+        self.master = Parameters()
+        self.values = self.master.values
+        self.context = PeerContext(self.master, guards, clock=self.clock)
+        self.guarding = Guarding(self.context, "/far")
+
+    def hand_over(self, **change: Any) -> None:
+        self.guarding.hand_over(replace(STATE, **change))
+
+
 @pytest.fixture
-def guarding() -> Guarding:
-    guards = Guards(denied_topics=("/e_stop",), allowed_topics=(("/a/*",),), read_only=True)
-    return Guarding(PeerContext(Parameters(), guards, clock=HandClock()), "/far")
+def guarded() -> Guarded:
+    return Guarded()
 
 
-def values(guarding: Guarding) -> Dict[str, Any]:
-    return cast(Parameters, guarding._context.master).values
-
-
-def test_guards_that_were_not_taken_are_handed_over_again(
-    guarding: Guarding, caplog: pytest.LogCaptureFixture
+def test_nothing_may_be_loaded_until_the_master_has_the_guards(
+    guarded: Guarded, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Until the master has confirmed them nothing may be loaded."""
-    master = cast(Parameters, guarding._context.master)
-    master.is_away = True
+    guarded.master.is_away = True
     for _ in range(2):
-        guarding.hand_over(STATE)
+        guarded.hand_over()
         with pytest.raises(HostError, match="does not have the guards yet"):
-            guarding.check()
+            guarded.guarding.check()
     assert len(caplog.records) == 1
-    master.is_away = False
-    guarding.hand_over(STATE)
-    guarding.check()
-    assert master.values[KEY]["denied_topics"] == ["/e_stop"]
-    assert master.values[KEY]["read_only"] is True
+    guarded.master.is_away = False
+    guarded.hand_over()
+    guarded.guarding.check()
+    assert guarded.values[KEY]["denied_topics"] == ["/e_stop"]
+    assert guarded.values[KEY]["read_only"] is True
 
 
 @pytest.mark.parametrize("change", [dict.clear, lambda found: found.update(denied_topics=[])])
 def test_guards_that_are_missing_or_changed_are_handed_over_again(
-    guarding: Guarding, change: Callable[[Dict[str, Any]], None]
+    guarded: Guarded, change: Callable[[Dict[str, Any]], None]
 ) -> None:
-    clock = cast(HandClock, guarding._context.clock)
-    guarding.hand_over(STATE)
-    given = dict(values(guarding)[KEY])
-    clock.time += GUARDS_PERIOD
-    guarding.hand_over(STATE)
-    assert values(guarding)[KEY] == given
-    change(values(guarding)[KEY])
-    guarding.hand_over(STATE)
-    assert values(guarding)[KEY] != given, "not each time: it costs an answer of the master"
-    clock.time += GUARDS_PERIOD
-    guarding.hand_over(STATE)
-    assert values(guarding)[KEY] == given
+    guarded.hand_over()
+    given = dict(guarded.values[KEY])
+    guarded.clock.time += GUARDS_PERIOD
+    guarded.hand_over()
+    assert guarded.values[KEY] == given
+    change(guarded.values[KEY])
+    guarded.hand_over()
+    assert guarded.values[KEY] != given, "not each time: it costs an answer of the master"
+    guarded.clock.time += GUARDS_PERIOD
+    guarded.hand_over()
+    assert guarded.values[KEY] == given
 
 
-def test_another_process_and_other_protected_nodelets_need_new_guards(guarding: Guarding) -> None:
-    guarding.hand_over(STATE)
-    values(guarding).clear()
-    guarding.hand_over(replace(STATE, incarnation="2"))
-    assert values(guarding)[KEY]["protected"] == []
-    guarding._context.protected = {"/far": ["/b", "/a"], "/other": ["/c"]}
-    guarding.hand_over(replace(STATE, incarnation="2"))
-    assert values(guarding)[KEY]["protected"] == ["/a", "/b"]
-    guarding.withdraw()
-    assert values(guarding) == {}
-
-
-@pytest.mark.parametrize("change", [{"incarnation": ""}, {"rewirable": False}])
-def test_dead_and_stock_nodelet_managers_get_no_guards(
-    guarding: Guarding, change: Dict[str, Any]
-) -> None:
-    guarding.hand_over(replace(STATE, **change))
-    assert values(guarding) == {}
+def test_other_processes_and_other_protected_nodelets_need_new_guards(guarded: Guarded) -> None:
+    for useless in ({"incarnation": ""}, {"rewirable": False}):  # dead, stock
+        guarded.hand_over(**useless)
+        assert guarded.values == {}
+    guarded.hand_over()
+    guarded.values.clear()
+    guarded.hand_over(incarnation="2")
+    assert guarded.values[KEY]["protected"] == []
+    guarded.context.protected = {"/far": ["/b", "/a"], "/other": ["/c"]}
+    guarded.hand_over(incarnation="2")
+    assert guarded.values[KEY]["protected"] == ["/a", "/b"]
+    guarded.guarding.withdraw()
+    assert guarded.values == {}

@@ -6,18 +6,26 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 import struct
 import threading
 import time
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Iterator, List, Tuple
+from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
 from nodelet.srv import NodeletList
 from unit.ros.small_graph import SmallManager, small_graph
 
-from dyknow.errors import PeerTimeout
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.model.graph import NodeletKind
+from dyknow.ros.hosting.child import Child
+from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.hosting.external import External
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire import service_client
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import (
@@ -27,6 +35,7 @@ from dyknow.ros.wire.service_client import (
     TcprosConnection,
 )
 
+NAME = "/manager"
 LONG = 30.0
 SOON = 0.05
 
@@ -34,14 +43,14 @@ SOON = 0.05
 @pytest.fixture
 def manager(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallManager]:
     with small_graph() as graph:
-        graph.nodes["/manager"] = manager = SmallManager()
-        manager.nodelets = ["/a", "/b"]
+        graph.nodes[NAME] = manager = SmallManager()
+        manager.nodelets = ["/b", "/a"]
         monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
         yield manager
 
 
 def make_client(**options: bool) -> ServiceClient:
-    return ServiceClient(Master("/client"), "/manager/list", NodeletList, **options)
+    return ServiceClient(Master("/client"), f"{NAME}/list", NodeletList, **options)
 
 
 @pytest.fixture
@@ -64,14 +73,13 @@ def test_calls_of_a_persistent_client_share_a_connection(
         thread.start()
     for thread in threads:
         thread.join(LONG)
-    assert answers == [["/a", "/b"]] * 80
+    assert answers == [["/b", "/a"]] * 80
     assert manager.connections == 1
-
-
-def test_calls_of_another_client_overlap(manager: SmallManager) -> None:
-    client = make_client()
-    assert client.call(LONG).nodelets == client.call(LONG).nodelets == ["/a", "/b"]
-    assert manager.connections == 2
+    make_client().call(LONG)
+    make_client().call(LONG)
+    assert manager.connections == 3
+    manager.lose_connections()
+    assert client.call(LONG).nodelets == ["/b", "/a"]
 
 
 def test_a_hung_server_holds_up_the_first_call_alone(
@@ -88,33 +96,28 @@ def test_a_hung_server_holds_up_the_first_call_alone(
     manager.goes_on.set()
     while True:  # the late answer is on its way
         with contextlib.suppress(PeerTimeout):
-            assert client.call(LONG).nodelets == ["/a", "/b"]
+            assert client.call(LONG).nodelets == ["/b", "/a"]
             break
     assert manager.connections == 1
 
 
 def test_the_wait_for_other_threads_counts_with_the_call(
-    manager: SmallManager, client: ServiceClient, monkeypatch: pytest.MonkeyPatch
+    client: ServiceClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [time.monotonic()]
     deadlines: List[float] = []
 
-    class SlowTurn:
-        """A turn that is free only when the time of the call is over."""
-
-        def acquire(self, blocking: bool = True, timeout: float = 0.0) -> bool:
-            now[0] += timeout
-            return True
-
-        def release(self) -> None:
-            pass
+    def acquire(blocking: bool = True, timeout: float = 0.0) -> bool:
+        now[0] += timeout  # the turn is free only when the time of the call is over
+        return True
 
     def answer(connection: TcprosConnection, deadline: float) -> Tuple[bool, bytes]:
         deadlines.append(deadline)
         raise socket.timeout
 
     client.call(LONG)
-    client._turn = SlowTurn()  # type: ignore[assignment]
+    turn: Any = SimpleNamespace(acquire=acquire, release=lambda: None)
+    client._turn = turn
     monkeypatch.setattr(TcprosConnection, "receive_answer", answer)
     monkeypatch.setattr(service_client, "time", SimpleNamespace(monotonic=lambda: now[0]))
     with pytest.raises(PeerTimeout):
@@ -135,14 +138,6 @@ def test_a_process_of_another_version_is_reported_with_the_cure(
             client.call(LONG)
 
 
-def test_a_lost_connection_is_made_again_for_a_persistent_client(
-    manager: SmallManager, client: ServiceClient
-) -> None:
-    client.call(LONG)
-    manager.lose_connections()
-    assert client.call(LONG).nodelets == ["/a", "/b"]
-
-
 def test_a_client_that_must_not_reconnect_says_that_the_server_is_lost(
     manager: SmallManager,
 ) -> None:
@@ -152,6 +147,80 @@ def test_a_client_that_must_not_reconnect_says_that_the_server_is_lost(
     for _ in range(2):
         with pytest.raises(ServiceLost):
             client.call(LONG)
+
+
+# Several threads use, close and replace clients at the same time
+
+
+def of_a_service(manager: SmallManager) -> Iterator[Callable[[], object]]:
+    client = make_client(persistent=True)
+    yield lambda: sorted(client.call(LONG).nodelets)
+    yield client.close
+
+
+def of_a_child(manager: SmallManager) -> Iterator[Callable[[], object]]:
+    child = Child(PeerContext(Master("/test")), ChildRecord(NAME, NodeletKind.PYTHON))
+    child.up = True
+    numbers = itertools.count()
+
+    def ask() -> List[str]:
+        process = ProcessId(1, next(numbers) // 20)  # another one now and then
+        child.record = replace(child.record, process=process)
+        return child.list()
+
+    yield ask
+    yield child.close
+
+
+def of_an_external(manager: SmallManager) -> Iterator[Callable[[], object]]:
+    external = External(PeerContext(Master("/test")), NAME)
+    external.start()
+
+    def ask() -> List[str]:
+        try:
+            return external.list()
+        except HostError:
+            external.look_now()
+            raise
+
+    def lose() -> None:
+        time.sleep(SOON)
+        manager.lose_connections()
+
+    yield ask
+    yield lose
+    external.close()
+
+
+@pytest.mark.usefixtures("impatient_interpreter")
+@pytest.mark.parametrize("made", [of_a_service, of_a_child, of_an_external])
+def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(
+    manager: SmallManager, made: Callable[[SmallManager], Iterator[Callable[[], Any]]]
+) -> None:
+    steps = made(manager)
+    ask, disturb = next(steps), next(steps)
+    answers: List[object] = []
+    failures: List[BaseException] = []
+    end = time.monotonic() + 0.4
+
+    def repeat(work: Callable[[], object]) -> None:
+        try:
+            while time.monotonic() < end and not failures:
+                with contextlib.suppress(HostError):
+                    answers.append(work())
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=repeat, args=(each,)) for each in (ask, ask, ask, disturb)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LONG)
+        assert not thread.is_alive()
+    disturb()
+    assert list(steps) == failures == []
+    assert ["/a", "/b"] in answers
+    assert all(each in (None, ["/a", "/b"]) for each in answers)
 
 
 # Frames
@@ -173,33 +242,22 @@ def frame(body: bytes) -> bytes:
     return struct.pack("<I", len(body)) + body
 
 
-def in_time() -> float:
-    return time.monotonic() + LONG
-
-
 def test_frames_are_read_one_by_one_however_they_arrive(link: Link) -> None:
     connection, peer = link
+    in_time = time.monotonic() + LONG
     peer.sendall(frame(b"one") + frame(b"") + b"\1" + frame(b"yes") + b"\0" + frame(b"no"))
-    assert connection.receive_frame(in_time()) == b"one"
-    assert connection.receive_frame(in_time()) == b""
-    assert connection.receive_answer(in_time()) == (True, b"yes")
-    assert connection.receive_answer(in_time()) == (False, b"no")
-
-
-@pytest.mark.parametrize("cut", [1, 4, 6])
-def test_what_came_before_the_deadline_is_kept(link: Link, cut: int) -> None:
-    connection, peer = link
+    assert connection.receive_frame(in_time) == b"one"
+    assert connection.receive_frame(in_time) == b""
+    assert connection.receive_answer(in_time) == (True, b"yes")
+    assert connection.receive_answer(in_time) == (False, b"no")
     answer = b"\1" + frame(b"whole")
-    peer.sendall(answer[:cut])
-    with pytest.raises(socket.timeout):
-        connection.receive_answer(time.monotonic() + SOON)
-    peer.sendall(answer[cut:])
-    assert connection.receive_answer(in_time()) == (True, b"whole")
-
-
-def test_a_connection_that_the_other_side_closes_breaks(link: Link) -> None:
-    connection, peer = link
-    peer.sendall(frame(b"whole")[:6])
+    for cut in (1, 4, 6):  # received before the deadline, and kept
+        peer.sendall(answer[:cut])
+        with pytest.raises(socket.timeout):
+            connection.receive_answer(time.monotonic() + SOON)
+        peer.sendall(answer[cut:])
+        assert connection.receive_answer(in_time) == (True, b"whole")
+    peer.sendall(answer[:6])
     peer.close()
     with pytest.raises(ConnectionResetError):
-        connection.receive_frame(in_time())
+        connection.receive_frame(in_time)
