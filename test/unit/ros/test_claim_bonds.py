@@ -27,6 +27,8 @@ class FakeBonds:
         self.adding = threading.Event()
         self.go_on = threading.Event()
         self.go_on.set()
+        self.remove = self.held.discard
+        self.close = self.held.clear
 
     def add(self, bond_id: str, on_broken: Any) -> None:
         self.adding.set()
@@ -34,12 +36,6 @@ class FakeBonds:
         if bond_id in self.held:
             raise DuplicateBond(bond_id)
         self.held.add(bond_id)
-
-    def remove(self, bond_id: str) -> None:
-        self.held.discard(bond_id)
-
-    def close(self) -> None:
-        self.held.clear()
 
 
 def claim(claim_id: str, bond_id: str, ended: bool = False) -> Any:
@@ -56,7 +52,12 @@ class Table:
         self.bonds = ClaimBonds(
             lambda: self.claims, lambda name, reason: self.expired.append(name)
         )
-        self.held: Any = self.bonds._bonds
+        self.fake: Any = self.bonds._bonds
+
+    def follow(self, *claims: Any) -> Set[str]:
+        self.claims = list(claims)
+        self.bonds.follow()
+        return set(self.fake.held)
 
 
 @pytest.fixture
@@ -67,61 +68,53 @@ def table(monkeypatch: pytest.MonkeyPatch) -> Table:
 
 
 def test_claims_that_name_a_bond_have_it_until_the_last_of_them_ends(table: Table) -> None:
-    table.claims = [claim("1", "b"), claim("2", "b"), claim("3", ""), claim("4", "c", ended=True)]
-    table.bonds.follow()
-    assert table.held.held == {"b"}
-    table.claims = table.claims[1:]
-    table.bonds.follow()
-    assert table.held.held == {"b"}
-    table.claims = []
-    table.bonds.follow()
-    assert table.held.held == set()
+    second = claim("2", "b")
+    assert table.follow(claim("1", "b"), second, claim("3", ""), claim("4", "c", True)) == {"b"}
+    assert table.follow(second) == {"b"}
+    assert table.follow() == set()
 
 
-def test_a_broken_bond_ends_the_claims_that_hang_on_it(table: Table) -> None:
-    table.claims = [claim("2", "b"), claim("1", "b"), claim("3", "c")]
-    table.bonds.follow()
+def test_a_broken_bond_ends_the_claims_that_name_it(table: Table) -> None:
+    table.follow(claim("2", "b"), claim("1", "b"), claim("3", "c"))
     table.bonds._on_broken("b")
     table.bonds._on_broken("b")
     assert table.expired == ["1", "2"]
 
 
 def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table: Table) -> None:
-    table.claims = [claim("1", "b")]
-    table.held.go_on.clear()
-    making = threading.Thread(target=table.bonds.follow)
+    table.fake.go_on.clear()
+    making = threading.Thread(target=table.follow, args=(claim("1", "b"),))
     making.start()
-    assert table.held.adding.wait(PATIENCE)
-    table.claims = []
-    ending = threading.Thread(target=table.bonds.follow)
+    assert table.fake.adding.wait(PATIENCE)
+    ending = threading.Thread(target=table.follow)
     ending.start()
-    ending.join(0.1)  # it may be over at once, or wait for the other
-    table.held.go_on.set()
+    ending.join(0.1)  # it may be over at once, or wait for the first
+    table.fake.go_on.set()
     for thread in (making, ending):
         thread.join(PATIENCE)
         assert not thread.is_alive()
-    assert table.held.held == set()
+    assert table.fake.held == set()
 
 
 def test_claims_of_many_threads_have_their_bonds_in_the_end(table: Table) -> None:
     changing = threading.Lock()
 
     def work(number: int) -> None:
+        def change(added: List[Any], removed: List[Any]) -> None:
+            with changing:
+                kept = [each for each in table.claims if each not in removed]
+                table.claims = [*kept, *added]
+            table.bonds.follow()
+
         for _ in range(200):
             mine = claim(str(number), "b")
-            with changing:
-                table.claims = [*table.claims, mine]
-            table.bonds.follow()
-            with changing:
-                table.claims = [each for each in table.claims if each is not mine]
-            table.bonds.follow()
-        with changing:
-            table.claims = [*table.claims, claim(str(number), f"b{number}")]
-        table.bonds.follow()
+            change([mine], [])
+            change([], [mine])
+        change([claim(str(number), f"b{number}")], [])
 
     threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join(PATIENCE)
-    assert table.held.held == {"b0", "b1", "b2", "b3"}
+    assert table.fake.held == {"b0", "b1", "b2", "b3"}

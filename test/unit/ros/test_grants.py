@@ -158,7 +158,7 @@ def guarded() -> Guarded:
     return Guarded()
 
 
-def test_nothing_may_be_loaded_until_the_master_has_the_guards(
+def test_guards_that_were_not_taken_are_handed_over_again(
     guarded: Guarded, caplog: pytest.LogCaptureFixture
 ) -> None:
     guarded.master.is_away = True

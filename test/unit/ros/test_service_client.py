@@ -16,6 +16,7 @@ from types import SimpleNamespace
 from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
+from clocks import eventually
 from nodelet.srv import NodeletList
 from unit.ros.small_graph import SmallManager, small_graph
 
@@ -175,6 +176,7 @@ def of_a_child(manager: SmallManager) -> Iterator[Callable[[], object]]:
 def of_an_external(manager: SmallManager) -> Iterator[Callable[[], object]]:
     external = External(PeerContext(Master("/test")), NAME)
     external.start()
+    eventually(lambda: external.answers)
 
     def ask() -> List[str]:
         try:
@@ -205,7 +207,7 @@ def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(
 
     def repeat(work: Callable[[], object]) -> None:
         try:
-            while time.monotonic() < end and not failures:
+            while (time.monotonic() < end or not any(answers)) and not failures:
                 with contextlib.suppress(HostError):
                     answers.append(work())
         except BaseException as error:
