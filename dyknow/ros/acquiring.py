@@ -51,7 +51,6 @@ class AcquiredStream:
         lease: float,
         on_event: Optional[OnEvent],
     ) -> None:
-        """Follow a claim; made by ``acquire``."""
         self.claim_id = status.claim_id
         self.tag = status.tag
         self.lease = lease

@@ -56,39 +56,19 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass(frozen=True)
-class Process:
-    """The process that bears a name: address of its node, process id, and kind of its nodelets.
-
-    The kind is None for a stock C++ nodelet manager, whose nodelets have no ports.
-    """
-
-    uri: str
-    pid: int
-    kind: Optional[NodeletKind]
-
-    @property
-    def incarnation(self) -> str:
-        """Differs for every process."""
-        return f"{self.uri}@{self.pid}"
-
-
-@dataclass(frozen=True)
 class Presence:
     """Knowledge of the process behind a name.
 
     Attributes:
-        process: the last that answered; None if it has ended, or none has answered yet.
+        state: the last that answered; without an incarnation if it has ended, or none has
+            answered yet.
         trouble: why it cannot be queried; empty if it can.
-        away: whether the trouble is that it did not answer: it may run all the same.
         nodelets: its last list of nodelets.
-        unseen: whether the first attempt to find it is not over yet.
     """
 
-    process: Optional[Process] = None
-    trouble: str = "it has not answered yet"
-    away: bool = True
+    state: ProcessState
+    trouble: str = ""
     nodelets: FrozenSet[str] = frozenset()
-    unseen: bool = True
 
 
 class NotRunning(HostError):
@@ -119,10 +99,13 @@ class External(NodeletPeer):
         self._master = context.master
         self._state_lock = state_lock("external process")
         self._client = ListClient(self._master, name, is_node=is_node)
+        self._gone = ProcessState(name, own=False, responsive=False)
         #: Present knowledge of its process, and that which was logged.
-        self.presence = self._reported = Presence()
-        #: Processes that bore the name before and do not know yet that they lost it.
-        self.displaced: List[Process] = []
+        self.presence = self._reported = Presence(
+            replace(self._gone, away=True, unseen=True), "it has not answered yet"
+        )
+        #: Incarnations that bore the name before and do not know yet that they lost it.
+        self.displaced: List[str] = []
         self._expected_until = time.monotonic() + _NODE_PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
         self._period: Optional[float] = 0.0
@@ -134,25 +117,13 @@ class External(NodeletPeer):
 
     @property
     def state(self) -> ProcessState:
-        known = self.presence
-        process = known.process or Process("", 0, NodeletKind.PYTHON)
-        return ProcessState(
-            self.name,
-            process.kind or NodeletKind.CPP,
-            process.incarnation if process.uri else "",
-            own=False,
-            responsive=not known.trouble,
-            away=known.away,
-            unseen=known.unseen,
-            rewirable=process.kind is not None,
-            host=host_of(process.uri),
-        )
+        return self.presence.state
 
     @property
     def may_publish(self) -> bool:
         """Whether it may hold a lease; one that has ended publishes no more."""
-        known = self.presence
-        return (not known.trouble or known.away) and super().may_publish
+        state = self.state
+        return (state.responsive or state.away) and super().may_publish
 
     def check(self) -> None:
         """Refuse to query one that does not answer.
@@ -169,7 +140,7 @@ class External(NodeletPeer):
             with self._state_lock:
                 client, known = self._client, self.presence
             self._refuse_if_missed(known)
-            if known.process is None or incarnation not in ("", known.process.incarnation):
+            if incarnation not in ("", known.state.incarnation):
                 raise HostError(f"{self._title} is another process by now")
             try:
                 nodelets = client.list()
@@ -188,8 +159,8 @@ class External(NodeletPeer):
 
         One that does not answer is not waited for.
         """
-        known = self.presence
-        if known.unseen or (known.trouble and not known.away):
+        state = self.state
+        if state.unseen or not (state.responsive or state.away):
             self._worker.wait_for(self._worker.wake(), timeout)
 
     def expect(self) -> None:
@@ -229,22 +200,25 @@ class External(NodeletPeer):
         else:
             self._backoff.forgive(self.name)
             self._period = None if self.is_node else _PERIOD
-        if self.is_node and known.process is None and time.monotonic() > self._expected_until:
+        if self.is_node and not known.state.alive and time.monotonic() > self._expected_until:
             self._on_gone(self)
 
     def _report(self) -> None:
         """Log a change, and report it."""
-        before, now = self._reported, self.presence
-        self._reported = now
-        was, is_now = before.process, now.process
-        if (was, bool(before.trouble), before.away) == (is_now, bool(now.trouble), now.away):
+        before, self._reported = self._reported.state, self.presence
+        now, trouble = self._reported.state, self._reported.trouble
+        if (before.incarnation, before.responsive, before.away) == (
+            now.incarnation,
+            now.responsive,
+            now.away,
+        ):
             return
         title = self._title.replace("'", "")
-        if is_now is not None and not now.trouble:
-            _log.info("%s is there (%s)", title, is_now.incarnation)
-        elif not self.is_node or is_now is not None:
-            _log.warning("%s cannot be asked: %s", title, now.trouble)
-        elif was is not None:
+        if now.responsive:
+            _log.info("%s is there (%s)", title, now.incarnation)
+        elif not self.is_node or now.alive:
+            _log.warning("%s cannot be asked: %s", title, trouble)
+        elif before.alive:
             _log.info("%s is gone", title)
             self.guarding.withdraw()
         self.context.on_change()
@@ -252,7 +226,7 @@ class External(NodeletPeer):
     def _refuse_if_missed(self, known: Presence) -> None:
         if known.trouble:
             text = f"{self._title}: {known.trouble}"
-            raise HostTimeout(text) if known.away else HostError(text)
+            raise HostTimeout(text) if known.state.away else HostError(text)
 
     def _miss(self, client: ListClient, trouble: Exception, away: bool) -> None:
         """Note that it cannot be queried, unless it was found again meanwhile."""
@@ -260,10 +234,12 @@ class External(NodeletPeer):
             if client is not self._client:
                 return
             known = self.presence
-            process = known.process if away else None
             if not known.trouble:
                 self._expected_until = time.monotonic() + _NODE_PATIENCE
-            self.presence = Presence(process, str(trouble), away, known.nodelets, unseen=False)
+            state = replace(
+                known.state if away else self._gone, responsive=False, away=away, unseen=False
+            )
+            self.presence = Presence(state, str(trouble), known.nodelets)
 
     def _find(self) -> None:
         known = self.presence
@@ -273,7 +249,7 @@ class External(NodeletPeer):
             if known.trouble:
                 self._miss(self._client, error, away=True)
             return  # a master that is away says nothing of the process
-        if uri and not known.trouble and known.process is not None and known.process.uri == uri:
+        if uri and not known.trouble and _address_of(known.state) == uri:
             return
         client = ListClient(self._master, self.name, reconnects=False, is_node=self.is_node)
         try:
@@ -281,41 +257,48 @@ class External(NodeletPeer):
                 raise NotRunning("it is not running")
             pid = self._master.pid(self.name, uri, LIST_TIMEOUT)
             nodelets = frozenset(client.list(FIND_TIMEOUT))
-            found = Process(uri, pid, self._kind())
+            found = replace(self._kind(), incarnation=f"{uri}@{pid}", host=host_of(uri))
         except (HostError, PeerTimeout, LookupError) as error:
             client.close()
             self._miss(self._client, error, may_be_there(error))
             return
         with self._state_lock:
-            before, old, self._client = self.presence, self._client, client
-            self.presence = Presence(found, "", False, nodelets, unseen=False)
+            before, old, self._client = self.presence.state, self._client, client
+            self.presence = Presence(found, nodelets=nodelets)
         old.close()
-        if before.process is not None and before.process.uri != uri:
-            self.displaced.append(before.process)
+        if before.alive and _address_of(before) != uri:
+            self.displaced.append(before.incarnation)
 
-    def _kind(self) -> Optional[NodeletKind]:
+    def _kind(self) -> ProcessState:
+        """Ask what it is; a stock C++ nodelet manager has no counts, and its nodelets no ports."""
         client = ServiceClient(self._master, names.join(self.name, COUNTS), GetCounts)
         try:
             kind = client.call(LIST_TIMEOUT, [self.name]).kind
         except (ServiceFailed, ServiceLost):
-            return None
+            return ProcessState(self.name, NodeletKind.CPP, own=False, rewirable=False)
         if not self.is_node:
-            return NodeletKind.PYTHON if kind == NodeletKind.PYTHON.value else NodeletKind.CPP
-        if kind not in [each.value for each in NodeletKind if each.is_node]:
+            is_python = kind == NodeletKind.PYTHON.value
+            kind = NodeletKind.PYTHON if is_python else NodeletKind.CPP
+        elif kind not in [each.value for each in NodeletKind if each.is_node]:
             raise NotRunning("it is no re-wirable node")
-        return NodeletKind(kind)
+        return ProcessState(self.name, NodeletKind(kind), own=False)
 
-    def _end(self, displaced: Process) -> bool:
+    def _end(self, displaced: str) -> bool:
         """End a process whose name another one bears now; returns whether it needs no more."""
+        uri, _, pid = displaced.rpartition("@")
         reason = f"another node bears the name {self.name}"
         try:
-            if self._master.pid(self.name, displaced.uri, LIST_TIMEOUT) == displaced.pid:
-                self._master.shut_down(self.name, displaced.uri, reason, LIST_TIMEOUT)
+            if self._master.pid(self.name, uri, LIST_TIMEOUT) == int(pid):
+                self._master.shut_down(self.name, uri, reason, LIST_TIMEOUT)
         except PeerTimeout as error:
             return not may_be_there(error)
         except LookupError:
             return True
         return True
+
+
+def _address_of(state: ProcessState) -> str:
+    return state.incarnation.rpartition("@")[0]
 
 
 def may_be_there(trouble: BaseException) -> bool:
@@ -366,12 +349,12 @@ class Externals:
         """Return the nodelet managers, there or not, and the nodes that are there, by name."""
         with self._state_lock:
             found = [self._externals[name] for name in sorted(self._externals)]
-        return [each for each in found if not each.is_node or each.presence.process is not None]
+        return [each for each in found if not each.is_node or each.state.alive]
 
     def find(self, name: str) -> Optional[External]:
         """Return the one of that name; None if there is none, or if it is a node and gone."""
         found = self._externals.get(name)
-        is_gone = found is not None and found.is_node and found.presence.process is None
+        is_gone = found is not None and found.is_node and not found.state.alive
         return None if is_gone else found
 
     def hosting(self, nodelet: str) -> Optional[External]:

@@ -15,9 +15,9 @@ import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 import psutil
 import rosgraph
@@ -65,16 +65,11 @@ class Finding:
     is_error: bool = True
 
 
-@dataclass(frozen=True)
-class NodeFacts:
-    """A registered node.
+_warning = partial(Finding, is_error=False)
 
-    Attributes:
-        name: its name.
-        uri: its address.
-        pid: its process, 0 if it does not answer.
-        trouble: the error of the connection.
-    """
+
+class NodeFacts(NamedTuple):
+    """A registered node: its address, process id (0 if it does not answer) and error."""
 
     name: str
     uri: str
@@ -167,11 +162,8 @@ class Doctor:
         """Find nodes that are registered and gone, or do not answer."""
         for node in self.nodes.values():
             if isinstance(node.trouble, ConnectionRefusedError):
-                yield Finding(
-                    node.name,
-                    f"is registered, but no process answers at {node.uri}",
-                    "rosnode cleanup",
-                )
+                problem = f"is registered, but no process answers at {node.uri}"
+                yield Finding(node.name, problem, "rosnode cleanup")
             elif node.trouble is not None and not isinstance(node.trouble, socket.gaierror):
                 yield Finding(
                     node.name,
@@ -182,11 +174,14 @@ class Doctor:
 
     def unregistered_processes(self) -> Iterator[Finding]:
         """Find a DyKnow manager and its processes that run, but are unknown to the master."""
+        unknown = (
+            "runs, but this ROS master does not know it: the master was restarted, or another one "
+            "was used before"
+        )
         if self.client.manager not in self.nodes and is_taken(self._state_path("lock")):
             yield Finding(
                 self.client.manager,
-                "its process runs, but this ROS master does not know it: the master was "
-                "restarted, or another one was used before",
+                f"its process {unknown}",
                 "end the process, and start the DyKnow manager again; nodelets and claims come "
                 "back",
             )
@@ -196,15 +191,10 @@ class Doctor:
             return
         for child in children:
             node = self.nodes.get(child.name)
-            if child.process is not None and (
-                node is None or node.pid not in (0, child.process.pid)
-            ):
-                yield Finding(
-                    child.name,
-                    f"its process {child.process.pid} runs, but this ROS master does not know it: "
-                    "the master was restarted, or another one was used before",
-                    f"kill {child.process.pid}; the DyKnow manager starts it again",
-                )
+            pid = child.process.pid if child.process is not None else 0
+            if pid and (node is None or node.pid not in (0, pid)):
+                cure = f"kill {pid}; the DyKnow manager starts it again"
+                yield Finding(child.name, f"its process {pid} {unknown}", cure)
 
     # DyKnow
 
@@ -220,16 +210,26 @@ class Doctor:
         """Find nodelets that do not run, hang, or have errors."""
         running = [each for each in self.model.nodelets if each.state is State.RUNNING]
         for each in self.model.nodelets:
+            info = f"dyknow info {each.name}"
             if each.state in (State.LOST, State.FAILED):
-                yield Finding(
-                    each.name,
-                    f"is {each.state.name}: {each.detail}",
-                    f"dyknow info {each.name}; see the log of {each.node}",
-                )
+                problem = f"is {each.state.name}: {each.detail}"
+                yield Finding(each.name, problem, f"{info}; see the log of {each.node}")
             elif each.detail:
-                yield Finding(each.name, each.detail, f"dyknow info {each.name}", is_error=False)
+                yield _warning(each.name, each.detail, info)
         with ThreadPoolExecutor(_ASKERS) as pool:
             yield from (found for found in pool.map(self._statistics, running) if found)
+
+    def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
+        if nodelet.is_fixed:
+            return None  # it has no proxy
+        try:
+            errors = self.client.get_statistics(nodelet.name).callback_errors
+        except DyKnowError as error:
+            return Finding(nodelet.name, str(error), f"dyknow info {nodelet.name}")
+        if not errors:
+            return None
+        problem = f"{errors} of its callbacks raised an exception"
+        return _warning(nodelet.name, problem, f"see the tracebacks in the log of {nodelet.node}")
 
     def remains(self) -> Iterator[Finding]:
         """Find code of nodelets that were unloaded, and that still runs."""
@@ -247,27 +247,9 @@ class Doctor:
                     "other nodelets; spawn such a nodelet isolated",
                 )
 
-    def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
-        if nodelet.is_fixed:
-            return None  # it has no proxy
-        try:
-            errors = self.client.get_statistics(nodelet.name).callback_errors
-        except DyKnowError as error:
-            return Finding(nodelet.name, str(error), f"dyknow info {nodelet.name}")
-        if not errors:
-            return None
-        return Finding(
-            nodelet.name,
-            f"{errors} of its callbacks raised an exception",
-            f"see the tracebacks in the log of {nodelet.node}",
-            is_error=False,
-        )
-
     def streams(self) -> Iterator[Finding]:
         """Find claims whose stream does not flow as it was requested."""
-        if not self.model.revision:
-            return
-        for each in self.client.list_streams():
+        for each in self.client.list_streams() if self.model.revision else ():
             if not each.state.ended and each.state is not ClaimState.ACTIVE:
                 yield Finding(
                     f"claim {each.claim_id} ({each.tag})",
@@ -278,14 +260,10 @@ class Doctor:
 
     def guards(self) -> Iterator[Finding]:
         """Find processes that host nodelets without the guards of the manager."""
-        if not self.model.revision:
-            return
         hosts = {each.node for each in self.model.nodelets if not each.is_fixed}
-        for host in sorted(hosts & set(self.nodes)):
+        for host in sorted(hosts & set(self.nodes)) if self.model.revision else ():
             parameter = names.join(host, guards_key(self.client.manager))
-            try:
-                self._master.ask("getParam", parameter)
-            except LookupError:
+            if self._parameter(parameter) is None:
                 yield Finding(
                     host,
                     f"has no guards: the parameter {parameter} is gone",
@@ -295,33 +273,23 @@ class Doctor:
     def library(self) -> Iterator[Finding]:
         """Find transformations whose nodelet type, program or message type is not installed."""
         for problem in missing_here("library", self.model.transformations):
-            yield Finding(
+            yield _warning(
                 "library",
                 problem.message,
                 "build and source the package on every host, or import a corrected specification",
-                is_error=False,
             )
 
     def parameters(self) -> Iterator[Finding]:
         """Find parameters that nothing reads."""
         manager = self.client.manager
-        try:
-            given = self._master.ask("getParam", manager)
-        except LookupError:
-            given = {}
-        for name, hint in unknown_parameters(given):
-            yield Finding(
-                names.join(manager, name),
-                f"the DyKnow manager has no such parameter{hint}",
-                f"rosparam delete {names.join(manager, name)}",
-                is_error=False,
-            )
+        for name, hint in unknown_parameters(self._parameter(manager) or {}):
+            parameter = names.join(manager, name)
+            problem = f"the DyKnow manager has no such parameter{hint}"
+            yield _warning(parameter, problem, f"rosparam delete {parameter}")
         known = {each.label: each for each in self.model.transformations}
         for nodelet in self.model.nodelets:
             for problem in undeclared(known.get(nodelet.transformation), nodelet.parameters):
-                yield Finding(
-                    nodelet.name, problem, "destroy it, and spawn it again", is_error=False
-                )
+                yield _warning(nodelet.name, problem, "destroy it, and spawn it again")
 
     # This machine
 
@@ -347,12 +315,11 @@ class Doctor:
             except psutil.Error:
                 continue
             if started < changed:
-                yield Finding(
+                yield _warning(
                     name,
                     f"was started before DyKnow was changed on disk (at {_moment(changed)}), and "
                     "may be of another version",
                     "restart it",
-                    is_error=False,
                 )
 
     def descriptors(self) -> Iterator[Finding]:
@@ -391,11 +358,15 @@ class Doctor:
             seen.add(device)
 
     def _state_path(self, ending: str) -> str:
-        try:
-            folder = self._master.ask("getParam", names.join(self.client.manager, "state_dir"))
-        except LookupError:
-            folder = ""
+        folder = self._parameter(names.join(self.client.manager, "state_dir")) or ""
         return state_path(str(folder), self._master.uri, self.client.manager, ending)
+
+    def _parameter(self, name: str) -> Any:
+        """Return the value of a parameter; None if it is not set."""
+        try:
+            return self._master.ask("getParam", name)
+        except LookupError:
+            return None
 
 
 def _existing(path: str) -> str:
