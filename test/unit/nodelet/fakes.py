@@ -72,23 +72,21 @@ class RecordingTransport(LocalTransport):
         self.made: List[Any] = []
         self.refused: Dict[str, Exception] = {}
         self.on_register: Callable[[str], None] = lambda topic: None
+        self.on_made: Callable[[Any], None] = lambda registration: None
 
-    def advertise(self, topic: str, *args: Any) -> LocalPublisher:
-        self._look(topic)
-        registration = super().advertise(topic, *args)
-        self.made.append(registration)
-        return registration
+    def advertise(self, *args: Any) -> LocalPublisher:
+        return self._register(super().advertise, *args)
 
-    def subscribe(self, topic: str, *args: Any) -> LocalSubscriber:
-        self._look(topic)
-        registration = super().subscribe(topic, *args)
-        self.made.append(registration)
-        return registration
+    def subscribe(self, *args: Any) -> LocalSubscriber:
+        return self._register(super().subscribe, *args)
 
-    def _look(self, topic: str) -> None:
+    def _register(self, register: Callable[..., Any], topic: str, *args: Any) -> Any:
         if topic in self.refused:
             raise self.refused[topic]
         self.on_register(topic)
+        self.made.append(register(topic, *args))
+        self.on_made(self.made[-1])
+        return self.made[-1]
 
 
 class World:

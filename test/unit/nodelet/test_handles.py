@@ -10,6 +10,7 @@ import threading
 
 import pytest
 from unit.nodelet.fakes import (
+    PATIENCE,
     Idle,
     Message,
     in_thread,
@@ -24,7 +25,7 @@ from dyknow.errors import DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 
-pool = pool_world(2)
+pool = pool_world(4)
 
 
 #: Signatures of rospy: a call that works with it works here, positional arguments included.
@@ -67,32 +68,37 @@ class TestSignatures:
             assert isinstance(caught.value, ValueError)
         assert world.registrations == []
 
-    def test_handles_tell_what_rospy_s_do(self, world):
+    def test_handles_have_the_members_of_rospys(self, world):
         nh = world.handle()
         for handle in (nh.Publisher("t", Message), nh.Subscriber("t", Message)):
             assert handle.name == handle.resolved_name == "/t"
             assert handle.data_class is Message
             assert (handle.type, handle.md5sum) == ("test/Message", "message")
-            handle.unregister()
+
+    def test_connections_are_counted_as_in_roscpp(self, world):
+        nh = world.handle()
+        publisher = nh.Publisher("t", Message, queue_size=1)
+        assert publisher.get_num_connections() == 0
+        for _ in range(2):
+            subscriber = nh.Subscriber("t", Message, print)
+        assert (publisher.get_num_connections(), subscriber.get_num_connections()) == (1, 0)
+        world.transport.listeners["/t"].extend([print, print])
+        assert publisher.get_num_connections() == 3
 
 
 class TestNames:
     def test_of_the_four_handles_of_a_nodelet(self, world):
-        context = world.context("/robot/nodelet")
         nodelet = Idle()
-        nodelet.bind(context)
+        nodelet.bind(world.context("/robot/nodelet"))
         for nh in (nodelet.node_handle, nodelet.mt_node_handle):
             assert nh.resolve_name("x") == "/robot/x"
             assert nh.resolve_name("~x") == "/robot/nodelet/x"
         for nh in (nodelet.private_node_handle, nodelet.mt_private_node_handle):
-            assert nh.resolve_name("x") == "/robot/nodelet/x"
-            assert nh.resolve_name("~x") == "/robot/nodelet/x"
+            assert nh.resolve_name("x") == nh.resolve_name("~x") == "/robot/nodelet/x"
             assert nh.resolve_name("/x") == "/x"
-        assert nodelet.name == nodelet.node_handle.get_name() == "/robot/nodelet"
-        assert nodelet.node_handle.get_caller_id() == "/robot/nodelet"
-        assert nodelet.node_handle.get_namespace() == "/robot/"
-
-    def test_namespace_in_the_root_is_one_slash(self, world):
+        nh = nodelet.node_handle
+        assert nodelet.name == nh.get_name() == nh.get_caller_id() == "/robot/nodelet"
+        assert nh.get_namespace() == "/robot/"
         assert world.handle("/nodelet").get_namespace() == "/"
 
     @pytest.mark.parametrize(
@@ -110,11 +116,11 @@ class TestNames:
         assert nh.resolve_name(name) == resolved
 
     @pytest.mark.parametrize("name", ["", "~", "/", "a b", "1"])
-    @pytest.mark.parametrize("make", ["Publisher", "Subscriber"])
-    def test_that_name_no_topic_are_refused(self, world, name, make):
+    def test_that_name_no_topic_are_refused(self, world, name):
         nh = world.handle()
-        with pytest.raises(InvalidName):
-            getattr(nh, make)(name, Message)
+        for make in (nh.Publisher, nh.Subscriber):
+            with pytest.raises(InvalidName):
+                make(name, Message)
         assert world.registrations == []
         assert nh.context._endpoints == []
 
@@ -132,19 +138,16 @@ class TestNames:
         assert nh.resolve_name("~x", "/ns/other") == "/ns/other/x"
 
 
-class TestParameters:
-    def test_private_ones_are_the_nodelets(self, world):
-        nh = world.handle("/nodelet")
-        nh.set_param("~rate", 5)
-        assert world.node.parameters == {"/nodelet/rate": 5}
-        assert nh.get_param("~rate") == 5
-        assert nh.has_param("~rate") and not nh.has_param("rate")
-        assert nh.get_param("~other", 7) == 7
-
-    def test_what_ros_has_not_a_handle_has_not(self, world):
-        with pytest.raises(AttributeError, match="nonsense"):
-            world.handle().nonsense  # noqa: B018
-        assert not hasattr(world.handle(), "__nonsense__")
+def test_parameters_and_other_members_are_the_middlewares(world):
+    nh = world.handle("/nodelet")
+    nh.set_param("~rate", 5)
+    assert world.node.parameters == {"/nodelet/rate": 5}
+    assert nh.get_param("~rate") == 5
+    assert nh.has_param("~rate") and not nh.has_param("rate")
+    assert nh.get_param("~other", 7) == 7
+    with pytest.raises(AttributeError, match="nonsense"):
+        nh.nonsense  # noqa: B018
+    assert not hasattr(nh, "__nonsense__")
 
 
 class TestCallbacks:
@@ -159,37 +162,21 @@ class TestCallbacks:
         world.drain()
         assert got == [(message, "more"), (message, (1, 2)), (message, 0)]
 
-    def test_register_callback_adds_to_those_that_are_there(self, world):
-        got = []
-        nh = world.handle()
-        subscriber = nh.Subscriber("t", Message, lambda m: got.append("first"))
-        assert subscriber.registerCallback(lambda m: got.append("second")) == 1
-        subscriber.registerCallback(lambda m, *args: got.append(args), 1, 2)
-        nh.Publisher("t", Message).publish()
-        world.drain()
-        assert got == ["first", "second", (1, 2)]
-
-    def test_a_subscriber_may_have_callbacks_later_or_never(self, world):
-        got = []
-        nh = world.handle()
+    def test_a_subscriber_may_have_callbacks_later_and_a_failing_one_keeps_no_other(
+        self, world, caplog
+    ):
+        got, nh = [], world.handle()
         subscriber = nh.Subscriber("t", Message)
         publisher = nh.Publisher("t", Message)
         publisher.publish(0)
         world.drain()
-        assert subscriber.registerCallback(got.append) == 0
+        assert subscriber.registerCallback(lambda m: got.append(m.number)) == 0
+        assert subscriber.registerCallback(lambda m: 1 / 0) == 1
+        subscriber.registerCallback(lambda m: {"present": 1}["missing"])
+        subscriber.registerCallback(lambda m, *args: got.append(args), 1, 2)
         publisher.publish(1)
         world.drain()
-        assert numbers(got) == [1]
-
-    def test_one_that_fails_does_not_keep_the_others_from_the_message(self, world, caplog):
-        got = []
-        nh = world.handle()
-        subscriber = nh.Subscriber("t", Message, lambda m: 1 / 0)
-        subscriber.registerCallback(lambda m: {"present": 1}["missing"])
-        subscriber.registerCallback(got.append)
-        nh.Publisher("t", Message).publish()
-        world.drain()
-        assert len(got) == 1
+        assert got == [1, (1, 2)]
         assert nh.context.callback_errors == 2
         assert "ZeroDivisionError" in caplog.text and "KeyError" in caplog.text
 
@@ -199,38 +186,32 @@ class TestWaitForMessage:
         nh, got = pool.handle(), []
         thread = in_thread(lambda: got.append(nh.wait_for_message("t", Message)))
         wait_until(lambda: pool.transport.subscribers)
-        publisher = pool.handle("/other").Publisher("/t", Message)
-        publisher.publish(7)
+        pool.handle("/other").Publisher("/t", Message).publish(7)
         join(thread)
         assert numbers(got) == [7]
         assert pool.registrations == [("publisher", "/t")]
 
-    def test_raises_when_nothing_comes_in_time(self, pool):
-        nh = pool.handle()
+    def test_raises_when_nothing_comes_in_time_or_the_nodelet_is_unloaded(self, pool):
+        nh, raised = pool.handle("/waiting"), threading.Event()
         with pytest.raises(DyKnowError, match=r"'t' did not come within 0.01 s"):
             nh.wait_for_message("t", Message, timeout=0.01)
         assert pool.registrations == []
 
-    def test_raises_when_the_nodelet_is_unloaded(self, pool):
-        nh, raised = pool.handle("/waiting"), []
-
         def wait():
-            with pytest.raises(DyKnowError, match="/waiting was unloaded") as caught:
+            with pytest.raises(DyKnowError, match="/waiting was unloaded"):
                 nh.wait_for_message("t", Message)
-            raised.append(caught.value)
+            raised.set()
 
         thread = in_thread(wait)
-        wait_until(lambda: pool.transport.subscribers)
         wait_until(lambda: nh.context._closables)
         nh.context.close()
         join(thread)
-        assert len(raised) == 1
+        assert raised.is_set()
         assert pool.registrations == []
 
-    def test_works_inside_a_callback_of_the_same_nodelet(self, pool):
+    def test_works_in_a_callback_and_in_on_init(self, pool):
         nh, got, done = pool.handle(), [], threading.Event()
-        publisher = pool.handle("/other").Publisher("/answer", Message, latch=True)
-        publisher.publish(42)
+        pool.handle("/other").Publisher("/answer", Message, latch=True).publish(42)
 
         def ask(message):
             got.append(nh.wait_for_message("answer", Message, timeout=10.0))
@@ -239,31 +220,21 @@ class TestWaitForMessage:
         nh.Subscriber("t", Message, ask)
         nh.Publisher("t", Message).publish()
         wait_for(done)
-        assert numbers(got) == [42]
-
-    def test_works_in_on_init_before_any_callback_runs(self, pool):
-        pool.handle("/other").Publisher("/info", Message, latch=True).publish(42)
-        context = Context(pool.runtime, "/starting")
-        message = PlainNodeHandle(context, "/").wait_for_message("info", Message, timeout=10.0)
-        assert message.number == 42
+        starting = PlainNodeHandle(Context(pool.runtime, "/starting"), "/")
+        got.append(starting.wait_for_message("answer", Message, timeout=10.0))
+        assert numbers(got) == [42, 42]
 
 
 class TestLife:
     def test_a_handle_of_an_unloaded_nodelet_makes_nothing_more(self, world):
-        nh = world.handle("/gone")
+        nh, staying = world.handle("/gone"), world.handle("/staying")
+        assert not nh.is_shutdown()
         nh.context.close()
         for make in (nh.Publisher, nh.Subscriber):
             with pytest.raises(HandleClosed, match="/gone"):
                 make("t", Message)
         assert world.registrations == []
-        assert nh.is_shutdown()
-
-    def test_is_shutdown_is_of_the_one_nodelet(self, world):
-        going, staying = world.handle("/going"), world.handle("/staying")
-        assert not going.is_shutdown()
-        going.context.close()
-        assert going.is_shutdown()
-        assert not staying.is_shutdown()
+        assert nh.is_shutdown() and not staying.is_shutdown()
 
     def test_a_nodelet_has_no_handles_before_on_init(self):
         class Early(Idle):
@@ -272,3 +243,81 @@ class TestLife:
 
         with pytest.raises(RuntimeError, match=r"no handles before on_init"):
             Early()
+
+
+class TestConcurrentHandles:
+    def test_subscriptions_and_timers_overlap(self, pool):
+        nh = pool.handle(concurrent=True)
+        all_of_them, met = threading.Barrier(3), []
+
+        def meet(event):
+            all_of_them.wait(PATIENCE)
+            met.append(event)
+
+        for _ in range(2):
+            nh.Subscriber("t", Message, meet)
+        nh.Timer(1.0, meet, oneshot=True)
+        nh.Publisher("t", Message).publish()
+        pool.ticker.advance(1.0)
+        wait_until(lambda: len(met) == 3)
+
+    def test_each_subscription_keeps_its_order_and_never_overlaps_itself(self, pool):
+        nh = pool.handle(concurrent=True)
+        got, inside, overlaps = [[], []], [0, 0], []
+
+        def receive(message, which):
+            inside[which] += 1
+            if inside[which] > 1:
+                overlaps.append(which)
+            got[which].append(message.number)
+            inside[which] -= 1
+
+        for which in range(2):
+            nh.Subscriber("t", Message, receive, which)
+        publisher = nh.Publisher("t", Message)
+        for number in range(3000):
+            publisher.publish(number)
+        pool.drain()
+        assert overlaps == []
+        assert got == [list(range(3000))] * 2
+
+    def test_a_blocked_subscription_holds_up_no_other_and_an_unload_stops_all(self, pool):
+        single = pool.handle("/n")
+        nh = PlainNodeHandle(single.context, "/", concurrent=True)
+        release, free, got = threading.Event(), threading.Event(), []
+        single.Subscriber("t", Message, lambda message: wait_for(release))
+        nh.Subscriber("t", Message, lambda message: wait_for(release))
+        nh.Subscriber("t", Message, lambda message: free.set())
+        nh.Subscriber("u", Message, got.append)
+        publisher, other = (pool.handle("/o").Publisher(topic, Message) for topic in ("/t", "/u"))
+        publisher.publish()
+        wait_for(free)
+        nh.context.close()
+        other.publish()
+        release.set()
+        pool.drain()
+        assert got == []
+
+    def test_a_subscriber_that_is_unregistered_or_refused_takes_its_strand_with_it(
+        self, pool, caplog
+    ):
+        caplog.set_level("INFO")
+        nh = pool.handle(concurrent=True)
+        before = len(nh.context._strands)
+        publisher = nh.Publisher("t", Message)
+        for _ in range(20):
+            done, subscribers = threading.Event(), []
+
+            def once(message, done=done, subscribers=subscribers):
+                subscribers[0].unregister()
+                done.set()
+
+            subscribers.append(nh.Subscriber("t", Message, once))
+            publisher.publish()
+            wait_for(done)
+        pool.transport.refused["/t"] = RuntimeError("no")
+        with pytest.raises(RuntimeError):
+            nh.Subscriber("t", Message, print)
+        pool.drain()
+        assert len(nh.context._strands) == before
+        assert "unload" not in caplog.text, "nothing was unloaded"

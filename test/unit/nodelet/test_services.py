@@ -9,15 +9,7 @@ import logging
 import threading
 
 import pytest
-from unit.nodelet.fakes import (
-    PATIENCE,
-    Message,
-    in_thread,
-    join,
-    pool_world,
-    wait_for,
-    wait_until,
-)
+from unit.nodelet.fakes import PATIENCE, Message, in_thread, join, pool_world, wait_for
 
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.context import Context
@@ -40,12 +32,20 @@ class Caller:
         except BaseException as error:
             self.error = error
 
+    def outcome(self):
+        join(self.thread)
+        return self.error or self.response
 
-def test_a_service_answers_under_its_resolved_name(world):
+
+def test_a_service_answers_under_its_resolved_name_until_it_is_shut_down(world):
     nh = PlainNodeHandle(world.context("/ns/nodelet"), "/ns")
     service = nh.Service("~double", object, lambda request: request * 2)
+    nh.Service("other", object, lambda request: request)
     assert service.resolved_name == "/ns/nodelet/double"
     assert world.services.call("/ns/nodelet/double", 21) == 42
+    service.shutdown("enough")
+    assert sorted(world.services.handlers) == ["/ns/other"]
+    assert world.services.call("/ns/other", 1) == 1
 
 
 def test_calls_and_callbacks_of_one_nodelet_never_overlap(world):
@@ -79,29 +79,18 @@ def test_calls_and_callbacks_of_one_nodelet_never_overlap(world):
     assert count == [600]
 
 
-def test_what_a_handler_raises_is_raised_to_the_caller_and_counted(world):
-    nh = world.handle()
-
-    def fail(request):
-        raise ValueError(f"no {request}")
-
-    nh.Service("s", object, fail)
-    with pytest.raises(ValueError, match="no luck"):
-        world.services.call("/s", "luck")
-    assert nh.context.callback_errors == 1
-
-
 @pytest.mark.parametrize("concurrent", [False, True])
-def test_a_handler_that_exits_answers_its_caller_all_the_same(world, concurrent):
+@pytest.mark.parametrize("error", [ValueError("no luck"), SystemExit(3)])
+def test_the_error_of_a_handler_is_raised_to_the_caller_and_counted(world, concurrent, error):
     nh = world.handle(concurrent=concurrent)
 
-    def leave(request):
-        raise SystemExit(3)
+    def fail(request):
+        raise error
 
-    nh.Service("s", object, leave)
-    caller = Caller(world, "/s")
-    join(caller.thread)
-    assert isinstance(caller.error, Exception), "the caller must hear of it, and live on"
+    nh.Service("s", object, fail)
+    outcome = Caller(world, "/s").outcome()
+    assert isinstance(outcome, Exception), "the caller must hear of it, and live on"
+    assert (outcome is error) is isinstance(error, ValueError)
     assert nh.context.callback_errors == 1
 
 
@@ -112,8 +101,7 @@ def test_a_call_during_on_init_is_answered_after_it(world):
     caller.thread.join(0.05)
     assert caller.response is None
     context.start()
-    join(caller.thread)
-    assert caller.response == "up"
+    assert caller.outcome() == "up"
 
 
 @pytest.mark.parametrize("concurrent", [False, True])
@@ -126,64 +114,27 @@ def test_an_unload_ends_the_waits_of_callers(world, concurrent):
         wait_for(release)
 
     nh.Service("s", object, hang)
-    running = Caller(world, "/s")
-    wait_for(started)
-    waiting = [Caller(world, "/s") for _ in range(3)]
-    wait_until(lambda: sum(caller.thread.is_alive() for caller in waiting) == 3)
-    nh.context.close()
-    for caller in (running, *waiting):
-        join(caller.thread)
-        assert isinstance(caller.error, DyKnowError)
-        assert "/going was unloaded" in str(caller.error)
-    assert world.services.handlers == {}
-    release.set()
-
-
-def test_a_call_that_comes_too_late_is_refused(world):
-    nh = world.handle("/gone")
-    nh.Service("s", object, lambda request: "answer")
     handler = world.services.handlers["/s"]
-    nh.context.close()
-    outcome = []
-
-    def call():
-        with pytest.raises(DyKnowError, match="/gone was unloaded"):
-            handler(None)
-        outcome.append("refused")
-
-    join(in_thread(call))
-    assert outcome == ["refused"]
-
-
-def test_a_call_between_stop_and_close_is_refused_too(world):
-    # on_shutdown runs there: the strand is dead, the registration is not yet withdrawn.
-    nh = world.handle("/going")
-    nh.Service("s", object, lambda request: "answer")
+    callers = [Caller(world, "/s")]
+    wait_for(started)
+    callers += [Caller(world, "/s") for _ in range(3)]
     nh.context.stop()
-    caller = Caller(world, "/s")
-    caller.thread.join(0.05)
-    nh.context.close()
-    join(caller.thread)
-    assert isinstance(caller.error, DyKnowError)
-
-
-def test_shutdown_withdraws_one_service(world):
-    nh = world.handle()
-    first = nh.Service("a", object, lambda request: "a")
-    nh.Service("b", object, lambda request: "b")
-    first.shutdown("enough")
-    assert sorted(world.services.handlers) == ["/b"]
-    assert world.services.call("/b", None) == "b"
+    callers.append(Caller(world, "/s"))  # while on_shutdown runs: the strand is dead
     nh.context.close()
     assert world.services.handlers == {}
+    world.services.handlers["/late"] = handler
+    for caller in (*callers, Caller(world, "/late")):
+        outcome = caller.outcome()
+        if not isinstance(outcome, KeyError):  # it came after the service was withdrawn
+            assert isinstance(outcome, DyKnowError)
+            assert "/going was unloaded" in str(outcome)
+    release.set()
 
 
 def test_a_handler_may_unload_its_own_nodelet(world):
     nh = world.handle("/own")
     nh.Service("s", object, lambda request: nh.context.close())
-    caller = Caller(world, "/s")
-    join(caller.thread)
-    assert isinstance(caller.error, DyKnowError)
+    assert isinstance(Caller(world, "/s").outcome(), DyKnowError)
 
 
 def test_calls_of_a_concurrent_handle_overlap(world):
@@ -191,8 +142,7 @@ def test_calls_of_a_concurrent_handle_overlap(world):
     both = threading.Barrier(2)
     nh.Service("s", object, lambda request: both.wait(PATIENCE) is not None)
     callers = [Caller(world, "/s") for _ in range(2)]
-    join(*[caller.thread for caller in callers])
-    assert [caller.response for caller in callers] == [True, True]
+    assert [caller.outcome() for caller in callers] == [True, True]
 
 
 def test_calls_of_a_concurrent_handle_leave_nothing_behind(world, caplog):

@@ -33,24 +33,53 @@ def _world():
     return world
 
 
-def advance(world, seconds):
+def tick_at(world, seconds):
+    """Let time pass, and have the due timers queue their callbacks."""
     world.ticker.advance(seconds)
-    for _ in range(3):  # as the thread does, which looks again when something is due already
-        world.runtime.timers.tick()
+    world.runtime.timers.tick()
+
+
+def advance(world, seconds):
+    tick_at(world, seconds)
+    world.drain()
+    for _ in range(2):  # as the thread does, which looks again when something is due already
+        tick_at(world, 0.0)
         world.drain()
 
 
-def test_a_timer_fires_once_each_period(world):
+def every_second(world, **options):
+    """The moments at which a timer with a period of one second has fired."""
     fired = []
-    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
-    advance(world, 0.5)
-    assert fired == []
-    for _ in range(6):
-        advance(world, 0.5)
-    assert fired == [1.0, 2.0, 3.0]
+    world.handle().Timer(1.0, lambda event: fired.append(event.current_real), **options)
+    return fired
 
 
-def test_the_event_tells_what_rospy_tells(world):
+@pytest.mark.parametrize(
+    ("steps", "moments"),
+    [
+        ([0.5] * 7, [1.0, 2.0, 3.0]),
+        ([5.5, 0.5], [5.5, 6.0]),  # no burst after a sleep, and the grid is kept
+        ([100.0, -99.5, 0.75, 0.25, 1.0], [100.0, 1.5, 2.5]),  # a jump back: one period later
+    ],
+)
+def test_a_timer_fires_once_each_period(world, steps, moments):
+    fired = every_second(world)
+    for seconds in steps:
+        advance(world, seconds)
+    assert fired == moments
+
+
+def test_a_timer_that_is_made_just_before_a_jump_back_does_not_wait_for_the_old_future(world):
+    advance(world, 1.0)
+    world.ticker.advance(99.0)
+    fired = every_second(world)
+    world.ticker.advance(-98.0)  # the queue has not seen any of it
+    advance(world, 0.0)
+    advance(world, 1.0)
+    assert fired == [3.0]
+
+
+def test_the_event_has_the_facts_of_rospys(world):
     events = []
     world.handle().Timer(1.0, events.append)
     advance(world, 1.25)
@@ -63,31 +92,10 @@ def test_the_event_tells_what_rospy_tells(world):
     assert second.last_duration == 0.0
 
 
-def test_a_oneshot_timer_fires_once_and_is_done(world):
-    fired = []
-    timer = world.handle().Timer(1.0, fired.append, oneshot=True)
-    assert timer.is_alive()
-    for _ in range(3):
-        advance(world, 1.0)
-    assert len(fired) == 1
-    assert not timer.is_alive()
-
-
-def test_time_slept_through_is_not_caught_up_in_a_burst(world):
-    fired = []
-    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
-    advance(world, 5.5)
-    assert fired == [5.5]
-    advance(world, 0.5)
-    assert fired == [5.5, 6.0], "the grid of the timer was left"
-
-
 def test_calls_do_not_pile_up_while_the_nodelet_is_busy(world):
-    fired = []
-    world.handle().Timer(1.0, fired.append)
+    fired = every_second(world)
     for _ in range(5):
-        world.ticker.advance(1.0)
-        world.runtime.timers.tick()
+        tick_at(world, 1.0)
     world.drain()
     assert len(fired) == 1
     advance(world, 1.0)
@@ -100,8 +108,7 @@ def test_a_call_due_while_the_callback_runs_is_made_after_it(world):
     def slow(event):
         fired.append(event)
         if len(fired) == 1:
-            world.ticker.advance(1.0)
-            world.runtime.timers.tick()
+            tick_at(world, 1.0)
 
     world.handle().Timer(1.0, slow)
     advance(world, 1.0)
@@ -109,63 +116,31 @@ def test_a_call_due_while_the_callback_runs_is_made_after_it(world):
     assert fired[1].last_duration == 1.0
 
 
-def test_after_a_jump_back_the_next_call_is_one_period_later(world):
-    fired = []
-    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
-    advance(world, 100.0)
-    advance(world, -99.5)
-    assert fired == [100.0]
-    advance(world, 0.75)
-    assert fired == [100.0]
-    advance(world, 0.25)
-    assert fired == [100.0, 1.5]
-    advance(world, 1.0)
-    assert fired == [100.0, 1.5, 2.5]
+@pytest.mark.parametrize("how", ["oneshot", "in its callback", "while a call waits", "unload"])
+def test_the_end_of_a_timer(world, how):
+    fired, made, nh = [], [], world.handle("/going")
 
-
-def test_a_timer_can_be_shut_down_in_its_callback(world):
-    fired, timers = [], []
-
-    def once(event):
+    def fire(event):
         fired.append(event)
-        timers[0].shutdown()
+        if how == "in its callback":
+            made[0].shutdown()
 
-    timers.append(world.handle().Timer(1.0, once))
+    made.append(nh.Timer(1.0, fire, oneshot=how == "oneshot"))
+    staying = every_second(world)
+    assert made[0].is_alive()
+    tick_at(world, 1.0)
+    if how == "while a call waits":
+        made[0].shutdown()
+    elif how == "unload":
+        nh.context.close()
+        made.append(nh.Timer(1.0, fire))  # by a nodelet that is gone
+    advance(world, 0.0)
     for _ in range(3):
         advance(world, 1.0)
-    assert len(fired) == 1
-    assert not timers[0].is_alive()
-
-
-def test_a_call_that_waits_is_dropped_by_shutdown(world):
-    fired = []
-    timer = world.handle().Timer(1.0, fired.append)
-    world.ticker.advance(1.0)
-    world.runtime.timers.tick()
-    timer.shutdown()
-    world.drain()
-    assert fired == []
-
-
-def test_a_timer_ends_with_its_nodelet_and_leaves_others_alone(world):
-    fired = []
-    context = world.context("/going")
-    timer = PlainNodeHandle(context, "/").Timer(1.0, lambda event: fired.append("going"))
-    world.handle("/staying").Timer(1.0, lambda event: fired.append("staying"))
-    advance(world, 1.0)
-    context.close()
-    advance(world, 1.0)
-    assert fired == ["going", "staying", "staying"]
-    assert not timer.is_alive()
+    assert len(fired) == (1 if how in ("oneshot", "in its callback") else 0)
+    assert not any(timer.is_alive() for timer in made)
+    assert staying == [1.0, 2.0, 3.0, 4.0]
     assert len(world.runtime.timers._heap) == 1
-
-
-def test_a_timer_made_by_a_closed_nodelet_never_fires(world):
-    handle, fired = world.handle(), []
-    handle.context.close()
-    handle.Timer(1.0, fired.append)
-    advance(world, 5.0)
-    assert fired == []
 
 
 def test_a_failing_callback_is_counted_and_called_again(world, caplog):
@@ -178,8 +153,7 @@ def test_a_failing_callback_is_counted_and_called_again(world, caplog):
     handle.Timer(1.0, fail)
     advance(world, 1.0)
     advance(world, 1.0)
-    assert len(fired) == 2
-    assert handle.context.callback_errors == 2
+    assert len(fired) == handle.context.callback_errors == 2
     assert "/failing: the callback of a timer raised" in caplog.text
 
 
@@ -280,17 +254,6 @@ def test_a_tick_works_for_what_is_due_however_many_timers_there_are(world):
     assert steps() < 50
     world.ticker.advance(100.5)
     assert steps() < 100
-
-
-def test_a_timer_that_is_made_just_before_a_jump_back_does_not_wait_for_the_old_future(world):
-    fired = []
-    advance(world, 1.0)
-    world.ticker.advance(99.0)
-    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
-    world.ticker.advance(-98.0)  # the queue has not seen any of it
-    advance(world, 0.0)
-    advance(world, 1.0)
-    assert fired == [3.0]
 
 
 def test_timers_that_are_due_shortly_after_each_other_are_fired_together(world):
