@@ -81,7 +81,6 @@ def test_a_loaded_nodelet_has_its_name_arguments_and_callbacks(world):
     nodelet = loader.load("/ns/echo", "echo", {"/ns/out": "/result"}, ["-v", "x"])
     assert nodelet.name == "/ns/echo"
     assert nodelet.my_argv == ["-v", "x"]
-    assert loader.list() == ["/ns/echo"]
     assert loader.get("/ns/echo") is nodelet
     got, nh = [], world.handle()
     nh.Subscriber("/result", Message, got.append)
@@ -121,31 +120,22 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
     assert message in got
 
 
-def test_list_is_sorted(world):
-    loader = world.loader(idle=Idle)
-    for name in ("/c", "/a", "/b"):
+def test_nodelets_are_listed_by_name_and_closed_from_the_newest(world):
+    gone = []
+    loader = Loader(world.runtime, lambda name, _: Idle, on_unloaded=gone.append)
+    for name in ("/b", "/a", "/c"):
         loader.load(name, "idle")
     assert loader.list() == ["/a", "/b", "/c"]
-
-
-def test_unknown_names_are_refused_with_those_known(world):
-    loader = world.loader(idle=Idle)
-    loader.load("/here", "idle")
     for call in (loader.get, loader.unload):
-        with pytest.raises(UnknownNodelet, match="'/gone' is loaded; loaded: /here"):
+        with pytest.raises(UnknownNodelet, match="'/gone' is loaded; loaded: /a, /b, /c"):
             call("/gone")
+    loader.close()
+    assert gone == ["/c", "/a", "/b"]
+    assert loader.list() == []
 
 
 class TestNameTaken:
-    def test_the_one_that_is_there_is_untouched(self, world):
-        loader = world.loader(idle=Idle)
-        first = loader.load("/n", "idle")
-        with pytest.raises(NameTaken, match="'/n' is already loaded"):
-            loader.load("/n", "idle")
-        assert loader.get("/n") is first
-        assert not first.context.closed
-
-    def test_while_it_is_being_loaded(self, world, gate):
+    def test_the_one_that_is_there_is_untouched(self, world, gate):
         loader = world.loader(gate=gate, idle=Idle)
         thread, outcome = load_in_thread(loader, "/n", "gate")
         wait_for(gate.entered)
@@ -153,23 +143,23 @@ class TestNameTaken:
             loader.load("/n", "idle")
         gate.opened.set()
         join(thread)
+        with pytest.raises(NameTaken, match="'/n' is already loaded"):
+            loader.load("/n", "idle")
         assert loader.get("/n") is outcome[0]
+        assert not outcome[0].context.closed
 
-    def test_while_it_is_being_unloaded_it_is_waited_for(self, world):
+    def test_while_it_is_being_unloaded_it_is_waited_for_a_while(self, world, monkeypatch):
         with unloading(world) as (loader, opened):
             with pytest.raises(UnknownNodelet):
                 loader.unload("/n")
             thread, outcome = load_in_thread(loader, "/n", "idle")
             assert not outcome
+            monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
+            with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
+                loader.load("/n", "idle")
             opened.set()
             join(thread)
             assert type(outcome[0]) is Idle
-
-    def test_while_it_is_being_unloaded_for_long(self, world, monkeypatch):
-        monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
-        refused = pytest.raises(NameTaken, match="'/n' is still being unloaded")
-        with unloading(world) as (loader, _), refused:
-            loader.load("/n", "idle")
 
 
 @contextmanager
@@ -214,57 +204,51 @@ class TestFailure:
         loader.load("/n", "pkg/X")
 
     @pytest.mark.parametrize("error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt()])
-    def test_what_on_init_raises_fails_the_load_and_leaves_nothing(self, world, error):
+    def test_an_error_of_on_init_fails_the_load_and_leaves_nothing(self, world, error):
+        kept = []
+
         class Failing(Nodelet):
             def on_init(self):
                 nh = self.node_handle
-                nh.Publisher("p", Message, latch=True).publish(1)
+                kept.append(nh.Publisher("p", Message, latch=True))
+                kept[0].publish(1)
                 nh.Subscriber("s", Message, print)
                 self.mt_node_handle.Subscriber("m", Message, print)
                 nh.Service("service", object, print)
                 nh.Timer(1.0, print)
                 raise error
 
+            def on_shutdown(self):
+                kept.append("it did not start")
+
         loader = world.loader(failing=Failing, idle=Idle)
         with pytest.raises(LoadFailed) as caught:
             loader.load("/n", "failing")
-        assert caught.value.cause is error
+        assert caught.value.cause is caught.value.__cause__ is error
         assert f"cannot load '/n' of type failing: {type(error).__name__}" in str(caught.value)
-        assert caught.value.__cause__ is error
         assert loader.list() == []
         assert world.registrations == []
         assert world.services.handlers == {}
         assert world.runtime.timers._heap == []
         assert world.bus._topics == {}
+        with pytest.raises(HandleClosed):
+            kept[0].publish()
+        assert len(kept) == 1
         loader.load("/n", "idle")
 
-    def test_a_constructor_that_raises_is_a_failed_load_too(self, world):
+    def test_a_constructor_that_raises_or_no_on_init_is_a_failed_load_too(self, world):
         class Broken(Idle):
             def __init__(self):
                 raise OSError("no camera")
 
-        with pytest.raises(LoadFailed, match="OSError: no camera"):
-            world.loader(broken=Broken).load("/n", "broken")
-
-    def test_a_class_without_on_init_says_so(self, world):
         class Empty(Nodelet):
             pass
 
+        loader = world.loader(broken=Broken, empty=Empty)
+        with pytest.raises(LoadFailed, match="OSError: no camera"):
+            loader.load("/n", "broken")
         with pytest.raises(LoadFailed, match=r"Empty does not define on_init\(\)"):
-            world.loader(empty=Empty).load("/n", "empty")
-
-    def test_what_a_failed_nodelet_still_holds_refuses_to_work(self, world):
-        kept = []
-
-        class Failing(Nodelet):
-            def on_init(self):
-                kept.append(self.node_handle.Publisher("p", Message))
-                raise ValueError
-
-        with pytest.raises(LoadFailed):
-            world.loader(failing=Failing).load("/n", "failing")
-        with pytest.raises(HandleClosed):
-            kept[0].publish()
+            loader.load("/n", "empty")
 
 
 class TestSlowStart:
@@ -284,8 +268,7 @@ class TestSlowStart:
         assert loader.list() == ["/slow"]
 
     def test_can_be_unloaded_in_the_middle(self, world, gate):
-        told = []
-        loader = Loader(world.runtime, lambda name, _: gate, on_unloaded=told.append)
+        loader = world.loader(gate=gate)
         thread, outcome = load_in_thread(loader, "/slow", "gate")
         wait_for(gate.entered)
         assert world.registrations == [("publisher", "/early")]
@@ -301,48 +284,34 @@ class TestSlowStart:
             lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")]
         )
 
-    def test_unloaded_while_its_class_is_imported_is_never_started(self, world):
+    @pytest.mark.parametrize("fails", [False, True])
+    def test_unloaded_while_its_class_is_imported_is_never_started(self, world, fails):
         entered, opened, started = threading.Event(), threading.Event(), []
 
         class Started(Nodelet):
             def on_init(self):
                 started.append(self.name)
 
-        def slow_import(name, _):
+        def find(name, _):
+            if name == "idle":
+                return Idle
             entered.set()
             wait_for(opened)
+            if fails:
+                raise BrokenPlugin("slow", "does not import")
             return Started
 
-        loader = Loader(world.runtime, slow_import)
+        loader = Loader(world.runtime, find)
         thread, outcome = load_in_thread(loader, "/n", "started")
         wait_for(entered)
         loader.unload("/n")
+        successor = loader.load("/n", "idle")
         opened.set()
         join(thread)
-        assert isinstance(outcome[0], UnloadedMeanwhile)
+        assert isinstance(outcome[0], BrokenPlugin if fails else UnloadedMeanwhile)
+        assert loader.get("/n") is successor
         world.drain()
         assert started == []
-
-    def test_that_fails_after_its_unload_leaves_its_successor_alone(self, world):
-        entered, opened, kinds = threading.Event(), threading.Event(), ["slow"]
-
-        def find(name, _):
-            if kinds:
-                kinds.pop()
-                entered.set()
-                wait_for(opened)
-                raise BrokenPlugin("slow", "does not import")
-            return Idle
-
-        loader = Loader(world.runtime, find)
-        thread, outcome = load_in_thread(loader, "/n", "any")
-        wait_for(entered)
-        loader.unload("/n")
-        successor = loader.load("/n", "any")
-        opened.set()
-        join(thread)
-        assert isinstance(outcome[0], BrokenPlugin)
-        assert loader.get("/n") is successor
 
     def test_may_unload_itself(self, world):
         class Unwilling(Nodelet):
@@ -381,13 +350,3 @@ def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
     assert loader.list() == []
     assert world.registrations == []
     assert world.bus._topics == {}
-
-
-def test_close_unloads_the_newest_first(world):
-    gone = []
-    loader = Loader(world.runtime, lambda name, _: Idle, on_unloaded=gone.append)
-    for name in ("/b", "/a", "/c"):
-        loader.load(name, "idle")
-    loader.close()
-    assert gone == ["/c", "/a", "/b"]
-    assert loader.list() == []

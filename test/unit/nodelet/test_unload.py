@@ -53,35 +53,17 @@ class Hanging(Nodelet):
         self.ended.set()
 
 
-def test_everything_is_unregistered_before_it_returns(world):
+def test_everything_is_unregistered_before_it_returns_though_a_part_fails(world, caplog):
     class Full(Nodelet):
         def on_init(self):
             for nh in (self.node_handle, self.mt_private_node_handle):
                 nh.Publisher("p", Message)
                 nh.Subscriber("s", Message, print)
-                nh.Service("service", object, print)
+                for name in ("a", "b", "c"):
+                    nh.Service(name, object, print)
                 nh.Timer(1.0, print)
 
-    told = []
-    loader = Loader(world.runtime, lambda name, _: Full, on_unloaded=told.append)
-    loader.load("/n", "full")
-    assert len(world.registrations) == 4
-    loader.unload("/n")
-    assert world.registrations == []
-    assert world.services.handlers == {}
-    assert world.runtime.timers._heap == []
-    assert told == ["/n"]
-    assert loader.list() == []
-
-
-def test_a_failure_while_closing_leaves_nothing_else_behind(world, caplog):
-    class Full(Nodelet):
-        def on_init(self):
-            self.node_handle.Publisher("p", Message)
-            for name in ("a", "b", "c"):
-                self.node_handle.Service(name, object, print)
-
-    offer = world.services.offer
+    offer, unloaded = world.services.offer, []
 
     def offer_one_that_fails(name, *args):
         offered = offer(name, *args)
@@ -90,12 +72,17 @@ def test_a_failure_while_closing_leaves_nothing_else_behind(world, caplog):
         return offered
 
     world.services.offer = offer_one_that_fails
-    loader = world.loader(full=Full)
+    loader = Loader(world.runtime, lambda name, _: Full, on_unloaded=unloaded.append)
     loader.load("/n", "full")
+    assert len(world.registrations) == 4
     loader.unload("/n")
-    assert sorted(world.services.handlers) == ["/b"]
     assert world.registrations == []
+    assert sorted(world.services.handlers) == ["/b"]
+    assert world.runtime.timers._heap == []
+    assert unloaded == ["/n"]
+    assert loader.list() == []
     assert "ZeroDivisionError" in caplog.text
+    assert "callback" not in caplog.text, "none was running"
     loader.load("/n", "full")
 
 
@@ -122,15 +109,6 @@ def test_a_running_callback_is_not_waited_for_and_its_late_publish_refused(world
     assert "publisher 'out' of /n is closed" in str(nodelet.raised[0])
     assert numbers(nodelet.got) == [0], "queued messages are dropped"
     assert got == []
-
-
-def test_an_idle_nodelet_is_unloaded_without_words_about_callbacks(world, caplog):
-    caplog.set_level(logging.INFO)
-    loader = world.loader(hanging=Hanging)
-    loader.load("/n", "hanging")
-    world.drain()
-    loader.unload("/n")
-    assert "callback" not in caplog.text
 
 
 @pytest.mark.parametrize("how", ["subscriber", "timer", "service", "mt"])
@@ -170,81 +148,54 @@ def test_a_callback_may_unload_its_own_nodelet(world, how):
     loader.load("/n", "suicidal")
 
 
-class TestSignalShutdown:
-    def test_unloads_only_its_own_nodelet(self, world):
-        loader = world.loader(idle=Idle)
-        nodelet = loader.load("/going", "idle")
-        loader.load("/staying", "idle")
-        nodelet.node_handle.signal_shutdown("enough")
-        assert loader.list() == ["/staying"]
-        assert nodelet.node_handle.is_shutdown()
-        nodelet.node_handle.signal_shutdown("again")  # says so in the log, raises nothing
-
-    def test_of_a_nodelet_that_is_gone_leaves_its_successor_alone(self, world):
-        loader = world.loader(idle=Idle)
-        old = loader.load("/n", "idle")
-        loader.unload("/n")
-        new = loader.load("/n", "idle")
-        old.node_handle.signal_shutdown("late")
-        assert loader.get("/n") is new
-        assert not new.node_handle.is_shutdown()
+def test_signal_shutdown_unloads_its_own_nodelet_and_no_successor(world):
+    loader = world.loader(idle=Idle)
+    nodelet = loader.load("/going", "idle")
+    loader.load("/staying", "idle")
+    nodelet.node_handle.signal_shutdown("enough")
+    assert loader.list() == ["/staying"]
+    assert nodelet.node_handle.is_shutdown()
+    new = loader.load("/going", "idle")
+    nodelet.node_handle.signal_shutdown("late")  # says so in the log, raises nothing
+    assert loader.get("/going") is new
+    assert not new.node_handle.is_shutdown()
 
 
 class TestOnShutdown:
-    def test_runs_once_and_can_still_publish(self, world):
-        ended = []
+    @pytest.mark.parametrize("by_itself", [False, True])
+    def test_runs_once_after_all_callbacks_and_can_still_publish(self, world, by_itself):
+        order, got = [], []
 
         class Polite(Nodelet):
             def on_init(self):
                 self.pub = self.node_handle.Publisher("bye", Message)
-
-            def on_shutdown(self):
-                ended.append(self.node_handle.is_shutdown())
-                self.pub.publish(1)
-
-        got = []
-        world.handle().Subscriber("/bye", Message, got.append)
-        loader = world.loader(polite=Polite)
-        loader.load("/n", "polite")
-        loader.unload("/n")
-        with pytest.raises(UnknownNodelet):
-            loader.unload("/n")
-        loader.close()
-        world.drain()
-        assert ended == [False]
-        assert numbers(got) == [1]
-
-    def test_runs_though_the_nodelet_unloads_itself(self, world):
-        ended = threading.Event()
-
-        class Polite(Idle):
-            def on_shutdown(self):
-                ended.set()
-
-        world.loader(polite=Polite).load("/n", "polite").node_handle.signal_shutdown()
-        assert ended.is_set()
-
-    def test_no_callback_runs_after_it(self, world):
-        order = []
-
-        class Orderly(Nodelet):
-            def on_init(self):
                 self.node_handle.Subscriber("in", Message, lambda m: order.append("callback"))
 
             def on_shutdown(self):
+                assert not self.node_handle.is_shutdown()
                 publisher.publish()
                 assert world.executor.drain()
                 order.append("on_shutdown")
+                self.pub.publish(1)
 
-        publisher = world.handle().Publisher("/in", Message)
-        loader = world.loader(orderly=Orderly)
-        loader.load("/n", "orderly")
+        nh = world.handle()
+        nh.Subscriber("/bye", Message, got.append)
+        publisher = nh.Publisher("/in", Message)
+        loader = world.loader(polite=Polite)
+        nodelet = loader.load("/n", "polite")
         publisher.publish()
         world.drain()
-        loader.unload("/n")
+        if by_itself:
+            nodelet.node_handle.signal_shutdown()
+        else:
+            loader.unload("/n")
+        with pytest.raises(UnknownNodelet):
+            loader.unload("/n")
+        loader.close()
         publisher.publish()
         world.drain()
         assert order == ["callback", "on_shutdown"]
+        assert numbers(got) == [1]
 
     def test_is_waited_for_a_second_at_most(self, world, caplog):
         assert loader_module.SHUTDOWN_PATIENCE == 1.0
@@ -288,22 +239,8 @@ class TestOnShutdown:
         assert "/n: on_shutdown raised" in caplog.text
         assert "IndexError" in caplog.text
 
-    def test_is_not_run_for_a_nodelet_that_did_not_start(self, world):
-        ended = []
 
-        class Failing(Nodelet):
-            def on_init(self):
-                raise ValueError
-
-            def on_shutdown(self):
-                ended.append(1)
-
-        with pytest.raises(Exception, match="ValueError"):
-            world.loader(failing=Failing).load("/n", "failing")
-        assert ended == []
-
-
-def test_who_does_not_read_last_words_holds_up_one_nodelet_and_not_all(monkeypatch):
+def test_a_subscriber_that_reads_no_last_words_holds_up_one_nodelet_and_not_all(monkeypatch):
     clock = FakeClock()
     world = World(clock=clock)
     waited = []

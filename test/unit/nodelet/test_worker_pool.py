@@ -36,9 +36,13 @@ def _pool(request, make_pool):
 class Blocker:
     """Tasks that block until released."""
 
-    def __init__(self):
+    def __init__(self, pool=None):
         self.started = threading.Semaphore(0)
         self.release = threading.Event()
+        if pool is not None:
+            self.strand = Strand(pool, "/blocked")
+            self.strand.post(self)
+            self.wait_started()
 
     def __call__(self):
         self.started.release()
@@ -50,7 +54,7 @@ class Blocker:
 
 
 class Clock:
-    """Time that a test sets; knows how often it was read, as the watchdog does at each look."""
+    """Time that a test sets; counts its readings, as the watchdog takes one at each look."""
 
     def __init__(self):
         self.seconds = 100.0
@@ -63,6 +67,13 @@ class Clock:
     def wait_read(self, times):
         for _ in range(times):
             assert self._reads.acquire(timeout=PATIENCE)
+
+
+def run_on(strand):
+    """Have a strand run something, and wait for it."""
+    ran = threading.Event()
+    strand.post(ran.set)
+    wait_for(ran)
 
 
 def test_a_pool_needs_a_worker():
@@ -93,15 +104,10 @@ def test_tasks_of_a_strand_never_overlap_and_keep_their_order(pool):
 def test_strands_overlap_with_each_other(pool):
     both = threading.Barrier(2)
     met = []
-
-    def meet():
-        both.wait(PATIENCE)
-        met.append(1)
-
-    Strand(pool, "a").post(meet)
-    Strand(pool, "b").post(meet)
+    for name in "ab":
+        Strand(pool, name).post(lambda: met.append(both.wait(PATIENCE)))
     assert pool.drain(PATIENCE)
-    assert met == [1, 1]
+    assert sorted(met) == [0, 1]
 
 
 def test_no_wake_up_is_lost_under_many_posting_threads(pool):
@@ -129,83 +135,48 @@ def test_a_task_is_run_though_nothing_follows_it(pool):
 
 def test_exiting_tasks_do_not_end_workers(make_pool):
     pool = make_pool(1)
-    strand, ran = Strand(pool, "s"), threading.Event()
+    strand = Strand(pool, "s")
 
     def leave():
         raise SystemExit
 
     for _ in range(5):
         strand.post(leave)
-    strand.post(ran.set)
-    wait_for(ran)
+    run_on(strand)
     assert pool.threads == 1
 
 
 def test_drain_waits_for_a_running_task_unless_its_strand_was_killed(pool):
-    blocker = Blocker()
     for kill in (False, True):
-        strand = Strand(pool, "s")
-        strand.post(blocker)
-        blocker.wait_started()
+        blocker = Blocker(pool)
         assert pool.drain(0.0) is False
         if kill:
-            strand.kill()
+            blocker.strand.kill()
             assert pool.drain(PATIENCE) is True
         blocker.release.set()
         assert pool.drain(PATIENCE) is True
-        blocker.release.clear()
-    blocker.release.set()
 
 
-def test_blocked_workers_are_replaced_so_that_others_go_on(make_pool):
-    pool, blocker = make_pool(2), Blocker()
-    blocked = [Strand(pool, f"blocked {n}") for n in range(3)]
-    for strand in blocked:
-        strand.post(blocker)
-    others = [threading.Event() for _ in range(20)]
+def test_a_blocked_worker_is_replaced_and_ends_when_its_callback_returns(make_pool):
+    pool = make_pool(2)
+    blockers = [Blocker(pool) for _ in range(3)]  # the third starts on a new worker
     live = [Strand(pool, f"live {n}") for n in range(20)]
-    for strand, event in zip(live, others):
-        strand.post(event.set)
-    for event in others:
-        wait_for(event)
-    blocker.release.set()
-    assert pool.drain(PATIENCE)
-
-
-def test_a_replaced_worker_ends_when_its_callback_returns(make_pool):
-    pool, blocker = make_pool(1), Blocker()
-    stuck, other = Strand(pool, "stuck"), Strand(pool, "other")
-    stuck.post(blocker)
-    blocker.wait_started()
-    went_on, after = threading.Event(), threading.Event()
-    other.post(went_on.set)
-    wait_for(went_on)
-    assert pool.threads == 2
-    stuck.post(after.set)
-    blocker.release.set()
-    wait_for(after)
-    wait_until(lambda: pool.threads == 1)
-
-
-def test_drain_notices_that_the_last_to_end_was_a_replaced_worker(make_pool):
-    pool, blocker, went_on = make_pool(1), Blocker(), threading.Event()
-    stuck, other = Strand(pool, "stuck"), Strand(pool, "other")
-    stuck.post(blocker)
-    blocker.wait_started()
-    other.post(went_on.set)
-    wait_for(went_on)
+    for strand in live:
+        run_on(strand)
+    assert pool.threads > 3
     draining = in_thread(lambda: pool.drain(3 * PATIENCE))
     wait_until(lambda: pool._drainers)
-    blocker.release.set()
+    for blocker in blockers:
+        blocker.release.set()
     join(draining)
+    run_on(blockers[0].strand)
+    wait_until(lambda: pool.threads == 2)
 
 
 def test_workers_that_block_while_no_task_waits_are_kept(make_pool):
-    clock, blocker = Clock(), Blocker()
+    clock = Clock()
     pool = make_pool(1, clock=clock)
-    strand = Strand(pool, "s")
-    strand.post(blocker)
-    blocker.wait_started()
+    blocker = Blocker(pool)
     clock.wait_read(1)
     clock.seconds += 5.0
     clock.wait_read(3)
@@ -214,27 +185,20 @@ def test_workers_that_block_while_no_task_waits_are_kept(make_pool):
 
 
 def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
-    clock, blocker = Clock(), Blocker()
-    pool = make_pool(1, stuck_after=5.0, clock=clock)
-
-    def a_callback_that_hangs():
-        blocker()
-
-    strand = Strand(pool, "/hanging")
+    clock = Clock()
     caplog.set_level(logging.WARNING)
-    strand.post(a_callback_that_hangs)
-    blocker.wait_started()
+    first = Blocker(make_pool(1, stuck_after=5.0, clock=clock))
     clock.wait_read(3)
     assert caplog.text == ""
     clock.seconds += 6.0
-    wait_until(lambda: "/hanging" in caplog.text)
+    wait_until(lambda: "/blocked" in caplog.text)
     clock.wait_read(3)
     assert caplog.text.count("has not returned") == 1
-    assert "a_callback_that_hangs" in caplog.text
+    assert "in __call__" in caplog.text
     # The next callback of the same strand that hangs is a new fault, and is reported again.
-    blocker.release.set()
     second = Blocker()
-    strand.post(second)
+    first.strand.post(second)
+    first.release.set()
     second.wait_started()
     clock.seconds += 14.0
     wait_until(lambda: caplog.text.count("has not returned") == 2)
@@ -243,33 +207,26 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
 
 def test_the_watchdog_sleeps_while_there_is_nothing_to_do(make_pool):
     reads = []
-    pool = make_pool(2, clock=lambda: reads.append(1) or float(len(reads)))
-    strand, ran = Strand(pool, "s"), threading.Event()
-    strand.post(ran.set)
-    wait_for(ran)
+    pool = make_pool(1, clock=lambda: reads.append(1) or float(len(reads)))
+    strand = Strand(pool, "s")
+    run_on(strand)
     wait_until(lambda: not pool._awake.is_set())
     before = len(reads)
     # Three times the watchdog's period, in which it must not look once.
     threading.Event().wait(0.7)
     assert len(reads) == before
     # And it is there again when it is needed.
-    blocker, went_on = Blocker(), threading.Event()
-    held = [Strand(pool, "held") for _ in range(2)]
-    for each in held:
-        each.post(blocker)
-    strand.post(went_on.set)
-    wait_for(went_on)
+    blocker = Blocker(pool)
+    run_on(strand)
     blocker.release.set()
 
 
 def test_blocked_callbacks_of_a_growing_pool_hold_up_no_other(make_pool):
-    pool, blocker = make_pool(None), Blocker()
-    strands = [Strand(pool, f"s{number}") for number in range(20)]
-    for strand in strands:
-        strand.post(blocker)
-    blocker.wait_started(20)
+    pool = make_pool(None)
+    blockers = [Blocker(pool) for _ in range(20)]
     assert pool.threads == 20
-    blocker.release.set()
+    for blocker in blockers:
+        blocker.release.set()
     assert pool.drain(PATIENCE)
 
 
@@ -281,23 +238,16 @@ def test_threads_of_a_growing_pool_are_used_again_and_leave_without_work(make_po
         assert pool.drain(PATIENCE)
     assert len(threads) <= 3
     wait_until(lambda: pool.threads == 0)
-    strand.post(lambda: threads.add(0))
-    assert pool.drain(PATIENCE) and 0 in threads
+    run_on(strand)
 
 
-def test_a_closed_pool_runs_nothing(pool):
-    pool.close()
-    seen = []
-    strand = Strand(pool, "s")
-    strand.post(lambda: seen.append(1))
-    assert not pool.drain(0.05) and seen == []
-
-
-def test_close_ends_the_free_threads_at_once_and_a_running_callback_ends_by_itself(pool):
-    blocker = Blocker()
-    Strand(pool, "s").post(blocker)
-    blocker.wait_started()
+def test_a_closed_pool_runs_nothing_more_and_ends_its_threads(pool):
+    blocker = Blocker(pool)
     pool.close()
     wait_until(lambda: pool.threads == 1)
     blocker.release.set()
     wait_until(lambda: pool.threads == 0)
+    seen = []
+    strand = Strand(pool, "s")
+    strand.post(lambda: seen.append(1))
+    assert not pool.drain(0.05) and seen == []
