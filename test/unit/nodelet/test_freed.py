@@ -73,8 +73,27 @@ class Holding(Nodelet):
     on_two = peer_subscribe = peer_unsubscribe = on_message
 
 
-def holding(make: Callable[[Any], Any]) -> Type[Holding]:
-    return type("Some", (Holding,), {"make": make})
+def holding(make: Callable[[Any], Any], base: Type[Holding] = Holding) -> Type[Holding]:
+    return type("Some", (base,), {"make": make})
+
+
+class Hanging(Holding):
+    """Its callback waits for the test."""
+
+    started: threading.Event
+    release: threading.Event
+
+    def on_message(self, *args):
+        self.started.set()
+        wait_for(self.release)
+        assert self.block is not None, "it has all that it needs until its end"
+
+
+@pytest.fixture(autouse=True)
+def hanging() -> Iterator[None]:
+    Hanging.started, Hanging.release = threading.Event(), threading.Event()
+    yield
+    Hanging.release.set()
 
 
 def keep(**made: Callable[[Holding], Any]) -> Callable[[Holding], None]:
@@ -180,17 +199,11 @@ def test_callbacks_that_raise_hold_nothing(world: World) -> None:
         def on_message(self, *args):
             raise RuntimeError("injected")
 
-    some = type(
-        "Some",
-        (Raising,),
-        {
-            "make": keep(
-                sub=lambda n: n.node_handle.Subscriber("in", Message, n.on_message),
-                timer=lambda n: n.node_handle.Timer(1.0, n.on_message),
-                service=lambda n: n.node_handle.Service("service", object, n.on_message),
-            )
-        },
-    )
+    def make(nodelet: Holding) -> None:
+        for kind in ("subscriber", "timer", "service"):
+            KINDS[kind](nodelet)
+
+    some = holding(make, Raising)
     loader = world.loader(some=some)
     loader.load("/n", "some")
     world.transport.send("/in", Message())
@@ -203,28 +216,23 @@ def test_callbacks_that_raise_hold_nothing(world: World) -> None:
 
 
 def test_a_callback_that_outlives_the_nodelet_frees_it_at_its_end(world: World) -> None:
-    started, release, ended = threading.Event(), threading.Event(), threading.Event()
-
-    class Hanging(Holding):
-        def on_message(self, *args):
-            started.set()
-            wait_for(release)
-            assert self.block is not None, "it has all that it needs until its end"
-            ended.set()
-
     def make(nodelet: Holding) -> None:
         KINDS["message filter"](nodelet)
-        nodelet.plain = nodelet.node_handle.Subscriber("in", Message, nodelet.on_message)
+        KINDS["subscriber"](nodelet)
 
-    some = type("Some", (Hanging,), {"make": make})
+    some = holding(make, Hanging)
     loader = world.loader(some=some)
     loader.load("/n", "some")
+    message = Message()
+    waiting = weakref.ref(message)
     world.transport.send("/in", Message())
-    wait_for(started)
+    wait_for(Hanging.started)
+    world.transport.send("/in", message)
+    del message
     loader.unload("/n")
+    assert waiting() is None, "messages that wait go with the nodelet"
     assert some.blocks() is not None
-    release.set()
-    wait_for(ended)
+    Hanging.release.set()
     wait_until(lambda: some.blocks() is None)
 
 
@@ -233,7 +241,7 @@ def test_a_callback_may_unload_its_own_nodelet(world: World) -> None:
         def on_message(self, *args):
             self.node_handle.signal_shutdown()
 
-    some = type("Some", (Ending,), {"make": KINDS["subscriber"]})
+    some = holding(KINDS["subscriber"], Ending)
     world.loader(some=some).load("/n", "some")
     world.transport.send("/in", Message())
     wait_until(lambda: some.blocks() is None)
@@ -259,28 +267,6 @@ def test_what_a_thread_still_uses_is_left_alone(world: World) -> None:
     release.set()
     join(thread)
     assert seen == [True]
-
-
-def test_messages_that_wait_go_with_the_nodelet(world: World) -> None:
-    started, release = threading.Event(), threading.Event()
-
-    class Hanging(Holding):
-        def on_message(self, *args):
-            started.set()
-            wait_for(release)
-
-    some = type("Some", (Hanging,), {"make": KINDS["subscriber"]})
-    loader = world.loader(some=some)
-    loader.load("/n", "some")
-    message = Message()
-    waiting = weakref.ref(message)
-    world.transport.send("/in", Message())
-    wait_for(started)
-    world.transport.send("/in", message)
-    del message
-    loader.unload("/n")
-    assert waiting() is None
-    release.set()
 
 
 def test_an_object_with_a_finalizer_is_left_to_python() -> None:

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Modules of one owner's own: copies, views, and what the process shares."""
+"""Modules of one owner's own (copies, views), where they come from, and which need a library."""
 
 from __future__ import annotations
 
 import importlib
 import json
+import os
 import sys
 import threading
 import time
@@ -17,6 +18,13 @@ from typing import Any, Callable, Dict, List
 import pytest
 
 from dyknow.nodelet.importer import Importer, View
+from dyknow.nodelet.module_files import (
+    Dependents,
+    is_standard,
+    reached_from,
+    script_file,
+    source_files,
+)
 
 Folder = Callable[..., str]
 
@@ -42,6 +50,13 @@ def folder(tmp_path: Path) -> Folder:
     return write
 
 
+@pytest.fixture
+def shared(folder: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Folder:
+    """The same, on Python's path."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return folder
+
+
 def script_importer(folder: str, **views: Callable[[], ModuleType]) -> Importer:
     return Importer(lambda name: False, [folder], views)
 
@@ -53,19 +68,15 @@ def run(importer: Importer, code: str) -> Dict[str, Any]:
     return vars(module)
 
 
-def test_siblings_are_copies_of_each_owner(folder: Folder) -> None:
-    path = folder(sib_one="things = []")
+def test_siblings_are_copies_of_each_owner_and_everything_else_is_shared(folder: Folder) -> None:
+    path = folder(sib_one="import json, json.decoder as decoder\nthings = []")
     first, second = script_importer(path), script_importer(path)
     assert run(first, "import sib_one; sib_one.things.append(1)")["sib_one"].things == [1]
-    assert run(second, "import sib_one")["sib_one"].things == []
+    found = run(second, "import sib_one, json, os.path; from os import path")
+    assert found["sib_one"].things == []
     assert "sib_one" not in sys.modules
-
-
-def test_everything_else_is_the_processs_own(folder: Folder) -> None:
-    importer = script_importer(folder(sib_two="import json, json.decoder as decoder"))
-    found = run(importer, "import sib_two, json, os.path; from os import path")
-    assert found["json"] is json and found["sib_two"].json is json
-    assert found["sib_two"].decoder is json.decoder
+    assert found["json"] is json and found["sib_one"].json is json
+    assert found["sib_one"].decoder is json.decoder
     assert found["path"] is found["os"].path
 
 
@@ -91,14 +102,18 @@ def test_a_view_that_refuses_is_refused_at_each_import_alone(folder: Folder) -> 
 
 def test_imports_in_functions_and_threads_find_the_owners_modules(folder: Folder) -> None:
     path = folder(
-        sib_four="word = 'own'", sib_five="def find():\n import sib_four\n return sib_four.word"
+        sib_four="import time\ntime.sleep(0.05)\nword = object()",
+        sib_five="def find():\n import sib_four\n return sib_four.word",
     )
-    found = run(script_importer(path), "import sib_five")
-    heard = []
-    thread = threading.Thread(target=lambda: heard.append(found["sib_five"].find()))
-    thread.start()
-    thread.join()
-    assert heard == ["own"]
+    importer, heard = script_importer(path), []
+    find = run(importer, "import sib_five")["sib_five"].find
+    threads = [threading.Thread(target=lambda: heard.append(find())) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(heard) == 4
+    assert set(heard) == {importer.modules["sib_four"].word}, "it is imported once"
 
 
 def test_packages_with_relative_and_circular_imports(folder: Folder) -> None:
@@ -126,13 +141,12 @@ def test_a_module_that_fails_is_imported_again(folder: Folder) -> None:
         run(importer, "import pack_six.bad")
     assert not hasattr(importer.modules["pack_six"], "bad")
     assert "sib_six" not in importer.modules
-    with pytest.raises(ModuleNotFoundError, match="sib_none"):
-        run(importer, "import sib_none")
-    with pytest.raises(ModuleNotFoundError, match="sib_none"):
-        run(importer, "import pack_six.sib_none")
+    for name in ("sib_none", "pack_six.sib_none"):
+        with pytest.raises(ModuleNotFoundError, match="sib_none"):
+            run(importer, f"import {name}")
 
 
-def test_folders_that_the_code_puts_into_the_path(folder: Folder, tmp_path: Path) -> None:
+def test_the_path_is_the_owners(folder: Folder, tmp_path: Path) -> None:
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "sib_seven.py").write_text("word = 'seven'")
     importer = script_importer(folder())
@@ -154,8 +168,7 @@ def test_dataclasses_whose_annotations_are_texts(folder: Folder) -> None:
 
 
 def test_import_module_and_what_stands_for_sys_modules(folder: Folder) -> None:
-    path = folder(pack_nine____init__="", pack_nine__leaf="word = 'leaf'")
-    importer = script_importer(path)
+    importer = script_importer(folder(pack_nine____init__="", pack_nine__leaf="word = 'leaf'"))
     found = run(
         importer,
         "import importlib\nleaf = importlib.import_module('.leaf', 'pack_nine')\n"
@@ -170,33 +183,108 @@ def test_import_module_and_what_stands_for_sys_modules(folder: Folder) -> None:
 
 def test_blind_modules_see_the_process_and_their_libraries_the_views(folder: Folder) -> None:
     path = folder(
-        lib_ten="import time", nodelet_ten="import time, lib_ten\nfrom nodelet_more import word",
+        lib_ten="import time\ndef ask(): return input()",
+        nodelet_ten="import time, lib_ten\nfrom nodelet_more import word",
         nodelet_more="word = 'more'",
-    )  # fmt: skip
+    )
     view = View(time, {"sleep": "ours"})
     importer = Importer(
-        lambda name: False, [path], {"time": lambda: view}, ("nodelet_ten", "nodelet_more")
+        lambda name: False,
+        [path],
+        {"time": lambda: view},
+        ("nodelet_ten", "nodelet_more"),
+        functions={"input": lambda: "refused"},
     )
     module: Any = importer.import_module("nodelet_ten")
     assert module.time is time and module.lib_ten.time is view and module.word == "more"
+    assert module.lib_ten.ask() == "refused"
 
 
-def test_functions_take_the_place_of_built_in_ones(folder: Folder) -> None:
-    importer = Importer(lambda name: False, [folder(sib_x="def ask(): return input()")],
-                        functions={"input": lambda: "refused"})  # fmt: skip
-    assert run(importer, "import sib_x; said = sib_x.ask()")["said"] == "refused"
+@pytest.mark.parametrize("name", ["os", "sys", "time", "argparse", "zipimport", "_thread"])
+def test_pythons_own(name: str) -> None:
+    assert is_standard(name)
 
 
-def test_two_threads_import_one_module_once(folder: Folder) -> None:
-    path = folder(sib_slow="import time\ntime.sleep(0.05)")
-    importer, found = script_importer(path), []
+def test_others(shared: Folder) -> None:
+    shared(mine="")
+    for name in ("mine", "lxml", "pytest", "no_such_module"):
+        assert not is_standard(name)
 
-    def find() -> None:
-        found.append(importer.import_module("sib_slow"))
 
-    threads = [threading.Thread(target=find) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(set(map(id, found))) == 1
+def test_modules_that_need_a_library(shared: Folder) -> None:
+    shared(
+        plain="import os, json",
+        direct="import time\nfrom  middle import x",
+        middle="def later():\n    import middleware",
+        circle="import circle_back\nimport middle",
+        circle_back="import circle",
+        apart="import middleware",
+        user="import apart",
+        pack____init__="",
+        pack__test__it="import middleware",
+        pack__msg__kind="import middleware",
+        broken="import middleware (",
+    )
+    needs = Dependents("middleware", ["apart"])
+    for name in "direct middle circle circle_back broken".split():
+        assert needs.has(name), name
+    for name in "plain apart user pack middleware os no_such".split():
+        assert not needs.has(name), name
+
+
+def test_imports_of_files_are_read_again_when_they_change(shared: Folder) -> None:
+    path = shared(lib="import middleware", mine="import os")
+    needs, file = Dependents("middleware"), f"{path}/mine.py"
+    assert needs.imported_by([file]) == frozenset()
+    shared(mine="import lib, os")
+    os.utime(file, (1, 1))
+    assert needs.imported_by([file]) == {"lib"}
+    assert needs.imported_by([f"{path}/gone.py"]) == frozenset()
+
+
+def test_files_that_a_module_reaches(shared: Folder) -> None:
+    shared(
+        bag____init__="",
+        bag__one="from . import two\nimport os",
+        bag__two="def f():\n    from bag.deep.three import (\n        thing)",
+        bag__deep____init__="from .. import five",
+        bag__deep__three="from ..four import x",
+        bag__four="def (",
+        bag__five="",
+        bag__six="import middleware",
+    )
+    files = source_files("bag")
+    below = ("deep", "deep.three", "five", "four", "one", "six", "two")
+    assert sorted(files) == ["bag", *(f"bag.{each}" for each in below)]
+    reached = {Path(each).stem for each in reached_from("bag.one", files)}
+    assert reached == {"__init__", "one", "two", "three", "four", "five"}
+    assert reached_from("elsewhere", files) == []
+    assert source_files("os") == {"os": os.__file__}
+    assert source_files("sys") == source_files("no_such") == {}
+
+
+def test_a_devel_space_is_followed_to_the_source(shared: Folder, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    (source / "relayed").mkdir(parents=True)
+    (source / "relayed" / "__init__.py").write_text("from relayed.leaf import word")
+    (source / "relayed" / "leaf.py").write_text("word = 'leaf'")
+    shared(
+        relayed____init__="# generated from catkin/cmake/template/__init__.py.in\n"
+        f"__extended_path = '{source}'.split(';')\n",
+        relayed__extra="word = 'generated'",
+    )
+    assert source_files("relayed")["relayed.leaf"] == str(source / "relayed" / "leaf.py")
+    importer = Importer(lambda name: name == "relayed")
+    relayed: Any = importer.import_module("relayed")
+    assert relayed.word == "leaf"
+    assert importer.import_module("relayed.extra").__dict__["word"] == "generated"
+    assert "relayed" not in sys.modules
+
+
+def test_a_script_of_a_devel_space_is_the_one_that_it_executes(tmp_path: Path) -> None:
+    real, relay, link = tmp_path / "real.py", tmp_path / "relay", tmp_path / "link"
+    real.write_text("print()")
+    relay.write_text(f"#!/usr/bin/env python3\npython_script = '{real}'\nexec('...')\n")
+    link.symlink_to(real)
+    assert script_file(str(relay)) == script_file(str(link)) == str(real)
+    assert script_file(str(tmp_path / "gone")) == str(tmp_path / "gone")

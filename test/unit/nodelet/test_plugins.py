@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Plugin descriptions: accepted and refused ones, and that a bad one does not hide others."""
+"""Plugin descriptions, and the import of the classes that they declare as the code on disk."""
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
-from typing import cast
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
-from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.importer import Importer
 from dyknow.nodelet.plugins import ClassImports, PluginClass, PluginFile, Plugins, read
 
 GOOD = """
@@ -47,6 +49,7 @@ class Packages:
         self.folder = folder
         self.files = []
         self.looks = 0
+        self.plugins = Plugins(self.find)
 
     def add(self, package, xml, **modules):
         directory = self.folder / package
@@ -60,32 +63,41 @@ class Packages:
         self.files.append(described)
         return described
 
+    def add_good(self, module):
+        self.add("good", GOOD.format(module=module), **{module: MODULE})
+
     def find(self):
         self.looks += 1
         return list(self.files)
 
+    def load(self, name):
+        """Import what is declared as a name."""
+        return ClassImports().load(self.plugins.find(name), None)
 
-@pytest.fixture(name="packages")
-def _packages(tmp_path):
+
+@pytest.fixture(autouse=True)
+def same_modules_afterwards():
     path, modules = list(sys.path), set(sys.modules)
-    yield Packages(tmp_path)
+    yield
     sys.path[:] = path
     for name in set(sys.modules) - modules:
         del sys.modules[name]
+
+
+@pytest.fixture(name="packages")
+def _packages(tmp_path):
+    return Packages(tmp_path)
 
 
 def class_element(name="p/X", type_name="mod_x.X", base="dyknow.Nodelet"):
     return f'<class name="{name}" type="{type_name}" base_class_type="{base}"/>'
 
 
-def test_a_description_is_read(packages):
+def test_descriptions_are_read(packages):
     file = packages.add("good", GOOD.format(module="m"))
     assert read(file) == [
         PluginClass("good/Nodelet", "m.Good", "Does good.", file.directory / "src", file.file)
     ]
-
-
-def test_several_libraries_in_one_file_are_read(packages):
     file = packages.add(
         "p",
         "<class_libraries>"
@@ -93,9 +105,11 @@ def test_several_libraries_in_one_file_are_read(packages):
         f"<library>{class_element('p/B')}{class_element('p/C')}</library>"
         "</class_libraries>",
     )
-    declared = read(file)
-    assert [each.name for each in declared] == ["p/A", "p/B", "p/C"]
-    assert [each.library.name for each in declared] == ["a", "p", "p"]
+    assert [(each.name, each.library.name) for each in read(file)] == [
+        ("p/A", "a"),
+        ("p/B", "p"),
+        ("p/C", "p"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -113,20 +127,15 @@ def test_several_libraries_in_one_file_are_read(packages):
         (f"<library>{class_element(base='nodelet::Nodelet')}</library>", "'nodelet::Nodelet'"),
     ],
 )
-def test_a_broken_description_is_refused_with_its_place(packages, xml, reason):
+def test_a_broken_description_is_refused_with_its_place_and_hides_no_other(packages, xml, reason):
     file = packages.add("broken", xml)
     with pytest.raises(BrokenPlugin) as caught:
         read(file)
-    assert reason in str(caught.value)
-    assert str(file.file) in str(caught.value)
-    assert "'broken'" in str(caught.value)
-
-
-def test_a_folder_in_place_of_the_file_is_a_broken_description(packages):
-    file = packages.add("broken", None)
-    file.file.mkdir()
-    with pytest.raises(BrokenPlugin, match="cannot be read"):
-        read(file)
+    for text in (reason, str(file.file), "'broken'"):
+        assert text in str(caught.value)
+    packages.add_good("mod_k")
+    assert [each.name for each in packages.plugins.declared()] == ["good/Nodelet"]
+    assert packages.load("good/Nodelet").__name__ == "Good"
 
 
 def test_entities_are_not_expanded_and_files_not_included(packages, tmp_path):
@@ -145,115 +154,232 @@ def test_entities_are_not_expanded_and_files_not_included(packages, tmp_path):
     assert "secret" not in described[0].description
 
 
-def load(plugins, name):
-    """Import what is declared as a name."""
-    return ClassImports().load(plugins.find(name), cast(Context, None))
+def test_a_declared_class_is_imported_from_the_package_and_read_once(packages):
+    packages.add_good("mod_good")
+    found = packages.load("good/Nodelet")
+    assert issubclass(found, Nodelet)
+    assert found.__name__ == "Good"
+    assert packages.load("good/Nodelet") is found
+    assert packages.looks == 1
 
 
-class TestLoading:
-    def test_a_declared_class_is_imported_from_the_package(self, packages):
-        packages.add("good", GOOD.format(module="mod_good"), mod_good=MODULE)
-        found = load(Plugins(packages.find), "good/Nodelet")
-        assert issubclass(found, Nodelet)
-        assert found.__name__ == "Good"
-        assert packages.looks == 1
+def test_a_library_that_does_not_exist_is_no_obstacle(packages):
+    # In the install space the module comes from the Python path.
+    packages.add("elsewhere", None, mod_installed=MODULE)
+    sys.path.insert(0, str(packages.folder / "elsewhere" / "src"))
+    packages.files.clear()
+    packages.add("good", GOOD.format(module="mod_installed").replace('path="src"', 'path="gone"'))
+    before = list(sys.path)
+    assert packages.load("good/Nodelet").__name__ == "Good"
+    assert sys.path == before
 
-    def test_a_library_that_does_not_exist_is_no_obstacle(self, packages):
-        # In the install space the module comes from the Python path.
-        packages.add("elsewhere", None, mod_installed=MODULE)
-        sys.path.insert(0, str(packages.folder / "elsewhere" / "src"))
-        packages.files.clear()
-        packages.add(
-            "good", GOOD.format(module="mod_installed").replace('path="src"', 'path="gone"')
-        )
-        before = list(sys.path)
-        assert load(Plugins(packages.find), "good/Nodelet").__name__ == "Good"
-        assert sys.path == before
 
-    def test_an_unknown_type_is_looked_for_once_more_and_told_with_those_known(self, packages):
-        packages.add("good", GOOD.format(module="mod_g"), mod_g=MODULE)
-        packages.add("bad", "<broken")
-        plugins = Plugins(packages.find)
+def test_an_unknown_type_is_looked_for_once_more_and_refused_with_those_known(packages):
+    packages.add_good("mod_g")
+    packages.add("bad", "<broken")
+    for looks in (1, 2):
         with pytest.raises(UnknownNodeletType) as caught:
-            load(plugins, "no/Such")
-        assert packages.looks == 1
-        text = str(caught.value)
-        assert "'no/Such'" in text
-        assert "declared types: good/Nodelet" in text
-        assert "of package 'bad'" in text and "not well-formed" in text
-        with pytest.raises(UnknownNodeletType):
-            load(plugins, "no/Such")
-        assert packages.looks == 2
-
-    def test_a_type_declared_meanwhile_is_found(self, packages):
-        plugins = Plugins(packages.find)
-        with pytest.raises(UnknownNodeletType):
-            load(plugins, "good/Nodelet")
-        packages.add("good", GOOD.format(module="mod_new"), mod_new=MODULE)
-        assert load(plugins, "good/Nodelet").__name__ == "Good"
-
-    def test_only_declared_classes_are_imported(self, packages):
-        packages.add("good", GOOD.format(module="mod_h"), mod_h=MODULE)
-        for name in ("mod_h.Good", "os.system", "mod_h/Good", ""):
-            with pytest.raises(UnknownNodeletType):
-                load(Plugins(packages.find), name)
-        assert "mod_h" not in sys.modules
-
-    def test_known_types_are_not_read_again(self, packages):
-        packages.add("good", GOOD.format(module="mod_i"), mod_i=MODULE)
-        plugins = Plugins(packages.find)
-        assert load(plugins, "good/Nodelet") is load(plugins, "good/Nodelet")
-        assert packages.looks == 1
-
-    @pytest.mark.parametrize(
-        ("type_name", "source", "reason"),
-        [
-            ("mod_missing.X", None, "cannot import 'mod_missing': ModuleNotFoundError"),
-            ("mod_syntax.X", "def (", "cannot import 'mod_syntax': SyntaxError"),
-            ("mod_raises.X", "raise ValueError('boo')", "ValueError: boo"),
-            ("mod_exits.X", "import sys; sys.exit(2)", "cannot import 'mod_exits': SystemExit"),
-            ("mod_other.X", MODULE, "has no class 'X'"),
-            ("mod_stranger.Stranger", MODULE, "does not derive from dyknow.Nodelet"),
-            ("mod_number.number", MODULE, "does not derive from dyknow.Nodelet"),
-            ("Undotted", None, "expected a dotted path"),
-            ("..X", None, "cannot import"),
-        ],
+            packages.load("no/Such")
+        assert packages.looks == looks
+    text = str(caught.value)
+    assert "'no/Such'" in text
+    assert "declared types: good/Nodelet" in text
+    assert "of package 'bad'" in text and "not well-formed" in text
+    packages.add(
+        "new", f'<library path="src">{class_element("no/Such", "mod_new.Good")}</library>'
     )
-    def test_a_class_that_cannot_be_used_says_why(self, packages, type_name, source, reason):
-        modules = {} if source is None else {type_name.split(".")[0]: source}
-        packages.add("p", f'<library path="src">{class_element(type_name=type_name)}</library>')
-        packages.add("p", None, **modules)
-        packages.files.pop()
-        packages.add("good", GOOD.format(module="mod_ok"), mod_ok=MODULE)
-        plugins = Plugins(packages.find)
-        with pytest.raises(BrokenPlugin) as caught:
-            load(plugins, "p/X")
-        assert reason in str(caught.value)
-        assert "'p/X'" in str(caught.value)
-        assert load(plugins, "good/Nodelet").__name__ == "Good"
+    (packages.folder / "new/src/mod_new.py").write_text(MODULE)
+    assert packages.load("no/Such").__name__ == "Good"
 
-    def test_a_class_that_was_mended_can_be_loaded(self, packages):
-        xml = f'<library path="src">{class_element(type_name="mod_mended.Good")}</library>'
-        file = packages.add("p", xml)
-        plugins = Plugins(packages.find)
-        with pytest.raises(BrokenPlugin, match="ModuleNotFoundError"):
-            load(plugins, "p/X")
-        (file.directory / "src" / "mod_mended.py").write_text(MODULE)
-        assert load(plugins, "p/X").__name__ == "Good"
 
-    def test_broken_packages_hide_no_others(self, packages):
-        packages.add("a_broken", "<oops")
-        packages.add("b_missing", None)
-        packages.add("good", GOOD.format(module="mod_k"), mod_k=MODULE)
-        packages.add("z_wrong", "<package/>")
-        plugins = Plugins(packages.find)
-        assert [each.name for each in plugins.declared()] == ["good/Nodelet"]
-        assert load(plugins, "good/Nodelet").__name__ == "Good"
+def test_only_declared_classes_are_imported(packages):
+    packages.add_good("mod_h")
+    for name in ("mod_h.Good", "os.system", "mod_h/Good", ""):
+        with pytest.raises(UnknownNodeletType):
+            packages.load(name)
+    assert "mod_h" not in sys.modules
 
-    def test_of_two_declarations_of_one_name_the_same_wins_in_any_order(self, packages):
-        for package in ("b", "a"):
-            packages.add(package, f"<library>{class_element('x/X', package + '.X')}</library>")
-        plugins = Plugins(packages.find)
-        assert [each.type for each in plugins.declared()] == ["a.X"]
-        packages.files.reverse()
-        assert [each.type for each in plugins.declared()] == ["a.X"]
+
+@pytest.mark.parametrize(
+    ("type_name", "source", "reason"),
+    [
+        ("mod_missing.X", None, "cannot import 'mod_missing': ModuleNotFoundError"),
+        ("mod_syntax.X", "def (", "cannot import 'mod_syntax': SyntaxError"),
+        ("mod_raises.X", "raise ValueError('boo')", "ValueError: boo"),
+        ("mod_exits.X", "import sys; sys.exit(2)", "cannot import 'mod_exits': SystemExit"),
+        ("mod_other.X", MODULE, "has no class 'X'"),
+        ("mod_stranger.Stranger", MODULE, "does not derive from dyknow.Nodelet"),
+        ("mod_number.number", MODULE, "does not derive from dyknow.Nodelet"),
+        ("Undotted", None, "expected a dotted path"),
+        ("..X", None, "cannot import"),
+    ],
+)
+def test_a_class_that_cannot_be_used_says_why(packages, type_name, source, reason):
+    modules = {} if source is None else {type_name.split(".")[0]: source}
+    library = f'<library path="src">{class_element(type_name=type_name)}</library>'
+    packages.add("p", library, **modules)
+    with pytest.raises(BrokenPlugin) as caught:
+        packages.load("p/X")
+    assert reason in str(caught.value)
+    assert "'p/X'" in str(caught.value)
+
+
+def test_of_two_declarations_of_one_name_the_same_wins_in_any_order(packages):
+    for package in ("b", "a"):
+        packages.add(package, f"<library>{class_element('x/X', package + '.X')}</library>")
+    assert [each.type for each in packages.plugins.declared()] == ["a.X"]
+    packages.files.reverse()
+    assert [each.type for each in packages.plugins.declared()] == ["a.X"]
+
+
+# A load runs the code that is on disk; nodelets of unchanged files share their modules.
+
+NODELET = """
+import dyknow
+from {package}.words import word
+class Teller(dyknow.Nodelet):
+    said = word
+"""
+
+
+class Written:
+    """A package of nodelets in a folder of plug-ins."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.folder = folder
+        self.name = name
+        self._seconds = 0
+        (folder / name).mkdir()
+        self.write("__init__", "")
+        self.write("words", "word = 'old'")
+        self.write("nodelets", NODELET.format(package=name))
+
+    def write(self, module: str, text: str) -> None:
+        file = self.folder / self.name / f"{module}.py"
+        file.write_text(text)
+        self._seconds += 1
+        os.utime(file, (1e9 + self._seconds, 1e9 + self._seconds))
+
+    def load(self, imports: ClassImports) -> Any:
+        type_name = f"{self.name}.nodelets.Teller"
+        file = self.folder / "p.xml"
+        declared = PluginClass(f"{self.name}/Teller", type_name, "", self.folder, file)
+        return imports.load(declared, None)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def package(tmp_path: Path, request: pytest.FixtureRequest) -> Written:
+    return Written(tmp_path, f"pack_{abs(hash(request.node.name)) % 10**8}")
+
+
+def own_importer(context: Any, module: str, found: Any) -> Importer:
+    return Importer(found.tops.__contains__, search=found.folders)
+
+
+def test_a_changed_file_begins_a_generation_and_unchanged_ones_are_shared(
+    package: Written,
+) -> None:
+    imports = ClassImports()
+    first = package.load(imports)
+    assert package.load(imports) is first
+    assert sys.modules[f"{package.name}.words"].word == "old"
+    package.write("words", "word = 'new'")
+    second, third = package.load(imports), package.load(imports)
+    assert (first.said, second.said) == ("old", "new")
+    assert second is third
+    package.write("more", "")
+    assert package.load(imports) is not second
+    assert first.said == "old"
+
+
+def test_a_mended_file_is_used(package: Written) -> None:
+    imports = ClassImports()
+    for broken, error in (("word = (", "SyntaxError"), ("raise ValueError('boo')", "boo")):
+        package.write("words", broken)
+        with pytest.raises(BrokenPlugin, match=error):
+            package.load(imports)
+        package.write("words", f"word = 'mended {error}'")
+        assert package.load(imports).said == f"mended {error}"
+
+
+def test_modules_with_libraries_are_those_of_one_nodelet(package: Written) -> None:
+    asked: List[str] = []
+
+    def own(context: Any, module: str, found: Any) -> Importer:
+        asked.append(module)
+        assert f"{package.name}.words" in found.files
+        return own_importer(context, module, found)
+
+    imports = ClassImports(own)
+    assert package.load(imports) is not package.load(imports)
+    assert asked == [f"{package.name}.nodelets"] * 2
+    assert package.name not in sys.modules
+
+
+def test_what_else_is_in_the_folder_stays_the_processs_own(package: Written) -> None:
+    other = Written(package.folder, f"{package.name}_other")
+    package.write("nodelets", f"import {other.name}\n{NODELET.format(package=package.name)}")
+    imports = ClassImports()
+    package.load(imports)
+    package.write("words", "word = 'new'")
+    assert package.load(imports).said == "new"
+    module = sys.modules[package.load(imports).__module__]
+    assert vars(module)[other.name] is sys.modules[other.name]
+
+
+#: What catkin puts into a devel space, in short.
+RELAY = """# generated from catkin/cmake/template/__init__.py.in
+import os, pkgutil, sys
+__extended_path = '{source}'.split(';')
+sys.path[:0] = __extended_path
+__path__ = pkgutil.extend_path(__path__, __name__)
+exec(open(os.path.join(__extended_path[0], __name__, '__init__.py')).read())
+"""
+GENERATED = """
+import dyknow
+{use}
+class Teller(dyknow.Nodelet):
+    own = Own
+"""
+#: How code imports what catkin generated.
+USES = {
+    "msg": "from {package}.msg import Own",
+    "msg by its own module": "from {package}.msg._Own import Own",
+    "srv": "from {package}.srv import Own",
+    "cfg": "from {package}.cfg.OwnConfig import Own",
+}
+
+
+def in_devel_space(tmp_path: Path, package: Written, relay: str) -> Path:
+    """Write what catkin generates for a package into a devel space, and return its folder."""
+    folder = tmp_path / "devel/lib/python3/dist-packages"
+    for module in ("__init__", "msg/__init__", "msg/_Own", "srv/__init__", "cfg/OwnConfig"):
+        file = folder / package.name / f"{module}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("class Own: pass\n")
+    for kind in ("msg", "srv"):
+        init = folder / package.name / kind / "__init__.py"
+        init.write_text(f"from {package.name}.msg._Own import Own\n")
+    (folder / package.name / "cfg" / "__init__.py").touch()
+    (folder / package.name / "__init__.py").write_text(relay)
+    return folder
+
+
+@pytest.mark.parametrize("with_libraries", [False, True], ids=["shared", "with libraries"])
+@pytest.mark.parametrize("source_first", [False, True], ids=["relay first", "source first"])
+@pytest.mark.parametrize("has_relay", [True, False], ids=["relay", "no setup.py"])
+@pytest.mark.parametrize("use", USES)
+def test_what_was_generated_for_a_package_in_a_devel_space(
+    package: Written, use: str, has_relay: bool, source_first: bool, with_libraries: bool
+) -> None:
+    source = package.folder
+    devel = in_devel_space(source, package, RELAY.format(source=source) if has_relay else "")
+    sys.path[:0] = [str(source), str(devel)] if source_first else [str(devel)]
+    package.write("nodelets", GENERATED.format(use=USES[use].format(package=package.name)))
+    imports_of = ClassImports(own_importer) if with_libraries else ClassImports()
+    first = package.load(imports_of)
+    package.write("more", "")  # begins a generation
+    second = package.load(imports_of)
+    assert first is not second
+    if use != "cfg":  # messages are the same for every module of the process
+        assert first.own is second.own is sys.modules[f"{package.name}.msg"].Own

@@ -40,18 +40,13 @@ def _held():
 
 def test_tasks_run_when_the_executor_steps_in_the_order_they_were_posted(bench):
     bench.post(*range(100))
+    bench.strand.post(lambda: (bench.post("inner"), bench.ran.append("outer")))
     assert bench.ran == []
     assert bench.executor.step() is True
     assert bench.ran == [0]
     bench.drain()
-    assert bench.ran == list(range(100))
+    assert bench.ran == [*range(100), "outer", "inner"]
     assert bench.executor.step() is False
-
-
-def test_a_task_posted_by_a_task_runs_after_it_and_not_inside_it(bench):
-    bench.strand.post(lambda: (bench.post("inner"), bench.ran.append("outer")))
-    bench.drain()
-    assert bench.ran == ["outer", "inner"]
 
 
 def test_a_busy_strand_lets_others_in_between(bench):
@@ -68,44 +63,42 @@ def test_a_busy_strand_lets_others_in_between(bench):
     assert bench.ran.index("modest") < 100
 
 
-def test_a_held_strand_collects_until_it_is_resumed_once(held):
-    held.post(1, 2)
+@pytest.mark.parametrize("before", [[], [1, 2]])
+def test_a_held_strand_collects_until_it_is_resumed_once(held, before):
+    held.post(*before)
     held.drain()
     assert held.ran == []
     held.strand.resume()
     held.strand.resume()
     held.post(3)
-    for _ in range(3):
-        assert held.executor.step() is True
-    assert held.executor.step() is False
-    assert held.ran == [1, 2, 3]
+    held.drain()
+    assert held.ran == [*before, 3]
     assert not held.strand.busy
 
 
-def test_a_resumed_strand_without_tasks_takes_later_ones(held):
-    held.strand.resume()
-    held.drain()
-    held.post(1)
-    held.drain()
-    assert held.ran == [1]
-
-
-def test_a_killed_strand_drops_queued_and_later_tasks(bench, held):
+def test_a_killed_strand_drops_queued_and_later_tasks_without_a_word(bench, held, caplog):
+    caplog.set_level(logging.INFO)
     for each in (bench, held):
         each.post(1)
-        each.strand.kill()
+        each.strand.kill(log_end=True)
         each.post(2)
         each.strand.resume()
         each.drain()
         assert each.ran == []
         assert not each.strand.busy
+    assert caplog.records == []
 
 
-def test_a_task_that_kills_its_own_strand_is_the_last(bench):
-    bench.strand.post(lambda: (bench.ran.append(1), bench.strand.kill()))
-    bench.post(2)
+def test_a_task_that_kills_its_own_strand_is_the_last_and_its_end_is_logged_once(bench, caplog):
+    caplog.set_level(logging.INFO)
+    kill = bench.strand.kill
+    bench.strand.post(lambda: (kill(log_end=True), kill(log_end=True)))
+    bench.post(1)
     bench.drain()
-    assert bench.ran == [1]
+    assert bench.ran == []
+    assert [r.getMessage() for r in caplog.records] == [
+        "culprit: the callback that ran at the unload has ended"
+    ]
 
 
 @pytest.mark.parametrize("error", [SystemExit(1), KeyboardInterrupt(), ValueError()])
@@ -119,27 +112,6 @@ def test_a_task_that_raises_ends_only_itself(bench, caplog, error):
     assert bench.ran == [1]
     assert caplog.text.count("culprit: a task failed") == 1
     assert type(error).__name__ in caplog.text
-
-
-def test_the_end_of_a_callback_that_outlived_its_strand_is_logged_once(bench, caplog):
-    caplog.set_level(logging.INFO)
-    kill = bench.strand.kill
-    bench.strand.post(lambda: (kill(log_end=True), kill(log_end=True)))
-    bench.post(1)
-    bench.drain()
-    assert [r.getMessage() for r in caplog.records] == [
-        "culprit: the callback that ran at the unload has ended"
-    ]
-
-
-def test_nothing_is_logged_of_a_strand_that_ran_nothing_when_it_was_killed(bench, held, caplog):
-    caplog.set_level(logging.INFO)
-    for each in (bench, held):
-        each.post(1)
-        each.strand.kill(log_end=True)
-        each.strand.resume()
-        each.drain()
-    assert caplog.records == []
 
 
 def test_a_task_that_comes_while_the_strand_becomes_idle_is_not_forgotten(bench):
