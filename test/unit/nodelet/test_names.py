@@ -26,9 +26,6 @@ from dyknow.errors import BadRemapping, InvalidName
 )
 def test_names_resolve_as_in_ros(name, expected):
     assert names.resolve(name, "/robot", "/robot/nodelet") == expected
-
-
-def test_relative_names_in_the_root_have_one_slash():
     assert names.resolve("image", "/", "/nodelet") == "/image"
 
 
@@ -65,27 +62,18 @@ def test_parent_undoes_join_and_global_names_resolve_to_themselves(base, namespa
 
 
 def test_pairs_of_a_load_request_become_global():
-    table = names.pair_remappings(
-        "/robot/undistort",
-        ["image", "/in", "~out"],
-        ["cam/image", "other", "~result"],
-        "/manager",
-    )
-    assert table == {
+    sources, targets = ["image", "/in", "~out"], ["cam/image", "other", "~result"]
+    assert names.pair_remappings("/robot/undistort", sources, targets, "/manager") == {
         "/manager/image": "/manager/cam/image",
         "/in": "/manager/other",
         "/robot/undistort/out": "/robot/undistort/result",
     }
+    with pytest.raises(BadRemapping, match=r"3 remap_source_args but 1 remap_target_args"):
+        names.pair_remappings("/n", sources, ["c"], "/")
 
 
-def test_unequal_lists_are_refused_with_both_lengths():
-    with pytest.raises(BadRemapping, match=r"2 remap_source_args but 1 remap_target_args"):
-        names.pair_remappings("/n", ["a", "b"], ["c"], "/")
-
-
-@pytest.mark.parametrize("pair", [("a b", "c"), ("a", "c d"), ("", "c"), ("a", "")])
-def test_pairs_with_bad_names_are_refused(pair):
-    source, target = pair
+@pytest.mark.parametrize(("source", "target"), [("a b", "c"), ("a", "c d"), ("", "c"), ("a", "")])
+def test_pairs_with_bad_names_are_refused(source, target):
     with pytest.raises(InvalidName):
         names.pair_remappings("/n", [source], [target], "/")
 

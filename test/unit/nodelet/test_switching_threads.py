@@ -27,7 +27,10 @@ class Stream:
         self.received = 0
         self.going = True
 
-    def run(self):
+    def start(self):
+        self.thread = in_thread(self._run)
+
+    def _run(self):
         while self.going:
             # A bound on what is under way, or memory would set the pace.
             if self.sent - self.received < 1000:
@@ -35,6 +38,14 @@ class Stream:
                 self.publisher.publish((self, self.sent))
             else:
                 threading.Event().wait(0.0005)
+
+
+def end(world, *streams):
+    """Let the last messages arrive."""
+    for stream in streams:
+        stream.going = False
+    join(*[stream.thread for stream in streams])
+    world.drain()
 
 
 def switches(*streams):
@@ -68,14 +79,12 @@ def test_publishers_move_between_topics_that_one_nodelet_hears_both(world):
     receive = watcher(faults)
     for topic in ("/a", "/b"):
         sink.Subscriber(topic, Message, receive)
-    threads = [in_thread(stream.run) for stream in streams]
+    for stream in streams:
+        stream.start()
     for number in switches(*streams):
         for stream in streams:
             world.bus.rewire([(stream.end, "/" + "ab"[number % 2])])
-    for stream in streams:
-        stream.going = False
-    join(*threads)
-    world.drain()
+    end(world, *streams)
     assert faults == []
     assert [s.received for s in streams] == [s.sent for s in streams]
 
@@ -96,16 +105,14 @@ def test_a_subscriber_that_moves_gets_a_gapless_piece_of_each_topic(world):
             f"/{topic}", Message, lambda m: setattr(m.number[0], "received", m.number[1])
         )
         assert stream.publisher.name == f"/{topic}"
-    threads = [in_thread(stream.run) for stream in streams.values()]
+    for stream in streams.values():
+        stream.start()
     for number in switches(*streams.values()):
         world.bus.rewire(
             [(subscriber.subscription, "/" + "ba"[number % 2])],
             on_switch=lambda: sink.context.strand.post(lambda: visits.append([])),
         )
-    for stream in streams.values():
-        stream.going = False
-    join(*threads)
-    world.drain()
+    end(world, *streams.values())
     seen = {stream: 0 for stream in streams.values()}
     for number, visit in enumerate(visits):
         stream = streams["ab"[number % 2]]
@@ -124,16 +131,14 @@ def test_handles_that_come_and_go_disturb_nobody(world):
     stream = Stream(world, "/source", "t")
     world.handle("/sink").Subscriber("/t", Message, watcher(faults))
     before = world.registrations
-    thread = in_thread(stream.run)
+    stream.start()
     guest = world.handle("/guest")
     for _ in switches(stream):
         subscriber = guest.Subscriber("/t", Message, lambda message: None, queue_size=1)
         publisher = guest.Publisher("/t", Message, queue_size=1)
         subscriber.unregister()
         publisher.unregister()
-    stream.going = False
-    join(thread)
-    world.drain()
+    end(world, stream)
     assert faults == []
     assert stream.received == stream.sent
     assert world.registrations == before
@@ -152,13 +157,10 @@ def test_switching_threads_do_not_get_in_each_others_way(world):
             topic = f"/t{n}_{number % 3}"
             world.bus.rewire([(stream.end, topic), (subscription, topic)])
 
-    sources = [in_thread(stream.run) for stream, _ in pairs]
-    movers = [in_thread(lambda n=n, p=p: switch(n, *p)) for n, p in enumerate(pairs)]
-    join(*movers)
     for stream, _ in pairs:
-        stream.going = False
-    join(*sources)
-    world.drain()
+        stream.start()
+    join(*[in_thread(lambda n=n, p=p: switch(n, *p)) for n, p in enumerate(pairs)])
+    end(world, *[stream for stream, _ in pairs])
     assert faults == []
     assert all(stream.received == stream.sent for stream, _ in pairs)
     assert len(world.registrations) == 8
