@@ -49,47 +49,25 @@ def _nodelet(world):
     return Recorder(world, "/n")
 
 
-def test_it_gets_the_whole_new_maps(world, nodelet):
-    nodelet.proxy.set_config([("in1", "/a"), ("out2", "/b")])
-    world.drain()
-    assert nodelet.log == [("reconfigured", {"in1": "/a", "in2": ""}, {"out1": "", "out2": "/b"})]
-    nodelet.proxy.set_config([("in1", ""), ("out1", "/c")])
-    world.drain()
-    assert nodelet.log[1:] == [
-        ("reconfigured", {"in1": "", "in2": ""}, {"out1": "/c", "out2": "/b"})
-    ]
-
-
-def test_it_runs_on_the_nodelets_queue_and_not_in_set_config(world, nodelet):
-    nodelet.proxy.set_config([("in1", "/a")])
-    assert nodelet.log == []
-    world.drain()
-    assert len(nodelet.log) == 1
-
-
-def test_its_maps_are_its_own(world, nodelet):
-    nodelet.nh.set_reconfigure_callback(lambda inputs, outputs: inputs.clear())
-    nodelet.proxy.set_config([("in1", "/a")])
-    world.drain()
-    assert {port.name: port.topic for port in nodelet.proxy.get_config()}["in1"] == "/a"
-
-
-def test_its_failure_does_not_undo_the_switch(world, nodelet, caplog):
+def test_its_failure_does_not_undo_the_switch_and_its_maps_are_its_own(world, nodelet, caplog):
     def fail(inputs, outputs):
+        nodelet.log.append(inputs)
+        inputs["in1"] = "/nowhere"
         raise SystemExit("no")
 
     nodelet.nh.set_reconfigure_callback(fail)
     nodelet.proxy.set_config([("in1", "/a")])
-    world.drain()
+    assert nodelet.log == [], "it runs on the nodelet's queue"
     world.handle("/probe").Publisher("/a", Message).publish(1)
     world.drain()
-    assert nodelet.log == [("in1", 1)]
+    assert nodelet.log[1:] == [("in1", 1)]
+    assert nodelet.proxy.get_config()[0].topic == "/a"
     statistics = nodelet.proxy.get_statistics()
     assert (statistics.callback_errors, statistics.reconfigurations) == (1, 1)
     assert "/n: the callback of a reconfiguration raised" in caplog.text
 
 
-def test_it_may_reconfigure_the_nodelet_itself(world, nodelet):
+def test_it_may_reconfigure_the_nodelet_itself_and_can_be_taken_away(world, nodelet):
     def again(inputs, outputs):
         nodelet.log.append(inputs["in1"])
         if inputs["in1"] == "/a":
@@ -98,31 +76,14 @@ def test_it_may_reconfigure_the_nodelet_itself(world, nodelet):
     nodelet.nh.set_reconfigure_callback(again)
     nodelet.proxy.set_config([("in1", "/a")])
     world.drain()
+    nodelet.nh.set_reconfigure_callback(None)
+    nodelet.proxy.set_config([("in1", "/c")])
+    world.drain()
     assert nodelet.log == ["/a", "/b"]
 
 
-def test_it_can_be_taken_away(world, nodelet):
-    nodelet.nh.set_reconfigure_callback(None)
-    nodelet.proxy.set_config([("in1", "/a")])
-    world.drain()
-    assert nodelet.log == []
-
-
-def test_the_host_is_told_of_every_change(world):
-    changes = []
-    context = world.context("/n")
-    nh = dyknow.NodeHandle(PlainNodeHandle(context, "/"))
-    proxy = NodeletProxy.of(context)
-    proxy.on_change = lambda: changes.append([port.topic for port in proxy.get_config()])
-    nh.Publisher("out", Message)
-    nh.Subscriber("in", Message, print)
-    proxy.set_config([("in", "/a")])
-    proxy.set_config([("in", "/a")])
-    assert changes == [[""], ["", ""], ["", "/a"]]
-
-
-def test_the_host_may_open_services_for_a_proxy_and_they_go_with_the_nodelet(world):
-    opened, closed = [], []
+def test_the_host_is_notified_of_every_change_and_may_open_services(world):
+    changes, opened, closed = [], [], []
 
     class Services(Closable):
         def close(self):
@@ -130,13 +91,19 @@ def test_the_host_may_open_services_for_a_proxy_and_they_go_with_the_nodelet(wor
 
     def attach(context, proxy):
         opened.append((context.name, type(proxy)))
+        proxy.on_change = lambda: changes.append([port.topic for port in proxy.get_config()])
         return Services()
 
     context = world.context("/n")
     context.on_attach = attach
     for _ in range(2):
-        dyknow.NodeHandle(PlainNodeHandle(context, "/"))
+        nh = dyknow.NodeHandle(PlainNodeHandle(context, "/"))
     assert opened == [("/n", NodeletProxy)]
+    nh.Publisher("out", Message)
+    nh.Subscriber("in", Message, print)
+    for _ in range(2):
+        NodeletProxy.of(context).set_config([("in", "/a")])
+    assert changes == [[""], ["", ""], ["", "/a"]]
     context.close()
     assert closed == [1]
 
