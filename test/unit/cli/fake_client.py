@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shlex
+import textwrap
 from dataclasses import dataclass
 from typing import Any, Callable, Sequence
 
@@ -156,10 +158,25 @@ class Outcome:
         return json.loads(self.out)
 
 
-def run(client: FakeClient, line: str) -> Outcome:
+def run(client: FakeClient | None, line: str) -> Outcome:
     """Run a command line that parses; without `dyknow` at its beginning."""
     arguments = parse(shlex.split(line))
     out, err = io.StringIO(), io.StringIO()
     shell = Shell(lambda: client, arguments.json, out, err)  # type: ignore[arg-type,return-value]
     code = execute(arguments, shell)
     return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def play(client: FakeClient | None, transcript: str) -> None:
+    """Run command lines, and compare all that they print with a transcript.
+
+    A line that begins with ``$`` is run. Below it is its output, then what it writes to stderr,
+    then its exit code in brackets unless that is 0. ``...`` stands for any text.
+    """
+    for each in textwrap.dedent(transcript).strip().split("$ ")[1:]:
+        line, _, expected = each.rstrip().partition("\n")
+        outcome = run(client, line)
+        code = f"[{outcome.code}]" if outcome.code else ""
+        printed = (outcome.out + outcome.err + code).rstrip()
+        pattern = re.escape(expected).replace(r"\.\.\.", ".*")
+        assert re.fullmatch(pattern, printed, re.DOTALL), f"$ {line}\n{printed}"

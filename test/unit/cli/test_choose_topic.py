@@ -28,9 +28,7 @@ from dyknow_rqt.graph.wiring import choose_topic
         ({"/waiting": "/cam/image"}, [], "/cam/image_2"),
     ],
 )
-def test_command_line_and_window_choose_the_same(
-    topics: dict[str, str], ordinary: list[str], topic: str
-) -> None:
+def test_command_line_and_window_choose_the_same(topics, ordinary, topic):
     client = FakeClient(World())
     client.world.spawn("camera", "cam")
     client.world.spawn("camera", "other")

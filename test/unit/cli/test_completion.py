@@ -23,16 +23,17 @@ ROOT = Path(__file__).resolve().parents[3]
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is missing")
 
 
-@pytest.fixture
-def client() -> FakeClient:
+@pytest.fixture(name="client")
+def _client():
     client = FakeClient(World())
     client.world.manager.add_transformation(TRACKER)
+    client.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
     client.world.spawn("camera", "cam", config={"image": "raw"})
     client.world.spawn("relay", "/robot/relay")
     return client
 
 
-def offered(client: FakeClient, text: str) -> list[str]:
+def offered(client, text):
     """What is offered at the end of a command line, sorted; without the space behind a word."""
     line = "dyknow " + text
     reader, writer = os.pipe()
@@ -101,12 +102,11 @@ def offered(client: FakeClient, text: str) -> list[str]:
         ("launch image_proc image_proc.launch respawn:=true m", ["manager:="]),
     ],
 )
-def test_candidates(client: FakeClient, text: str, candidates: list[str]) -> None:
+def test_candidates(client, text, candidates):
     assert offered(client, text) == candidates
 
 
-def test_the_in_port_has_to_fit_the_out_port(client: FakeClient) -> None:
-    client.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
+def test_the_in_port_has_to_fit_the_out_port(client):
     text = "<transformation><label>text</label><source>pkg/Text</source></transformation>"
     client.world.manager.add_transformation(text)
     client.world.spawn("text", "text")
@@ -114,7 +114,7 @@ def test_the_in_port_has_to_fit_the_out_port(client: FakeClient) -> None:
     assert offered(client, "disconnect ") == ["/cam:", "/robot/relay:", "/text:"]
 
 
-def test_files(client: FakeClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files(client, tmp_path, monkeypatch):
     (tmp_path / "a file.xml").touch()
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "x.xml").touch()
@@ -127,7 +127,7 @@ def test_files(client: FakeClient, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert offered(client, "check nowhere/") == []
 
 
-def bash(line: str, path: Path, function: str = "_python_argcomplete dyknow") -> list[str]:
+def bash(line, path, function="_python_argcomplete dyknow"):
     """What bash offers for a line, with its completion sourced and `dyknow` on `path`."""
     script = (
         f". '{ROOT}/env-hooks/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; "
@@ -151,7 +151,7 @@ def bash(line: str, path: Path, function: str = "_python_argcomplete dyknow") ->
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     """A folder with the command in it."""
     command = tmp_path / "dyknow"
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dyknow.cli "$@"\n')
@@ -160,7 +160,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @needs_bash
-def test_bash_offers_it(path: Path) -> None:
+def test_bash_offers_it(path):
     assert bash("dyknow disc", path) == ["disconnect"]
     assert bash("rosrun dyknow dyknow disc", path, "_dyknow_rosrun") == ["disconnect"]
     assert bash("rosrun dyknow dyknow connect --t", path, "_dyknow_rosrun") == [
@@ -170,5 +170,5 @@ def test_bash_offers_it(path: Path) -> None:
 
 
 @needs_bash
-def test_it_is_silent_without_a_master(path: Path) -> None:
+def test_it_is_silent_without_a_master(path):
     assert bash("dyknow info ", path) == []

@@ -8,8 +8,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from pathlib import Path
-from typing import Any
 
 import pytest
 from unit.cli.fake_client import FakeClient, run
@@ -22,19 +20,9 @@ from dyknow.model.graph import Model, NodeletStatus, PortState, State
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")
 
 
-def nodelet(name: str, *ports: PortState, **more: Any) -> NodeletStatus:
-    fields = {"transformation": "", "state": State.RUNNING, "is_protected": False, **more}
-    return NodeletStatus(
-        name,
-        fields["transformation"],
-        "/m",
-        fields["is_protected"],
-        False,
-        False,
-        fields["state"],
-        "",
-        ports,
-    )
+def nodelet(name, *ports, transformation="", is_protected=False, state=State.RUNNING):
+    fixed = ("/m", is_protected, False, False)
+    return NodeletStatus(name, transformation, *fixed, state, "", ports)
 
 
 MODEL = Model(
@@ -56,7 +44,7 @@ MODEL = Model(
 )
 
 
-def layout(dot: str) -> dict:
+def layout(dot):
     done = subprocess.run(
         ["dot", "-Tjson"], input=dot, capture_output=True, text=True, timeout=30, check=True
     )
@@ -65,7 +53,7 @@ def layout(dot: str) -> dict:
 
 
 @needs_graphviz
-def test_graphviz_reads_what_was_meant() -> None:
+def test_graphviz_reads_what_was_meant():
     drawn = layout(to_dot(MODEL))
     objects = drawn["objects"]
     shapes = {each["name"]: each["shape"] for each in objects if "shape" in each}
@@ -95,7 +83,7 @@ def test_graphviz_reads_what_was_meant() -> None:
 
 
 @needs_graphviz
-def test_a_topic_is_drawn_in_the_namespace_of_its_nodelets() -> None:
+def test_a_topic_is_drawn_in_the_namespace_of_its_nodelets():
     drawn = layout(to_dot(MODEL))
     inside = {
         each["name"]: {drawn["objects"][member]["name"] for member in each.get("nodes", [])}
@@ -107,7 +95,7 @@ def test_a_topic_is_drawn_in_the_namespace_of_its_nodelets() -> None:
     assert all("t/cam/image" not in members for members in inside.values())
 
 
-def test_pydot_reads_it() -> None:
+def test_pydot_reads_it():
     pydot = pytest.importorskip("pydot")
     (graph,) = pydot.graph_from_dot_data(to_dot(MODEL))
     edges = {(edge.get_source(), edge.get_destination()) for edge in graph.get_edges()}
@@ -115,13 +103,13 @@ def test_pydot_reads_it() -> None:
     assert len(edges) == 3
 
 
-def test_the_order_of_the_model_does_not_matter() -> None:
+def test_the_order_of_the_model_does_not_matter():
     backwards = Model(1, 1, MODEL.nodelets[::-1], ())
     assert to_dot(backwards) == to_dot(MODEL)
 
 
 @needs_graphviz
-def test_files(tmp_path: Path) -> None:
+def test_files(tmp_path):
     client = FakeClient(World())
     client.world.spawn("camera", "cam", config={"image": "raw"})
     assert run(client, f"graph --svg {tmp_path / 'g.svg'}").code == 0
@@ -130,7 +118,7 @@ def test_files(tmp_path: Path) -> None:
     assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_without_graphviz_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_graphviz_it_says_what_to_do(monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
     done = run(FakeClient(World()), "graph --svg x.svg")
     assert done.code == 1
@@ -138,6 +126,6 @@ def test_without_graphviz_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @needs_graphviz
-def test_an_endless_layout_is_given_up() -> None:
+def test_an_endless_layout_is_given_up():
     with pytest.raises(CannotDraw, match=r"needs more than 0\.001 s"):
         render(to_dot(MODEL), "svg", timeout=0.001)

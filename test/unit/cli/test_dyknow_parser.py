@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -19,7 +20,7 @@ from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Parameter
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def refused(capsys, *words):
     """The one line with which words are refused."""
     assert main(words) == 2
     out, err = capsys.readouterr()
@@ -28,25 +29,18 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return err
 
 
-def test_every_command_has_help_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_help_with_examples_and_is_listed(capsys):
+    assert main(["--help"]) == 0
+    listed = capsys.readouterr().out
     for name, command in all_commands().items():
         assert main([name, "--help"]) == 0
         text = capsys.readouterr().out
         assert f"usage: dyknow {name}" in text
-        assert "Examples:" in text
-        assert command.examples.splitlines()[0] in text
+        assert f"Examples:\n  {command.examples.splitlines()[0]}" in text
+        assert f"\n  {name} " in listed
 
 
-def test_the_help_lists_every_command_but_the_hidden_one(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    for name in all_commands():
-        assert (f"\n  {name} " in text) == (name != "complete")
-
-
-def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_that_of_the_package(capsys):
     assert main(["--version"]) == 0
     root = Path(__file__).parents[3]
     for manifest in (root / "package.xml", root / "dyknow_msgs" / "package.xml"):
@@ -55,9 +49,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == f"dyknow {dyknow.__version__}\n"
 
 
-def test_examples_are_understood() -> None:
-    import shlex
-
+def test_examples_are_understood():
     for command in all_commands().values():
         for line in command.examples.splitlines():
             words = shlex.split(line, comments=True)
@@ -71,75 +63,62 @@ def test_examples_are_understood() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("line", "message"),
     [
-        (["spawm", "a", "b"], "there is no command 'spawm'; did you mean spawn?"),
-        ([], "a command is missing"),
-        (["spawn", "relay"], "the following arguments are required: NAME"),
-        (["spawn", "relay", "a b"], "'a b' is not a valid name"),
-        (["spawn", "relay", "~a"], "'~a' is a private name"),
-        (["connect", "a", "b"], "'a' and 'b' are topics; expected a port at one end at least"),
-        (["connect", "a", "b:in", "--topic", "c"], "one end is a topic already"),
-        (["spawn", "relay", "a", "in:=/x"], "connect a port of the new nodelet with --connect in"),
-        (
-            ["spawn", "relay", "a", "rate:=5"],
-            "set a parameter of the new nodelet with --param rate=5",
-        ),
-        (
-            ["list", "__ns:=/robot"],
-            "'__ns:=/robot' would have no effect: set ROS_NAMESPACE",
-        ),
-        (["list", "__master:=http://x:1"], "set ROS_MASTER_URI in the environment"),
-        (["--json", "list", "a:=b"], "'dyknow list' takes neither remappings nor parameters"),
-        (["connect", "a:", "b:in"], "expected NODELET:PORT"),
-        (["connect", "a:out", "b:in", "--topic", "x//y"], "'x//y' is not a valid name"),
-        (["spawn", "relay", "a", "--connect", "in"], "'in': expected PORT:TOPIC"),
-        (["list", "--timeout", "never"], "'never': expected seconds"),
-        (["list", "--timeout", "-1"], "expected"),
-        (["stats", "--watch", "0"], "expected seconds"),
-        (["stats", "--count", "0"], "expected an integer of at least 1"),
-        (["stats", "--count", "3"], "--count says how often --watch shows"),
-        (["graph", "--dot", "--svg", "x"], "not allowed with argument"),
-        (["list", "--lon"], "unrecognized arguments: --lon"),
+        ("spawm a b", "there is no command 'spawm'; did you mean spawn?"),
+        ("", "a command is missing"),
+        ("spawn relay", "the following arguments are required: NAME"),
+        ("spawn relay 'a b'", "'a b' is not a valid name"),
+        ("spawn relay ~a", "'~a' is a private name"),
+        ("spawn relay a --param rate", "'rate': expected NAME=VALUE, such as"),
+        ("connect a b", "'a' and 'b' are topics; expected a port at one end at least"),
+        ("connect a b:in --topic c", "one end is a topic already"),
+        ("spawn relay a in:=/x", "connect a port of the new nodelet with --connect in"),
+        ("spawn relay a rate:=5", "set a parameter of the new nodelet with --param rate=5"),
+        ("list __ns:=/robot", "'__ns:=/robot' would have no effect: set ROS_NAMESPACE"),
+        ("list __master:=http://x:1", "set ROS_MASTER_URI in the environment"),
+        ("--json list a:=b", "'dyknow list' takes neither remappings nor parameters"),
+        ("connect a: b:in", "expected NODELET:PORT"),
+        ("connect a:out b:in --topic x//y", "'x//y' is not a valid name"),
+        ("spawn relay a --connect in", "'in': expected PORT:TOPIC"),
+        ("list --timeout never", "'never': expected seconds"),
+        ("list --timeout -1", "expected"),
+        ("stats --watch 0", "expected seconds"),
+        ("stats --count 0", "expected an integer of at least 1"),
+        ("stats --count 3", "--count says how often --watch shows"),
+        ("graph --dot --svg x", "not allowed with argument"),
+        ("list --lon", "unrecognized arguments: --lon"),
     ],
 )
-def test_wrong_usage_is_one_line(
-    capsys: pytest.CaptureFixture[str], words: list[str], said: str
-) -> None:
-    assert said in refused(capsys, *words)
+def test_wrong_usage_is_one_line(capsys, line, message):
+    assert message in refused(capsys, *shlex.split(line))
 
 
-def test_a_port_belongs_to_the_name_before_the_last_colon() -> None:
+def test_a_port_belongs_to_the_name_before_the_last_colon():
     arguments = parse(["connect", "/robot/camera:image/raw", "b:~in"])
     assert arguments.source == PortRef("/robot/camera", "image/raw")
     assert arguments.target == PortRef("b", "~in")
 
 
-def test_options_of_every_command_stand_before_or_behind_it() -> None:
-    before = parse(["--json", "--timeout", "2", "--manager-node", "m", "list"])
-    behind = parse(["list", "--json", "--timeout", "2", "--manager-node", "/m"])
-    for arguments in (before, behind):
-        assert arguments.json
-        assert arguments.timeout == 2.0
-        assert arguments.manager_node == "/m"
+@pytest.mark.parametrize(
+    "line",
+    ["--json --timeout 2 --manager-node m list", "list --json --timeout 2 --manager-node /m"],
+)
+def test_options_of_every_command_stand_before_or_behind_it(line):
+    arguments = parse(line.split())
+    assert (arguments.json, arguments.timeout, arguments.manager_node) == (True, 2.0, "/m")
 
 
-def test_what_roslaunch_adds_is_left_out() -> None:
+def test_arguments_of_ros():
     assert parse(["list", "__name:=x", "__log:=/tmp/x.log"]).command == "list"
-
-
-def test_private_parameters_are_given_to_a_spawn() -> None:
     words = ["spawn", "relay", "a", "_rate:=20", "--isolated", "_frame:=a=b", "__name:=x"]
     assert parse(words).param == [Parameter("rate", "", "20"), Parameter("frame", "", "a=b")]
-
-
-def test_what_follows_the_program_of_a_probe_is_its_own() -> None:
     words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
     found = parse(words)
     assert (found.settle, found.words) == (0.5, ["/a", "_rate:=20", "--json"])
 
 
-def test_the_manager_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_manager_comes_from_the_environment(monkeypatch, capsys):
     monkeypatch.delenv("DYKNOW_MANAGER", raising=False)
     assert parse(["list"]).manager_node == "/dyknow_manager"
     monkeypatch.setenv("DYKNOW_MANAGER", "other")
@@ -147,18 +126,11 @@ def test_the_manager_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("ROS_NAMESPACE", "/robot")
     assert parse(["list"]).manager_node == "/robot/other"
     assert parse(["list", "--manager-node", "/x"]).manager_node == "/x"
-
-
-def test_a_wrong_manager_in_the_environment_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
     monkeypatch.setenv("DYKNOW_MANAGER", "a b")
     assert "$DYKNOW_MANAGER: 'a b' is not a valid name" in refused(capsys, "list")
 
 
-def test_without_a_master_it_says_so_and_ends_with_3(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_master_it_says_so_and_ends_with_3(capsys, monkeypatch):
     monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:1")
     for words in (["list"], ["library"], ["spawn", "a", "b"], ["connect", "a:b", "c:d"]):
         assert main(words) == 3
@@ -168,7 +140,7 @@ def test_without_a_master_it_says_so_and_ends_with_3(
         assert said.err.count("\n") == 1
 
 
-def test_help_and_check_do_without_ros() -> None:
+def test_help_and_check_do_without_ros():
     script = (
         "import sys; from dyknow.cli.main import main; main(['list', '--help']); "
         "main(['check', 'missing.xml']); "
@@ -180,7 +152,7 @@ def test_help_and_check_do_without_ros() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_the_page_has_the_help_of_every_command() -> None:
+def test_the_page_has_the_help_of_every_command():
     page = (Path(__file__).parents[3] / "doc" / "command_line.rst").read_text()
     assert sorted(re.findall(r"^\.\. command-help:: (\w+)$", page, re.MULTILINE)) == sorted(
         all_commands()

@@ -10,7 +10,6 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 import roslaunch.config
@@ -24,7 +23,7 @@ REWIRABLE = "/ws/lib/dyknow/rewirable"
 
 
 @pytest.fixture
-def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchPlanner:
+def planner(tmp_path, monkeypatch):
     """A planner that knows `pkg` with a program of each kind; the machine `far` is another one."""
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / LIBRARY).touch()
@@ -41,23 +40,23 @@ def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchPlanner:
     assert shell is not None
     programs = {name: str(tmp_path / name) for name in texts}
 
-    def find(package: str, type_: str) -> str | None:
+    def find(package, type_):
         return None if type_ == "missing" else programs.get(type_, shell)
 
     return LaunchPlanner(REWIRABLE, find, lambda machine: machine.name != "far", NodeFilter())
 
 
-def node(type_: str = "relay", package: str = "pkg", machine: str = "", **more: Any) -> Node:
+def node(type_="relay", package="pkg", machine="", **more):
     made = Node(package, type_, more.pop("name", "it"), **more)
     made.machine = Machine(machine, "localhost")
     return made
 
 
-def treat(planner: LaunchPlanner, *words: Any, **more: Any) -> Treatment:
+def treat(planner, *words, **more):
     return planner.treat(node(*words, **more))
 
 
-def selected(planner: LaunchPlanner, only: str = "", except_: str = "") -> LaunchPlanner:
+def selected(planner, only="", except_=""):
     return LaunchPlanner(
         planner.rewirable,
         planner.find,
@@ -66,20 +65,18 @@ def selected(planner: LaunchPlanner, only: str = "", except_: str = "") -> Launc
     )
 
 
-def test_programs_and_shell_scripts_get_the_library(planner: LaunchPlanner) -> None:
+def test_programs_and_shell_scripts_get_the_library(planner):
     expected = Treatment("/robot/it", "pkg/relay", "", How.LIBRARY, "", REWIRABLE)
     assert treat(planner, namespace="/robot/") == expected
     assert treat(planner, "shell").how is How.LIBRARY
 
 
-def test_python_scripts_get_the_script_host(planner: LaunchPlanner) -> None:
+def test_python_scripts_get_the_script_host(planner):
     expected = Treatment("/it", "pkg/script", "", How.SCRIPT_HOST, "", REWIRABLE)
     assert treat(planner, "script") == expected
 
 
-def test_without_the_library_programs_are_left_alone(
-    planner: LaunchPlanner, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_the_library_programs_are_left_alone(planner, monkeypatch, tmp_path):
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "lib"))
     assert treat(planner).why == NO_LIBRARY
 
@@ -115,20 +112,18 @@ def test_without_the_library_programs_are_left_alone(
         ),
     ],
 )
-def test_what_is_left_alone_keeps_its_prefix(
-    planner: LaunchPlanner, what: dict[str, Any], why: str
-) -> None:
+def test_what_is_left_alone_keeps_its_prefix(planner, what, why):
     answer = treat(planner, **what)
     assert (answer.how, answer.why) == (How.AS_IT_IS, why)
     assert answer.prefix == what.get("launch_prefix", "")
 
 
 @pytest.mark.parametrize("args", ["manager", "standalone a/b", "--no-bond standalone a/b", ""])
-def test_nodelet_managers_are_rewirable(planner: LaunchPlanner, args: str) -> None:
+def test_nodelet_managers_are_rewirable(planner, args):
     assert treat(planner, "nodelet", "nodelet", args=args).how is How.LIBRARY
 
 
-def test_an_environment_that_has_dyknow_is_fine(planner: LaunchPlanner, tmp_path: Path) -> None:
+def test_an_environment_that_has_dyknow_is_fine(planner, tmp_path):
     (tmp_path / "dyknow").mkdir()
     path = f"/nowhere:{tmp_path}"
     assert treat(planner, env_args=[("PYTHONPATH", path), ("A", "b")]).how is How.LIBRARY
@@ -144,14 +139,12 @@ def test_an_environment_that_has_dyknow_is_fine(planner: LaunchPlanner, tmp_path
         ("bash -c 'sleep 1; $0 $@'", f"bash -c 'sleep 1; $0 $@' {REWIRABLE}"),
     ],
 )
-def test_ours_is_next_to_the_node_or_its_debugger(
-    planner: LaunchPlanner, prefix: str, whole: str
-) -> None:
+def test_ours_is_next_to_the_node_or_its_debugger(planner, prefix, whole):
     assert treat(planner, launch_prefix=prefix).prefix == whole
     assert treat(planner, launch_prefix=prefix, cwd="node").prefix == whole
 
 
-def test_the_folder_of_the_node_is_where_it_runs(planner: LaunchPlanner, tmp_path: Path) -> None:
+def test_the_folder_of_the_node_is_where_it_runs(planner, tmp_path):
     """roslaunch takes the folder of the first word, which is ours."""
     rewirable = program(tmp_path / "re wirable", 'pwd\nexec "$@"\n')
     folder = tmp_path / "the node's"
@@ -164,9 +157,7 @@ def test_the_folder_of_the_node_is_where_it_runs(planner: LaunchPlanner, tmp_pat
 
 
 @pytest.mark.parametrize("cwd", [None, "node"])
-def test_another_machine_uses_its_own_dyknow(
-    planner: LaunchPlanner, tmp_path: Path, cwd: str
-) -> None:
+def test_another_machine_uses_its_own_dyknow(planner, tmp_path, cwd):
     it = program(tmp_path / "it", 'echo "$0 $*"; pwd\n')
     answer = treat(planner, "missing", machine="far", cwd=cwd)
     assert (answer.machine, answer.how) == ("far", How.OTHER_MACHINE)
@@ -182,13 +173,13 @@ def test_another_machine_uses_its_own_dyknow(
     assert run(prefix, it, "a  b", CMAKE_PREFIX_PATH=path) == "ours\n" + bare
 
 
-def program(file: Path, text: str) -> str:
+def program(file, text):
     file.write_text(f"#!/bin/sh\n{text}")
     file.chmod(0o755)
     return str(file)
 
 
-def run(prefix: str, *words: str, **environment: str) -> str:
+def run(prefix, *words, **environment):
     """Run a command under a prefix, as roslaunch takes it apart."""
     done = subprocess.run(
         [*shlex.split(prefix), *words],
@@ -201,7 +192,7 @@ def run(prefix: str, *words: str, **environment: str) -> str:
     return done.stdout
 
 
-def sent(prefix: str) -> str:
+def sent(prefix):
     """Return what arrives of a prefix on the machine that roslaunch sends it to."""
     text = f"<launch>{node(launch_prefix=prefix).to_remote_xml()}</launch>"
     config = roslaunch.config.ROSLaunchConfig()
@@ -209,13 +200,13 @@ def sent(prefix: str) -> str:
     return str(config.nodes[0].launch_prefix)
 
 
-def test_the_page_names_all_that_are_left_alone() -> None:
+def test_the_page_names_all_that_are_left_alone():
     page = (Path(__file__).resolve().parents[3] / "doc" / "launch.rst").read_text()
     assert [pattern for pattern, _ in LEFT_ALONE if f"``{pattern}``" not in page] == []
 
 
-def test_patterns_choose(planner: LaunchPlanner) -> None:
-    def left(only: str = "", except_: str = "", **more: Any) -> str:
+def test_patterns_choose(planner):
+    def left(only="", except_="", **more):
         return treat(selected(planner, only, except_), **more).why
 
     assert left("other") == "--only does not name it"
@@ -230,7 +221,7 @@ def test_patterns_choose(planner: LaunchPlanner) -> None:
     assert left("it", package="dyknow") == "it is DyKnow's own"
 
 
-def test_patterns_without_a_match_are_known(planner: LaunchPlanner) -> None:
+def test_patterns_without_a_match_are_known(planner):
     choice = selected(planner, "it x", "pkg/relay y")
     plan = [choice.treat(node())]
     assert choice.chosen.without_match(plan) == (["x"], ["y"])

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import pytest
-from unit.cli.fake_client import FakeClient, run
+from unit.cli.fake_client import play
 
 from dyknow.cli.commands.programs import _SHARED, _base, _parameters
 from dyknow.manager.specifications.values import value_of
 
 
-def test_parameters_are_read_again_as_they_are() -> None:
+def test_parameters_are_read_again_as_they_are():
     tree = {
         "rate": 5,
         "gain": 0.5,
@@ -21,8 +21,7 @@ def test_parameters_are_read_again_as_they_are() -> None:
         "pid": {"p": 1.5, "limits": [1, 2]},
         "guards": {"dyknow__manager": {"read_only": False}},
     }
-    found = {each.name: value_of(each) for each in _parameters(tree)}
-    assert found == {
+    assert {each.name: value_of(each) for each in _parameters(tree)} == {
         "rate": 5,
         "gain": 0.5,
         "fast": True,
@@ -36,21 +35,32 @@ def test_parameters_are_read_again_as_they_are() -> None:
     ("program", "name"),
     [("relay", "relay"), ("ball-finder.py", "ball_finder"), ("3d.py", "node_3d")],
 )
-def test_a_node_is_called_like_its_program(program: str, name: str) -> None:
+def test_a_node_is_called_like_its_program(program, name):
     assert _base(program) == name
 
 
-def test_what_all_nodes_share_is_not_declared() -> None:
+def test_what_all_nodes_share_is_not_declared():
     for topic in ("/tf", "/diagnostics", "/camera/parameter_updates"):
         assert _SHARED.fullmatch(topic)
     for topic in ("/tf_of_robot", "/camera/image", "/robot/tf"):
         assert not _SHARED.fullmatch(topic)
 
 
-def test_a_program_that_is_not_there() -> None:
-    nobody: FakeClient = None  # type: ignore[assignment]
-    outcome = run(nobody, "probe topic_tools relais")
-    assert outcome.code == 1
-    assert "package 'topic_tools' has no program 'relais'" in outcome.err
-    outcome = run(nobody, "probe tropic_tools relay")
-    assert "there is no package 'tropic_tools' on ROS_PACKAGE_PATH" in outcome.err
+def test_a_program_that_is_not_there():
+    play(
+        None,
+        """
+        $ probe topic_tools relais
+        dyknow: ...package 'topic_tools' has no program 'relais'...
+        [1]
+        $ probe tropic_tools relay
+        dyknow: ...there is no package 'tropic_tools' on ROS_PACKAGE_PATH...
+        [1]
+        $ run no_such_package node
+        dyknow: ...there is no package 'no_such_package'...
+        [1]
+        $ run rospy no_such_program
+        dyknow: ...package 'rospy' has no program 'no_such_program'...
+        [1]
+        """,
+    )

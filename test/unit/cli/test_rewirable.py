@@ -10,7 +10,6 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -20,7 +19,7 @@ from dyknow.cli.rewirable import LIBRARY, CannotRun, become, find_library, obsta
 SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.exit(7)"
 
 
-def run(*words: str, library: bool = True, preloaded: str = "", tmp_path: Path) -> str:
+def run(*words, library=True, preloaded="", tmp_path):
     """Run `rewirable` with an empty file for the library, which the linker complains of."""
     (tmp_path / "lib").mkdir(exist_ok=True)
     if library and not (tmp_path / "lib" / LIBRARY).exists():
@@ -33,7 +32,7 @@ def run(*words: str, library: bool = True, preloaded: str = "", tmp_path: Path) 
     return f"{done.returncode} {done.stdout}"
 
 
-def test_a_program_gets_the_library_before_others(tmp_path: Path) -> None:
+def test_a_program_gets_the_library_before_others(tmp_path):
     library = tmp_path / "lib" / LIBRARY
     answer = run(sys.executable, "-c", SHOW, "a", "_b:=c", tmp_path=tmp_path)
     assert answer.startswith("7 ")
@@ -43,7 +42,7 @@ def test_a_program_gets_the_library_before_others(tmp_path: Path) -> None:
     assert f"{library}:{other} []\n" in answer
 
 
-def test_a_folder_with_a_space(tmp_path: Path) -> None:
+def test_a_folder_with_a_space(tmp_path):
     library = find_library()
     if library is None:
         pytest.skip("DyKnow was built without roscpp")
@@ -55,14 +54,14 @@ def test_a_folder_with_a_space(tmp_path: Path) -> None:
     assert re.fullmatch(r"0 [1-9]\d*\n", answer)
 
 
-def test_a_script_for_another_python_runs_as_it_is(tmp_path: Path) -> None:
+def test_a_script_for_another_python_runs_as_it_is(tmp_path):
     script = tmp_path / "script"
     script.write_text("#!/bin/sh /usr/bin/python2\nexit 7")
     script.chmod(0o755)
     assert obstacle(str(script)) == "it is a script for another Python"
 
 
-def test_a_python_script_is_run_by_our_host(tmp_path: Path) -> None:
+def test_a_python_script_is_run_by_our_host(tmp_path):
     script = tmp_path / "script"
     script.write_text(f"#!/usr/bin/env python3\n{SHOW}")
     script.chmod(0o755)
@@ -70,13 +69,13 @@ def test_a_python_script_is_run_by_our_host(tmp_path: Path) -> None:
     assert answer == "7  ['a']\n"
 
 
-def test_without_the_library_a_program_runs_as_it_is(tmp_path: Path) -> None:
+def test_without_the_library_a_program_runs_as_it_is(tmp_path):
     answer = run(sys.executable, "-c", SHOW, library=False, tmp_path=tmp_path)
     assert "runs as it is: libdyknow_roscpp.so is not there" in answer
     assert answer.endswith("\n []\n")
 
 
-def test_what_is_no_program(tmp_path: Path) -> None:
+def test_what_is_no_program(tmp_path):
     data = tmp_path / "data"
     data.write_text("hello")
     data.chmod(0o755)
@@ -91,16 +90,7 @@ def test_what_is_no_program(tmp_path: Path) -> None:
     assert shell is not None and obstacle(shell) == ""
 
 
-def test_run_hands_all_arguments_to_the_node() -> None:
+def test_run_hands_all_arguments_to_the_node():
     arguments = parse(["run", "topic_tools", "relay", "/a", "--json", "_x:=1", "__name:=b"])
     assert (arguments.package, arguments.executable) == ("topic_tools", "relay")
     assert arguments.words == ["/a", "--json", "_x:=1", "__name:=b"]
-
-
-def test_run_names_what_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    from dyknow.cli.main import main
-
-    assert main(["run", "no_such_package", "node"]) == 1
-    assert "there is no package 'no_such_package'" in capsys.readouterr().err
-    assert main(["run", "rospy", "no_such_program"]) == 1
-    assert "package 'rospy' has no program 'no_such_program'" in capsys.readouterr().err
