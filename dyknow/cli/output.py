@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 
 Json = Dict[str, Any]
+_OF_TRANSFORMATIONS = ("label", "type", "source", "node", "isolated", "cost")
+_OF_PORTS = ("name", "direction", "datatype", "tags")
 _COUNTED = (
     *("direction", "topic", "messages", "dropped"),
     *("rate", "mean_callback", "max_callback"),
@@ -34,7 +36,6 @@ _COUNTED = (
 
 
 def nodelet_json(nodelet: NodeletStatus) -> Json:
-    """A running nodelet."""
     return {
         "name": nodelet.name,
         "transformation": nodelet.transformation,
@@ -56,19 +57,10 @@ def _parameters_json(parameters: Sequence[Parameter]) -> List[Json]:
 
 
 def transformation_json(transformation: Transformation) -> Json:
-    """A transformation of the library."""
     return {
-        "label": transformation.label,
-        "type": transformation.type,
-        "source": transformation.source,
-        "node": transformation.node,
-        "isolated": transformation.isolated,
-        "cost": transformation.cost,
+        **{name: getattr(transformation, name) for name in _OF_TRANSFORMATIONS},
         "parameters": _parameters_json(transformation.parameters),
-        "ports": [
-            dict(zip(("name", "direction", "datatype", "tags"), port))
-            for port in transformation.ports
-        ],
+        "ports": [dict(zip(_OF_PORTS, port)) for port in transformation.ports],
         "specification": transformation.to_xml(),
     }
 
@@ -114,7 +106,6 @@ def event_json(event: StreamEvent) -> Json:
 
 
 def state_of(nodelet: NodeletStatus) -> str:
-    """Return its state: `starting`, `running`, `lost` or `failed`."""
     return nodelet.state.name.lower()
 
 
@@ -126,18 +117,8 @@ def unknown_nodelet(name: str, model: Model) -> str:
 
 
 def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[str]:
-    """Align rows of cells.
-
-    Args:
-        rows: cells; every row has the same number.
-        right: columns that are aligned right, such as numbers.
-
-    Returns:
-        A line for each row.
-    """
-    if not rows:
-        return []
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    """Return a line for each row of cells; the columns ``right`` are aligned right."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         "  ".join(
             cell.rjust(width) if column in right else cell.ljust(width)
@@ -164,17 +145,19 @@ class Screen:
     On a terminal each value replaces the one before, cut to the window; lines are rewritten
     without clearing the screen, so that nothing flickers. Elsewhere an empty line separates
     values; as JSON each is one line.
+
+    Args:
+        shell: prints it.
+        period: seconds between two values.
     """
 
     def __init__(self, shell: Shell, period: float) -> None:
-        """Show through `shell`, every `period` seconds."""
         self._shell = shell
         self._period = period
         self._in_place = shell.out.isatty() and not shell.as_json
         self._shown = False
 
     def show(self, value: Any, lines: Sequence[str]) -> None:
-        """Show a value."""
         out = self._shell.out
         if self._shell.as_json:
             out.write(json.dumps(value) + "\n")

@@ -206,7 +206,6 @@ class _Holding:
                     return FAILED
 
     def close(self) -> None:
-        """Stop listening."""
         if self._events is not None:
             self._events.close()
             self._events = None
@@ -245,9 +244,8 @@ class _Holding:
 
 def _acquired_json(claim: StreamStatus, answer: Optional[Acquisition]) -> Dict[str, Any]:
     """Write the claim and the cost of its plan, which is null while the claim waits."""
-    cost = answer.cost if answer is not None else None
-    least_cost = answer.least_cost if answer is not None else None
-    return {**stream_json(claim), "cost": cost, "least_cost": least_cost}
+    costs = {name: getattr(answer, name, None) for name in ("cost", "least_cost")}
+    return {**stream_json(claim), **costs}
 
 
 def _describe(claim: StreamStatus, answer: Optional[Acquisition] = None) -> Iterable[str]:

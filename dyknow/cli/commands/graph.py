@@ -54,7 +54,9 @@ _TIMEOUT = 120.0
 def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
     snapshot = shell.client.get_graph()
     if arguments.namespace:
-        snapshot = _inside(snapshot, shell.resolve(arguments.namespace))
+        inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
+        nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
+        snapshot = replace(snapshot, nodelets=nodelets)
     drawing = arguments.svg or arguments.png
     if drawing:
         kind = "svg" if arguments.svg else "png"
@@ -77,14 +79,8 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
                 "nodelets": [nodelet_json(each) for each in snapshot.nodelets],
                 "topics": [_topic_json(topic) for topic in topics],
             },
-            list_topics(snapshot, topics),
+            _list_topics(snapshot, topics),
         )
-
-
-def _inside(snapshot: Model, wanted: str) -> Model:
-    inside = wanted.rstrip("/") + "/"
-    nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
-    return replace(snapshot, nodelets=nodelets)
 
 
 def _topic_json(topic: Topic) -> dict[str, object]:
@@ -96,7 +92,7 @@ def _topic_json(topic: Topic) -> dict[str, object]:
     }
 
 
-def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
+def _list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
     """Write the graph as lines: each topic with its ports, then the disconnected ports."""
     for topic in topics:
         yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
@@ -104,25 +100,18 @@ def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
             yield f"    from {source}"
         for target in topic.targets:
             yield f"    to   {target}"
-    loose = [
-        f"    {port.direction:<4} {PortRef(nodelet.name, port.name)}"
-        for nodelet in snapshot.nodelets
-        for port in by_name(nodelet.ports)
-        if not port.topic
-    ]
-    loose.extend(
-        f"    {nodelet.name} ({_why_without_ports(nodelet)})"
-        for nodelet in snapshot.nodelets
-        if not nodelet.ports
-    )
+    loose = []
+    for nodelet in snapshot.nodelets:
+        for port in by_name(nodelet.ports):
+            if not port.topic:
+                loose.append(f"    {port.direction:<4} {PortRef(nodelet.name, port.name)}")
+    for nodelet in snapshot.nodelets:
+        if not nodelet.ports:
+            state = state_of(nodelet)
+            loose.append(f"    {nodelet.name} ({'no ports' if state == 'running' else state})")
     if loose:
         yield "(disconnected)"
         yield from loose
-
-
-def _why_without_ports(nodelet: NodeletStatus) -> str:
-    state = state_of(nodelet)
-    return "no ports" if state == "running" else state
 
 
 _TROUBLED = {"starting": "gray50", "lost": "red3", "failed": "red3"}

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set
+from typing import TYPE_CHECKING, Dict, Iterable, Iterator, List, Optional, Sequence, Set, Union
 
 from dyknow.cli import completion
 from dyknow.cli.commands.acquire import DEMAND, request_of
-from dyknow.cli.output import columns, stream_json
+from dyknow.cli.output import Json, columns, stream_json
 from dyknow.cli.shell import Shell, argument, command, flag
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.manager.specifications.tags import read_tags
-from dyknow.model.transformation import OUT
+from dyknow.model.transformation import OUT, Port
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import Model
-    from dyknow.model.streams import StreamStatus
+    from dyknow.model.graph import Model, PortState
+    from dyknow.model.streams import Acquisition, Replanned, StreamStatus
 
 
 #: The most tags whose bindings are looked up, and the most bindings shown of each.
@@ -35,6 +35,7 @@ class _Supply:
     ``bindings`` lists the present bindings of the tag's variables; None if they are unknown.
     """
 
+    tag: str
     transformations: Set[str] = field(default_factory=set)
     nodelets: Set[str] = field(default_factory=set)
     datatypes: Set[str] = field(default_factory=set)
@@ -50,35 +51,31 @@ class _Supply:
     argument("text", None, "list only tags that contain this, in any case", nargs="?", default=""),
 )
 def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
-    supplied = _supplied(shell.client.get_model())
-    chosen = {
-        tag: supply
-        for tag, supply in sorted(supplied.items())
-        if arguments.text.lower() in tag.lower()
-    }
-    with_variables = [tag for tag in chosen if "?" in tag]
-    for tag in with_variables[:_MOST_ASKED]:
-        chosen[tag].bindings = _bindings(shell, tag)
+    part = arguments.text.lower()
+    supplies = [each for each in _supplies(shell.client.get_model()) if part in each.tag.lower()]
+    with_variables = [each for each in supplies if "?" in each.tag]
+    for each in with_variables[:_MOST_ASKED]:
+        each.bindings = _bindings(shell, each.tag)
     if len(with_variables) > _MOST_ASKED:
         shell.warn(
             f"{len(with_variables)} tags have variables; only for {_MOST_ASKED} of them it was "
             "asked what these can stand for: list fewer, by a part of their text"
         )
     rows = [("TAG", "FOR", "TYPE", "SUPPLIED BY")]
-    for tag, supply in chosen.items():
-        running = [f"{name} (runs)" for name in sorted(supply.nodelets)]
-        suppliers = [*sorted(supply.transformations), *running]
-        types = ", ".join(sorted(supply.datatypes)) or "-"
-        rows.append((tag, _written(supply.bindings), types, ", ".join(suppliers)))
+    for each in supplies:
+        running = [f"{name} (runs)" for name in sorted(each.nodelets)]
+        suppliers = ", ".join([*sorted(each.transformations), *running])
+        types = ", ".join(sorted(each.datatypes)) or "-"
+        rows.append((each.tag, _written(each.bindings), types, suppliers))
     result = [
         {
-            "tag": tag,
-            "datatypes": sorted(supply.datatypes),
-            "transformations": sorted(supply.transformations),
-            "nodelets": sorted(supply.nodelets),
-            "bindings": supply.bindings,
+            "tag": each.tag,
+            "datatypes": sorted(each.datatypes),
+            "transformations": sorted(each.transformations),
+            "nodelets": sorted(each.nodelets),
+            "bindings": each.bindings,
         }
-        for tag, supply in chosen.items()
+        for each in supplies
     ]
     shell.show({"tags": result}, columns(rows))
 
@@ -106,31 +103,25 @@ def _written(bindings: Optional[List[Dict[str, str]]]) -> str:
     return ", ".join(" ".join(f"{x}={name}" for x, name in each.items()) for each in shown) + more
 
 
-def _supplied(model: Model) -> Dict[str, _Supply]:
+def _supplies(model: Model) -> List[_Supply]:
+    """Return the supplies of all tags, which are equal if only their variables' names differ."""
     found: Dict[str, _Supply] = {}
-    written: Dict[str, str] = {}
 
-    def note(tags: List[str], datatype: str) -> List[_Supply]:
-        supplies = []
-        for tag in tags:
-            key = _numbered(tag)
-            supplies.append(found.setdefault(key, _Supply()))
-            written[key] = min(tag, written.get(key, tag))
-        for supply in supplies if datatype else ():
-            supply.datatypes.add(datatype)
-        return supplies
+    def of(ports: Iterable[Union[Port, PortState]]) -> Iterator[_Supply]:
+        for port in ports:
+            for tag in port.tags if port.direction == OUT else ():
+                supply = found.setdefault(_numbered(tag), _Supply(tag))
+                supply.tag = min(tag, supply.tag)
+                supply.datatypes |= {port.datatype} - {""}
+                yield supply
 
     for transformation in model.transformations:
-        for port in transformation.ports:
-            if port.direction == OUT:
-                for supply in note(list(port.tags), port.datatype):
-                    supply.transformations.add(transformation.label)
+        for supply in of(transformation.ports):
+            supply.transformations.add(transformation.label)
     for nodelet in model.nodelets:
-        for shown in nodelet.ports:
-            if shown.direction == OUT:
-                for supply in note(list(shown.tags), shown.datatype):
-                    supply.nodelets.add(nodelet.name)
-    return {written[key]: supply for key, supply in found.items()}
+        for supply in of(nodelet.ports):
+            supply.nodelets.add(nodelet.name)
+    return sorted(found.values(), key=lambda supply: supply.tag)
 
 
 def _numbered(tag: str) -> str:
@@ -156,22 +147,27 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.acquire_stream(request_of(arguments), dry_run=True)
     for warning in answer.warnings:
         shell.warn(warning)
-    dot = tree_as_dot(answer.plan) if arguments.dot else ""
-    result: Dict[str, Any] = {
+    result = {
         "tag": arguments.tag,
+        **_plan_json(answer),
+        "bindings": list(answer.bindings),
+        "least_cost": answer.least_cost,
+    }
+    lines = answer.plan.rstrip("\n").split("\n")
+    lines += [f"with {', '.join(answer.bindings)}"] if answer.bindings else []
+    if arguments.dot:
+        result["dot"] = tree_as_dot(answer.plan)
+        lines = result["dot"].rstrip("\n").split("\n")
+    shell.show(result, lines)
+
+
+def _plan_json(answer: Union[Acquisition, Replanned]) -> Json:
+    return {
         "cost": answer.cost,
         "spawned": list(answer.spawned),
         "reused": list(answer.reused),
         "plan": answer.plan,
-        "bindings": list(answer.bindings),
-        "least_cost": answer.least_cost,
     }
-    if arguments.dot:
-        result["dot"] = dot
-    lines = (dot or answer.plan).rstrip("\n").split("\n")
-    if answer.bindings and not arguments.dot:
-        lines.append(f"with {', '.join(answer.bindings)}")
-    shell.show(result, lines)
 
 
 @command(
@@ -255,12 +251,5 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 )
 def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.replan_stream(arguments.claim, arguments.dry_run)
-    result = {
-        "claim": arguments.claim,
-        "dry_run": arguments.dry_run,
-        "cost": answer.cost,
-        "spawned": list(answer.spawned),
-        "reused": list(answer.reused),
-        "plan": answer.plan,
-    }
+    result = {"claim": arguments.claim, "dry_run": arguments.dry_run, **_plan_json(answer)}
     shell.show(result, answer.plan.rstrip("\n").split("\n"))
