@@ -104,15 +104,11 @@ class NodeFilter:
 
     def without_match(self, plan: Sequence[Treatment]) -> Tuple[List[str], List[str]]:
         """Return the patterns of `only` and of `except_` that match no node."""
-
-        def idle(patterns: Sequence[str]) -> List[str]:
-            return [
-                pattern
-                for pattern in patterns
-                if not any(matches(each.node, each.program, [pattern]) for each in plan)
-            ]
-
-        return idle(self.only), idle(self.except_)
+        only, except_ = (
+            [one for one in each if not any(matches(it.node, it.program, [one]) for it in plan)]
+            for each in (self.only, self.except_)
+        )
+        return only, except_
 
     def reason(self, node: str, program: str) -> str:
         """Say why the patterns leave a node alone; empty if they do not."""
@@ -147,21 +143,17 @@ class LaunchPlanner:
 
     def treat(self, node: Any) -> Treatment:
         """Decide how one of roslaunch's nodes is started; the node is not changed."""
-        local = self.is_local(node.machine)
+        is_local = self.is_local(node.machine)
         name = names.join(node.namespace, node.name)
         program = f"{node.package}/{node.type}"
         words = shlex.split(node.launch_prefix or "")
+        how, prefix = How.AS_IT_IS, node.launch_prefix or ""
         why = self.chosen.reason(name, program) or _nothing_to_do(node) or _occupied(words)
-        if why:
-            how = How.AS_IT_IS
-        elif local:
-            how, why = self._how(node)
-        else:
-            how = How.OTHER_MACHINE
-        prefix = node.launch_prefix or ""
         if not why:
-            prefix = self._prefix(words, local, node.cwd == "node" and not words)
-        return Treatment(name, program, "" if local else node.machine.name, how, why, prefix)
+            how, why = self._how(node) if is_local else (How.OTHER_MACHINE, "")
+        if not why:
+            prefix = self._prefix(words, is_local, node.cwd == "node" and not words)
+        return Treatment(name, program, "" if is_local else node.machine.name, how, why, prefix)
 
     def _how(self, node: Any) -> Tuple[How, str]:
         program = self.find(node.package, node.type)
@@ -171,9 +163,9 @@ class LaunchPlanner:
         try:
             if not trouble and interpreter(program) is not None:
                 return How.SCRIPT_HOST, ""
+            trouble = trouble or obstacle(program)
         except CannotRun as error:
             trouble = str(error)
-        trouble = trouble or obstacle(program)
         if not trouble and find_library() is None:
             trouble = NO_LIBRARY
         return (How.AS_IT_IS, trouble) if trouble else (How.LIBRARY, "")
@@ -226,12 +218,7 @@ def _hidden(node: Any) -> str:
 
 @contextlib.contextmanager
 def session(options: argparse.Namespace, files: Sequence[str]) -> Iterator[str]:
-    """Wait for a master if `--wait` is set, and set up roslaunch's log; yields the run's id.
-
-    Args:
-        options: the arguments of `dyknow launch`.
-        files: the launch files.
-    """
+    """Wait for a master if `--wait` is set, and set up roslaunch's log; yields the run's id."""
     if options.wait:
         rlutil._wait_for_master()
     roslaunch.write_pid_file(options.pid, False, options.port)
@@ -264,6 +251,11 @@ def read(
         CannotLaunch: they cannot be read.
     """
     sources = [(file, list(given)) for file in files if file != STDIN]
+    timeouts = {
+        name: getattr(options, name)
+        for name in ("sigint_timeout", "sigterm_timeout")
+        if getattr(options, name) is not None  # else roslaunch's own
+    }
     try:
         parent = ROSLaunchParent(
             run_id,
@@ -276,7 +268,7 @@ def read(
             force_required=options.required,
             roslaunch_strs=[sys.stdin.read()] if STDIN in files else None,
             show_summary=not options.no_summary,
-            **_given_timeouts(options),
+            **timeouts,
         )
         parent._load_config()
     except Exception as error:  # a boundary: launch files have expressions, which may raise any
@@ -317,11 +309,7 @@ def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
 
 
 def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
-    """Start a launch, and return when it has ended, for whatever reason.
-
-    Args:
-        parent: has read the launch files.
-        treatments: how its nodes are started, in their order.
+    """Start a launch, whose nodes are treated in their order; return when it has ended.
 
     Raises:
         CannotLaunch: it cannot be started.
@@ -333,9 +321,3 @@ def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
         parent.spin()
     except ERRORS as error:
         raise CannotLaunch(one_line(error)) from error
-
-
-def _given_timeouts(options: argparse.Namespace) -> Any:
-    """Return the given time limits; roslaunch has defaults for the missing ones."""
-    limits = {"sigint_timeout": options.sigint_timeout, "sigterm_timeout": options.sigterm_timeout}
-    return {name: value for name, value in limits.items() if value is not None}

@@ -95,17 +95,13 @@ class NodeletCommand:
 
 
 def parse(arguments: Sequence[str]) -> NodeletCommand:
-    """Parse a command line.
-
-    Args:
-        arguments: all but the program's name. ROS's own (`a:=b`) may stand anywhere and are left
-            out.
+    """Parse all but the program's name; ROS's own words (`a:=b`) may stand anywhere.
 
     Raises:
         UsageError: the command is unknown, or something is missing.
     """
     words = tuple(word for word in arguments if ":=" not in word)
-    if any(word in ("-h", "--help") for word in words[:2]):
+    if asks_for_help(words[:2]):
         return NodeletCommand("help")
     if not words:
         raise UsageError("a command is missing")
@@ -117,16 +113,15 @@ def parse(arguments: Sequence[str]) -> NodeletCommand:
     if missing:
         raise UsageError(f"{action}: {' and '.join(missing)} missing")
     given, rest = dict(zip(demanded, words)), words[len(demanded) :]
-    manager, script = given.get("MANAGER", ""), f"{given.get('PKG')}/{given.get('SCRIPT')}"
+    manager, kind = given.get("MANAGER", ""), given.get("PKG/CLASS", "")
+    script = f"{given['PKG']}/{given['SCRIPT']}" if "SCRIPT" in given else ""
     if action == "unload":
         return NodeletCommand(action, name=given["NAME"], manager=manager)
-    if action in ("manager", "standalone", "standalone_script"):
-        kind = script if "SCRIPT" in given else given.get("PKG/CLASS", "")
-        return NodeletCommand(action, kind, my_argv=rest)
+    if "MANAGER" not in given:
+        return NodeletCommand(action, kind or script, my_argv=rest)
     bond = rest[:1] != ("--no-bond",)
     rest = rest if bond else rest[1:]
-    if action == "load":
-        kind = given["PKG/CLASS"]
+    if kind:
         return NodeletCommand(action, kind, kind.replace("/", "_"), manager, bond, rest)
     name = re.sub(r"\W", "_", script.rpartition("/")[2].partition(".")[0])
     return NodeletCommand("load", SCRIPT_TYPE, name, manager, bond, (script, *rest))

@@ -162,14 +162,11 @@ def _connect_to_topic(
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     references = dict.fromkeys(_resolved(shell, each) for each in arguments.ports)
     wanted = [PortMove(each, _find_port(shell.client, each).topic, "") for each in references]
+    moves = _apply(shell.client, wanted)
+    left = (f"has left {move.before}" if move.before else "was not connected" for move in wanted)
     shell.show(
-        {"changed": [_move_json(move) for move in _apply(shell.client, wanted)]},
-        [
-            f"{move.port} has left {move.before}"
-            if move.before
-            else f"{move.port} was not connected"
-            for move in wanted
-        ],
+        {"changed": [_move_json(move) for move in moves]},
+        [f"{move.port} {what}" for move, what in zip(wanted, left)],
     )
 
 
@@ -202,13 +199,14 @@ def _find_port(client: ShellClient, reference: PortRef) -> PortState:
         CannotConnect: the nodelet has no such port; its ports are named.
     """
     ports = list(_ports_of(client, reference.nodelet))
-    if all(port.name != reference.port for port in ports):
+    found = [port for port in ports if port.name == reference.port]
+    if not found:
         shown = client.get_graph().nodelet(reference.nodelet)
-        names = {port.name for port in ports}
-        ports += [port for port in (shown.ports if shown else ()) if port.name not in names]
-    for port in ports:
-        if port.name == reference.port:
-            return port
+        present = {port.name for port in ports}
+        ports += [port for port in (shown.ports if shown else ()) if port.name not in present]
+        found = [port for port in ports if port.name == reference.port]
+    if found:
+        return found[0]
     known = ", ".join(f"{port.name} ({port.direction})" for port in ports) or "none"
     hint = did_you_mean(reference.port, [port.name for port in ports])
     raise CannotConnect(

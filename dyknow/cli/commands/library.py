@@ -8,10 +8,10 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.cli import completion
-from dyknow.cli.output import columns, count, transformation_json, write_file
+from dyknow.cli.output import Json, columns, count, transformation_json, write_file
 from dyknow.cli.shell import FAILED, Argument, Shell, argument, command, flag
 from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
@@ -87,8 +87,8 @@ def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
     _FILES,
 )
 def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    imported: List[Dict[str, Any]] = []
-    failed: List[Dict[str, Any]] = []
+    imported: List[Json] = []
+    failed: List[Json] = []
     for file in arguments.files:
         try:
             added = shell.client.add_transformation(_read(file))
@@ -119,7 +119,7 @@ def _read(file: str) -> str:
 
 
 def _explain(file: str, error: Exception) -> str:
-    """Print the problems of a file."""
+    """Return the problems of a file, a line each."""
     if isinstance(error, OSError):
         return f"{file}: cannot be read: {error.strerror}"
     if isinstance(error, UnicodeDecodeError):
@@ -205,31 +205,26 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     ontology = _ontology(arguments)
     unread = ontology.warnings if ontology is not None else ()
-    reports = [(file, _report(file, ontology)) for file in arguments.files]
-    bad = False
+    shown: List[Json] = []
     lines: List[str] = [_with_warning(problem) for problem in unread]
-    for file, (labels, problems, warnings) in reports:
-        bad = bad or bool(problems)
-        lines.extend(str(problem) for problem in problems)
-        lines.extend(_with_warning(problem) for problem in warnings)
+    for file in arguments.files:
+        labels, problems, warnings = _report(file, ontology)
+        lines.extend(map(str, problems))
+        lines.extend(map(_with_warning, warnings))
         if not problems:
             lines.append(f"{file}: {count(len(labels), 'transformation')}: {', '.join(labels)}")
+        shown.append(
+            {
+                "file": file,
+                "labels": list(labels),
+                "problems": [problem._asdict() for problem in problems],
+                "warnings": [problem._asdict() for problem in warnings],
+            }
+        )
     shell.show(
-        {
-            "files": [
-                {
-                    "file": file,
-                    "labels": list(labels),
-                    "problems": [problem._asdict() for problem in problems],
-                    "warnings": [problem._asdict() for problem in warnings],
-                }
-                for file, (labels, problems, warnings) in reports
-            ],
-            "ontology_warnings": [problem._asdict() for problem in unread],
-        },
-        lines,
+        {"files": shown, "ontology_warnings": [problem._asdict() for problem in unread]}, lines
     )
-    return FAILED if bad else None
+    return FAILED if any(each["problems"] for each in shown) else None
 
 
 def _ontology(arguments: argparse.Namespace) -> Optional[Ontology]:
