@@ -17,10 +17,9 @@ from dyknow.model.graph import PortRef
 from dyknow.wiring.wiring import read_wiring, wiring_of
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import edge_refs
-from dyknow_rqt.graph.changes import protection
+from dyknow_rqt.graph.changes import load_wiring, protection
 from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.wiring_changes import LoadWiring
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.selection import Selection
 
@@ -61,7 +60,7 @@ class WiringFiles:
         """
         with open(path, "rb") as file:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
-        self._monitor.do(LoadWiring(wiring, path.rpartition("/")[2]))
+        self._monitor.do(load_wiring(wiring, path.rpartition("/")[2]))
 
     @qt_slot
     def ask_where_to_save(self) -> None:

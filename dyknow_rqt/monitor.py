@@ -20,21 +20,20 @@ from typing import (
     Dict,
     FrozenSet,
     List,
-    Mapping,
     Optional,
     Tuple,
     TypeVar,
-    Union,
 )
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.changes import CannotUndo, Change, UndoHistory
+from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
 from dyknow_rqt.graph.contact import PATIENCE
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
@@ -198,60 +197,61 @@ class Monitor(QObject):
             say(self.heart.status.text)  # the threads are not to wait for it
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
-        """Make a change, which can then be undone if it has an inverse.
+        """Make a change, which can then be undone if there is a way back.
 
         Args:
             change: what to do.
             then: called in the thread of the window when it has been done.
         """
-        snapshot, library = self.snapshot, dict(self.library)
+        present = self._present()
 
-        def note(made: Change) -> None:
-            self.history.note(made, _way_back(made, snapshot, library))
+        def note(done: DoneChange) -> None:
+            self.history.note(done)
             then()
 
-        self._apply(change, note)
+        self._apply(change.text, lambda: change.apply(present), note)
 
     @qt_slot
     def undo(self) -> None:
         """Undo the last change."""
-        step = self.history.last
-        if step is None:
+        done = self.history.last
+        if done is None:
             raise CannotUndo("there is nothing to undo")
-        if isinstance(step.back, CannotUndo):
-            self.history.drop()
-            self._tell_history()
-            raise CannotUndo(f"cannot undo '{step.change.text}': {step.back}")
-        self._apply(
-            step.back,
-            lambda made: self.history.note_undone(),
-            checked=True,
-            no_way=self.history.drop,
-        )
+        text = f"undo '{done.change.text}'"
+
+        def undo() -> DoneChange:
+            done.undo()
+            return done._replace(text=text)
+
+        self._apply(text, undo, lambda done: self.history.note_undone(), self.history.drop)
 
     @qt_slot
     def redo(self) -> None:
         """Redo the change that was undone last."""
-        change = self.history.next
+        change, present = self.history.next, self._present()
         if change is None:
             raise CannotUndo("there is nothing to redo")
-        again, snapshot, library = change, self.snapshot, dict(self.library)
-        self._apply(
-            again,
-            lambda made: self.history.note_redone(again, _way_back(made, snapshot, library)),
-            checked=True,
-        )
+        again = change
+
+        def redo() -> DoneChange:
+            again.check(self._client)
+            return again.apply(present)
+
+        self._apply(again.text, redo, self.history.note_redone)
 
     # Inside
 
+    def _present(self) -> Present:
+        return Present(self._client, self.snapshot, dict(self.library))
+
     def _apply(
         self,
-        change: Change,
-        note: Callable[[Change], None],
-        checked: bool = False,
+        text: str,
+        job: Callable[[], DoneChange],
+        note: Callable[[DoneChange], None],
         no_way: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make one change at a time: the inverse of the next depends on the state after this one.
+        """Make one change at a time: the next depends on the state after this one.
 
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
@@ -259,33 +259,29 @@ class Monitor(QObject):
         if self._changing:
             refusal = "another change is under way; try again when it is done"
         if refusal:
-            self.failed.emit(f"{change.text}: {refusal}")
+            self.failed.emit(f"{text}: {refusal}")
             self.settled.emit()
             return
         self._changing = True
-        self.begun.emit(f"{change.text} …")
+        self.begun.emit(f"{text} …")
 
-        def made(done: Change) -> None:
-            self._changing = False
-            note(done)
+        def settle(signal: Any, words: str) -> None:
             self._tell_history()
-            self.done.emit(f"done: {done.text}")
+            signal.emit(words)
             self.settled.emit()
             self.look()
+
+        def made(done: DoneChange) -> None:
+            self._changing = False  # first: the next change may begin at once
+            note(done)
+            settle(self.done, f"done: {done.text}")
 
         def refused(error: Exception) -> None:
             self._changing = False
             if isinstance(error, (CannotUndo, Refused)):
                 no_way()
-                self._tell_history()
-            self.failed.emit(f"{change.text}: {_words(error)}")
-            self.settled.emit()
-            self.look()
-
-        def job() -> Change:
-            if checked:
-                change.check(self._client)
-            return change.apply(self._client)
+            what = f"cannot {text}" if isinstance(error, CannotUndo) else text
+            settle(self.failed, f"{what}: {_words(error)}")
 
         self._calls.run(job, made, refused)
 
@@ -404,15 +400,6 @@ class Monitor(QObject):
             self.look()
         else:
             self._forget_rates()
-
-
-def _way_back(
-    change: Change, snapshot: Snapshot, library: Mapping[str, Transformation]
-) -> Union[Change, CannotUndo]:
-    try:
-        return change.inverse(snapshot, library)
-    except CannotUndo as error:
-        return error
 
 
 def _words(error: Any) -> str:

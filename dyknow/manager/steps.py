@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, List, Sequence, Tuple
+from typing import Callable, List, Mapping, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, Refused
+from dyknow.model.client import BaseManagerClient
 
 
 @dataclass(frozen=True)
@@ -20,12 +21,19 @@ class ReversibleStep:
         subject: the nodelet or label that it is about.
         do: does it; raises DyKnowError.
         undo: takes it back; raises DyKnowError.
+        check: raises DyKnowError if another client has changed the same things since; for a
+            step that is taken back much later.
     """
 
     what: str
     subject: str
     do: Callable[[], object]
     undo: Callable[[], object]
+    check: Callable[[], object] = lambda: None
+
+
+class CannotUndo(DyKnowError):
+    """A change cannot be undone; the text says why."""
 
 
 class StepFailed(DyKnowError):
@@ -93,3 +101,19 @@ def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = 
             if not (step in maybe and isinstance(error, Refused)):
                 troubles.append(f"{step.what} could not be taken back: {error}")
     return troubles
+
+
+def check_connected(client: BaseManagerClient, nodelet: str, topics: Mapping[str, str]) -> None:
+    """Check that ports of a nodelet are connected so, as a change left them.
+
+    Raises:
+        CannotUndo: they are not.
+    """
+    try:
+        present = {port.name: port.topic for port in client.get_config(nodelet)}
+    except DyKnowError as error:
+        raise CannotUndo(str(error)) from error
+    for port, topic in topics.items():
+        if present.get(port) != topic:
+            now = present.get(port) or "nothing"
+            raise CannotUndo(f"{nodelet}:{port} has been connected to {now} by another client")

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.steps import ReversibleStep
+from dyknow.manager.steps import ReversibleStep, check_connected
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
@@ -123,6 +123,7 @@ def _change(kept: Kept, client: BaseManagerClient) -> Iterator[ReversibleStep]:
             name,
             lambda: client.connect([(name, moves)]),
             lambda: client.connect([(name, before)]),
+            lambda: check_connected(client, name, moves),
         )
     if wanted.is_protected != present.is_protected:
         yield ReversibleStep(

@@ -1,58 +1,132 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Changes of the computation graph as values: each can be applied, and most undone.
+"""Changes that the user makes, as values: each is a list of reversible steps.
 
-A change calls a manager's client and raises its exceptions. ``inverse`` is called with the graph
-as it was before the change.
+A change is applied, undone and redone through a manager's client, whose exceptions it raises.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Union
+from dataclasses import dataclass, field
+from functools import partial
+from typing import (
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, StreamRefused
+from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_connected
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Transformation
+from dyknow.wiring.load import steps_of
+from dyknow.wiring.plan import plan_load
+from dyknow.wiring.wiring import Wiring
 from dyknow_rqt.graph.snapshot import Snapshot
 
-Library = Mapping[str, Transformation]
+#: The most changes that can be undone.
+DEPTH = 100
+Do = Callable[[], object]
+DoAndUndo = Tuple[Do, Do]
 
 
-class CannotUndo(DyKnowError):
-    """A change cannot be undone; the text says why."""
+class CannotLoad(DyKnowError):
+    """A wiring cannot be loaded; nothing was changed."""
+
+
+@dataclass(frozen=True)
+class Present:
+    """The state in which a change is made.
+
+    Attributes:
+        client: makes the change.
+        snapshot: the graph before the change.
+        library: the transformations before the change, by label.
+        outcome: words about the result, which steps add.
+    """
+
+    client: BaseManagerClient
+    snapshot: Snapshot = field(default_factory=Snapshot)
+    library: Mapping[str, Transformation] = field(default_factory=dict)
+    outcome: List[str] = field(default_factory=list)
+
+
+class DoneChange(NamedTuple):
+    """A change that was made, with its steps."""
+
+    change: Change
+    steps: Sequence[ReversibleStep]
+    text: str
+
+    def undo(self) -> None:
+        """Undo the steps, the last first, up to the first that is refused.
+
+        Raises:
+            CannotUndo: there is no way back, or another client has changed the same things since.
+        """
+        for step in self.steps:
+            step.check()
+        for step in reversed(self.steps):
+            step.undo()
 
 
 class Change:
-    """A change that the user makes."""
+    """A change that the user makes; `text` describes it in a few words."""
 
-    @property
-    def text(self) -> str:
-        """The change in a few words."""
+    text: str
+
+    def steps(self, present: Present) -> Sequence[ReversibleStep]:
+        """List the steps that make the change; may ask the client."""
         raise NotImplementedError
-
-    def apply(self, client: BaseManagerClient) -> Change:
-        """Make the change; return it with the facts that are known afterwards."""
-        raise NotImplementedError
-
-    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Return the change that undoes this one, given the state before it.
-
-        Raises:
-            CannotUndo: it cannot be undone.
-        """
-        raise CannotUndo("there is no way back")
 
     def check(self, client: BaseManagerClient) -> None:
-        """Check that no other client has changed the same things since; called before an undo.
-
-        The snapshot of the window may be older than its own last change.
+        """Check that the change still makes sense; called before a redo.
 
         Raises:
-            CannotUndo: one has.
+            CannotUndo: another client has changed the same things since.
         """
+
+    def apply(self, present: Present) -> DoneChange:
+        """Make the change as a whole or not at all."""
+        steps = self.steps(present)
+        if len(steps) == 1:
+            steps[0].do()
+        else:
+            carry_out(steps)
+        return DoneChange(self, steps, ": ".join([self.text, *present.outcome]))
+
+
+@dataclass(frozen=True)
+class Steps(Change):
+    """A change given by a function that lists its steps."""
+
+    text: str
+    plan: Callable[[Present], Sequence[ReversibleStep]]
+
+    def steps(self, present: Present) -> Sequence[ReversibleStep]:
+        """Call the function."""
+        return self.plan(present)
+
+
+def _one_step(text: str, make: Callable[[Present], DoAndUndo]) -> Change:
+    """Return a change of one step; `make` returns what does and undoes it."""
+    return Steps(text, lambda present: [ReversibleStep(text, "", *make(present))])
+
+
+def _no_way(reason: str) -> Callable[[], NoReturn]:
+    def undo() -> NoReturn:
+        raise CannotUndo(reason)
+
+    return undo
 
 
 @dataclass(frozen=True)
@@ -61,19 +135,13 @@ class Rewire(Change):
 
     Attributes:
         topics: the topic for each port; empty to disconnect it.
-        text_: the change in a few words.
-        expected: the topic that each port must have for the change to make sense; empty to
-            check nothing.
+        text: the change in a few words.
+        expected: the topic of each port before the change.
     """
 
     topics: Tuple[Tuple[PortRef, str], ...]
-    text_: str
+    text: str
     expected: Tuple[Tuple[PortRef, str], ...] = ()
-
-    @property
-    def text(self) -> str:
-        """The change in words."""
-        return self.text_
 
     @property
     def replaced(self) -> str:
@@ -82,104 +150,74 @@ class Rewire(Change):
         lost = [f"{ends[ref]} at {ref}" for ref, topic in self.topics if ends.get(ref) and topic]
         return f"replaces {', '.join(lost)}" if lost else ""
 
-    def apply(self, client: BaseManagerClient) -> Change:
-        """Connect one nodelet after the other; if one fails, restore those before it."""
-        before = dict(self.expected)
-        done: List[str] = []
-        configs = self._by_nodelet(dict(self.topics))
-        try:
-            for nodelet, config in configs.items():
-                client.set_config(nodelet, config)
-                done.append(nodelet)
-        except DyKnowError:
-            for nodelet, config in self._by_nodelet(before).items():
-                if nodelet in done:
-                    client.set_config(nodelet, config)
-            raise
-        return self
-
-    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Connect the ports to their present topics."""
-        now = []
-        for ref, _ in self.topics:
-            port = snapshot.port(ref)
-            if port is None:
-                raise CannotUndo(f"port {ref} is gone")
-            now.append((ref, port.topic))
-        return Rewire(tuple(now), f"undo: {self.text_}", self.topics)
+    def steps(self, present: Present) -> Sequence[ReversibleStep]:
+        """Connect all ports in one step."""
+        client = present.client
+        return [
+            ReversibleStep(
+                self.text,
+                "",
+                lambda: client.connect(_by_nodelet(self.topics)),
+                lambda: client.connect(_by_nodelet(self.expected)),
+                lambda: _check(client, self.topics),
+            )
+        ]
 
     def check(self, client: BaseManagerClient) -> None:
-        """Check that the ports are still connected as the change left them."""
-        for nodelet, config in self._by_nodelet(dict(self.expected)).items():
-            try:
-                present = {port.name: port.topic for port in client.get_config(nodelet)}
-            except DyKnowError as error:
-                raise CannotUndo(str(error)) from error
-            for port, topic in config.items():
-                if present.get(port) != topic:
-                    raise CannotUndo(
-                        f"{PortRef(nodelet, port)} has been connected to "
-                        f"{present.get(port) or 'nothing'} by somebody else"
-                    )
-
-    def _by_nodelet(self, topics: Mapping[PortRef, str]) -> Dict[str, Dict[str, str]]:
-        configs: Dict[str, Dict[str, str]] = {}
-        for ref, topic in topics.items():
-            configs.setdefault(ref.nodelet, {})[ref.port] = topic
-        return configs
+        """Check that the ports are connected as they were before the change."""
+        _check(client, self.expected)
 
 
-@dataclass(frozen=True)
-class SpawnNodelet(Change):
-    """Makes a nodelet."""
-
-    request: SpawnRequest
-
-    @property
-    def text(self) -> str:
-        """The change in words."""
-        return f"create {self.request.name}"
-
-    def apply(self, client: BaseManagerClient) -> Change:
-        """Spawn it."""
-        client.spawn_nodelet(self.request)
-        return self
-
-    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Destroy it."""
-        return DestroyNodelet(self.request.name)
+def _by_nodelet(topics: Sequence[Tuple[PortRef, str]]) -> List[Tuple[str, Dict[str, str]]]:
+    configs: Dict[str, Dict[str, str]] = {}
+    for ref, topic in topics:
+        configs.setdefault(ref.nodelet, {})[ref.port] = topic
+    return list(configs.items())
 
 
-@dataclass(frozen=True)
-class DestroyNodelet(Change):
-    """Destroys a nodelet."""
+def _check(client: BaseManagerClient, topics: Sequence[Tuple[PortRef, str]]) -> None:
+    """Ask the proxies: the window's snapshot may be older than its own last change."""
+    for nodelet, config in _by_nodelet(topics):
+        check_connected(client, nodelet, config)
 
-    name: str
 
-    @property
-    def text(self) -> str:
-        """The change in words."""
-        return f"destroy {self.name}"
+def spawn(request: SpawnRequest) -> Change:
+    """Make a nodelet."""
+    return _one_step(
+        f"create {request.name}",
+        lambda present: (
+            lambda: present.client.spawn_nodelet(request),
+            lambda: present.client.destroy(request.name),
+        ),
+    )
 
-    def apply(self, client: BaseManagerClient) -> Change:
-        """Destroy it."""
-        client.destroy(self.name)
-        return self
 
-    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Make it again, connected as it is now."""
-        nodelet = snapshot.nodelet(self.name)
-        if nodelet is None:
-            raise CannotUndo(f"{self.name} is unknown")
-        if nodelet.transformation not in library:
-            raise CannotUndo(
-                f"{self.name} cannot be made again: its transformation is not in the library"
-            )
-        return SpawnNodelet(nodelet.request)
+def destroy(name: str) -> Change:
+    """Destroy a nodelet; undone, it is made again and connected as it was."""
+
+    def make(present: Present) -> DoAndUndo:
+        undo: Do = _no_way(f"the library does not have the transformation of {name}")
+        nodelet = present.snapshot.nodelet(name)
+        if nodelet is not None and nodelet.transformation in present.library:
+            undo = partial(present.client.spawn_nodelet, nodelet.request)
+        return partial(present.client.destroy, name), undo
+
+    return _one_step(f"destroy {name}", make)
+
+
+def protect(name: str, on: bool) -> Change:
+    """Protect a nodelet from being destroyed, or release it."""
+    return _one_step(
+        f"{'protect' if on else 'release'} {name}",
+        lambda present: (
+            lambda: present.client.set_protection(name, on),
+            lambda: present.client.set_protection(name, not on),
+        ),
+    )
 
 
 def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
-    """Decide how a switch of the protection of nodelets wores.
+    """Decide how a switch of the protection of nodelets works.
 
     Returns:
         The nodelets to protect, those that are not yet; or if all are, all of them, to release.
@@ -189,38 +227,110 @@ def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], boo
     return (free, True) if free or not names else (list(names), False)
 
 
-@dataclass(frozen=True)
-class Protect(Change):
-    """Protects a nodelet from being destroyed, or releases it."""
+def add_transformations(specification: str, origin: str = "a specification") -> Change:
+    """Add the transformations of an XML text that comes from `origin`."""
 
-    name: str
-    is_protected: bool
+    def make(present: Present) -> DoAndUndo:
+        client, library = present.client, present.library
+        labels: List[str] = []
 
-    @property
-    def text(self) -> str:
-        """The change in words."""
-        return f"{'protect' if self.is_protected else 'release'} {self.name}"
+        def add() -> None:
+            labels.extend(client.add_transformation(specification).labels)
 
-    def apply(self, client: BaseManagerClient) -> Change:
-        """Set the protection."""
-        client.set_protection(self.name, self.is_protected)
-        return self
+        def undo() -> None:
+            replaced = [library[label] for label in labels if label in library]
+            if replaced:
+                client.add_transformation(as_specification(replaced))
+            for label in labels:
+                if label not in library:
+                    client.remove_transformation(label)
 
-    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Set the protection to its present value."""
-        return Protect(self.name, not self.is_protected)
+        return add, undo
 
-
-#: The most changes that can be undone.
-DEPTH = 100
+    return _one_step(f"import {origin}", make)
 
 
-@dataclass(frozen=True)
-class DoneChange:
-    """A change that was made, and its inverse or the reason why it has none."""
+def remove_transformations(labels: Sequence[str]) -> Change:
+    """Remove transformations from the library."""
 
-    change: Change
-    back: Union[Change, CannotUndo]
+    def plan(present: Present) -> List[ReversibleStep]:
+        client, library = present.client, present.library
+        return [
+            ReversibleStep(
+                f"delete {label}",
+                label,
+                partial(client.remove_transformation, label),
+                partial(client.add_transformation, library[label].to_xml()),
+            )
+            for label in labels
+        ]
+
+    what = labels[0] if len(labels) == 1 else f"{len(labels)} transformations"
+    return Steps(f"delete {what}", plan)
+
+
+def as_specification(transformations: Sequence[Transformation]) -> str:
+    """Write transformations as one XML text."""
+    texts = "".join(each.to_xml() for each in transformations)
+    return f"<transformations>\n{texts}</transformations>\n"
+
+
+def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
+    """Load a wiring that comes from `origin`; nodelets that it does not name are left alone.
+
+    Applied, it raises CannotLoad with all problems.
+    """
+
+    def plan(present: Present) -> List[ReversibleStep]:
+        client = present.client
+        model, managers = client.get_model(), client.nodelet_managers()
+        found = plan_load(wiring, model, managers, replace=True, any_manager=True)
+        if found.problems:
+            raise CannotLoad("\n".join(found.problems))
+        return steps_of(found, client)
+
+    return Steps(f"load {origin}", plan)
+
+
+def acquire(request: StreamRequest) -> Change:
+    """Acquire a stream; one that is not possible yet is made when it becomes possible."""
+
+    def make(present: Present) -> DoAndUndo:
+        claims: List[str] = []
+
+        def ask() -> None:
+            try:
+                got = present.client.acquire_stream(request)
+            except StreamRefused as error:
+                if not error.claim_id:
+                    raise
+                claims.append(error.claim_id)
+                present.outcome.append(f"waits, {error}")
+            else:
+                claims.append(got.claim_id)
+                present.outcome.append(f"on {got.topic}")
+
+        return ask, lambda: present.client.release_stream(claims[0])
+
+    return _one_step(f"acquire {request.tag}", make)
+
+
+def release(claim_id: str, tag: str) -> Change:
+    """End a claim."""
+    reason = "a stream that is acquired again is another one, on a topic of its own"
+    return _one_step(
+        f"release {tag}",
+        lambda present: (lambda: present.client.release_stream(claim_id), _no_way(reason)),
+    )
+
+
+def replan(claim_id: str, tag: str) -> Change:
+    """Switch a stream to the plan that is the cheapest now."""
+    reason = "the way before was not the cheapest"
+    return _one_step(
+        f"replan {tag}",
+        lambda present: (lambda: present.client.replan_stream(claim_id), _no_way(reason)),
+    )
 
 
 class UndoHistory:
@@ -230,9 +340,9 @@ class UndoHistory:
         self._done: List[DoneChange] = []
         self._undone: List[Change] = []
 
-    def note(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+    def note(self, done: DoneChange) -> None:
         """Note a change; nothing can be redone after it."""
-        self._done.append(DoneChange(change, back))
+        self._done.append(done)
         del self._done[:-DEPTH]
         self._undone.clear()
 
@@ -240,10 +350,10 @@ class UndoHistory:
         """Note that the last change was undone."""
         self._undone.append(self._done.pop().change)
 
-    def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+    def note_redone(self, done: DoneChange) -> None:
         """Note that the last undone change was redone."""
         self._undone.pop()
-        self._done.append(DoneChange(change, back))
+        self._done.append(done)
 
     def drop(self) -> None:
         """Forget the last change, which cannot be undone, so that those before it can be."""

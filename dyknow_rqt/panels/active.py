@@ -13,7 +13,7 @@ from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, Q
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import DestroyNodelet, Protect, protection
+from dyknow_rqt.graph.changes import destroy, protect, protection
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
@@ -64,7 +64,7 @@ class ActivePanel(Panel):
     @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
         """Ask whether to destroy nodelets, and destroy them on agreement."""
-        changes = [DestroyNodelet(name) for name in names]
+        changes = [destroy(name) for name in names]
         question = f"Destroy {', '.join(names)}?"
         if len(names) > _NAMED:
             question = "\n".join([f"Destroy {len(names)} nodelets?", *names])
@@ -82,7 +82,7 @@ class ActivePanel(Panel):
     @qt_slot
     def set_protection(self, names: Sequence[str], on: bool) -> None:
         """Protect nodelets from being destroyed, or release them."""
-        self._do_in_turn([Protect(name, on) for name in names])
+        self._do_in_turn([protect(name, on) for name in names])
 
     @qt_slot
     def _want_menu(self, place: QPoint) -> None:

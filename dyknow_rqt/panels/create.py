@@ -28,7 +28,7 @@ from dyknow.manager.specifications.given import filling_variables, variables
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import SpawnNodelet
+from dyknow_rqt.graph.changes import spawn
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import Panel
@@ -192,7 +192,7 @@ class CreatePanel(Panel):
         )
         self.create.setEnabled(False)
         self.create.setText("Creating …")
-        self._monitor.do(SpawnNodelet(request), self.name.clear)
+        self._monitor.do(spawn(request), self.name.clear)
 
     @qt_slot
     def _follow(self) -> None:

@@ -21,8 +21,8 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow.model.transformation import IN, Transformation
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.wiring_changes import (
-    AddTransformations,
+from dyknow_rqt.graph.changes import (
+    add_transformations,
     as_specification,
     remove_transformations,
 )
@@ -85,7 +85,7 @@ class LibraryPanel(Panel):
         """
         with open(path, encoding="utf-8", errors="strict") as file:
             text = file.read()
-        self._monitor.do(AddTransformations(text, path.rpartition("/")[2]))
+        self._monitor.do(add_transformations(text, path.rpartition("/")[2]))
 
     def export_file(self, path: str) -> None:
         """Write the transformations that are selected.

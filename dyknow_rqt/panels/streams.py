@@ -30,7 +30,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
+from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
@@ -122,7 +122,7 @@ class StreamsPanel(Panel):
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
         request = self.request()
-        self._explain(request, lambda: self._monitor.do(AcquireStream(request)))
+        self._explain(request, lambda: self._monitor.do(acquire(request)))
 
     def _explain(self, request: StreamRequest, then: Callable[[], None]) -> None:
         """Show how a stream would be made, or why it cannot be."""
@@ -143,7 +143,7 @@ class StreamsPanel(Panel):
 
     @qt_slot
     def _release(self) -> None:
-        self._do_in_turn([ReleaseStream(each.claim_id, each.tag) for each in self._chosen()])
+        self._do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
 
     @qt_slot
     def _replan(self) -> None:
@@ -154,7 +154,7 @@ class StreamsPanel(Panel):
     def _ask_to_replan(self, stream: StreamStatus) -> None:
         def ask(found: Replanned) -> None:
             self.plan.setPlainText(found.plan)
-            change = ReplanStream(stream.claim_id, stream.tag)
+            change = replan(stream.claim_id, stream.tag)
             self._line.ask(
                 f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
                 "Replan",

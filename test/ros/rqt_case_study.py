@@ -25,7 +25,7 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
 from dyknow_rqt import screenshots
-from dyknow_rqt.graph.wiring_changes import remove_transformations
+from dyknow_rqt.graph.changes import remove_transformations
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
 

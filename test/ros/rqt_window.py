@@ -28,7 +28,7 @@ from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
 from dyknow_rqt.canvas.scene import GraphScene
-from dyknow_rqt.graph.changes import SpawnNodelet
+from dyknow_rqt.graph.changes import spawn
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
@@ -68,7 +68,7 @@ class WindowTest(ManagerCase):
 
         monitor = window.monitor
         for label, name in (("counter", "/count"), ("relay", "/relay")):
-            monitor.do(SpawnNodelet(SpawnRequest(label, name)))
+            monitor.do(spawn(SpawnRequest(label, name)))
             until(lambda name=name: f"n_{name}" in self.keys(window), f"{name} is drawn")
             until(lambda: not monitor.is_changing, "the change has ended")
 
@@ -118,7 +118,7 @@ class WindowTest(ManagerCase):
         self.started()
         window = self.window()
         until(lambda: window.monitor.library, "the library is there")
-        window.monitor.do(SpawnNodelet(SpawnRequest("fails", "/never")))
+        window.monitor.do(spawn(SpawnRequest("fails", "/never")))
         words = "create /never: cannot spawn '/never'"
         until(lambda: words in window.line.text, words)
 

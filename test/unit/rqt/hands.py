@@ -18,7 +18,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.model.graph import PortRef, SpawnRequest
-from dyknow_rqt.graph.changes import SpawnNodelet
+from dyknow_rqt.graph.changes import spawn
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")
@@ -59,7 +59,7 @@ def move(view, place):
 
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
-    window.monitor.do(SpawnNodelet(SpawnRequest("tracker", name)))
+    window.monitor.do(spawn(SpawnRequest("tracker", name)))
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)
 

@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
-from dyknow.errors import HostError, InvalidName
+from dyknow.errors import DyKnowError, InvalidName
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
@@ -18,10 +17,15 @@ from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
-    DestroyNodelet,
-    Protect,
-    SpawnNodelet,
+    Present,
     UndoHistory,
+    add_transformations,
+    destroy,
+    load_wiring,
+    protect,
+    release,
+    remove_transformations,
+    spawn,
 )
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -32,7 +36,6 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
-from dyknow_rqt.graph.wiring_changes import AddTransformations, LoadWiring, remove_transformations
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")
@@ -54,14 +57,16 @@ def library(remote):
     return {each.label: each for each in remote.client.get_model().transformations}
 
 
+def apply(remote, change):
+    return change.apply(Present(remote.client, seen(remote), library(remote)))
+
+
 def there_and_back(remote, change):
     """Make a change and take it back; everything has to be as before."""
     before, known = seen(remote), library(remote)
-    made = change.apply(remote.client)
+    done = apply(remote, change)
     assert (seen(remote), library(remote)) != (before, known)
-    back = made.inverse(before, known)
-    back.check(remote.client)
-    back.apply(remote.client)
+    done.undo()
     assert (seen(remote), library(remote)) == (before, known)
 
 
@@ -123,11 +128,11 @@ def test_changes_can_be_taken_back(remote):
         connect(seen(remote), CEILING, TRACKER),
         connect_topic(seen(remote), TRACKER, "/other"),
         disconnect(seen(remote), (TRACKER, LOCALIZED)),
-        SpawnNodelet(SpawnRequest("tracker", "/second", {"position": "/field/ball"})),
-        DestroyNodelet("/field/tracker"),
-        Protect("/field/tracker", True),
+        spawn(SpawnRequest("tracker", "/second", {"position": "/field/ball"})),
+        destroy("/field/tracker"),
+        protect("/field/tracker", True),
         remove_transformations(["tracker", "recorder"]),
-        AddTransformations(
+        add_transformations(
             "<transformations>"
             "<transformation><label>new</label><source>p/New</source></transformation>"
             "<transformation><label>tracker</label><source>p/Other</source></transformation>"
@@ -146,65 +151,54 @@ def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote
             for each in saved.transformations
         ),
     )
-    change: Any = LoadWiring(wiring).apply(remote.client)
+    done = apply(remote, load_wiring(wiring))
     assert library(remote)["tracker"].cost == 77
-    assert [each.wanted.name for each in change.plan.remade] == ["/field/tracker"]
-    LoadWiring(saved).apply(remote.client)
-    there_and_back(remote, LoadWiring(wiring))
+    assert done.steps[0].what == "ending '/field/tracker'"
+    apply(remote, load_wiring(saved))
+    there_and_back(remote, load_wiring(wiring))
 
 
 def test_a_connection_is_made_whole_or_not_at_all(remote):
-    before = seen(remote)
-    change = connect(before, CEILING, TRACKER)
+    change = connect(seen(remote), CEILING, TRACKER)
     remote.client.destroy("/field/tracker")
     between = seen(remote)
-    with pytest.raises(HostError, match="/field/tracker"):
-        change.apply(remote.client)
+    with pytest.raises(DyKnowError, match="/field/tracker"):
+        apply(remote, change)
     assert seen(remote) == between
 
 
 def test_what_others_changed_is_not_taken_back(remote):
-    before = seen(remote)
-    change = connect_topic(before, TRACKER, "/mine")
-    back = change.apply(remote.client).inverse(before, {})
+    change = connect_topic(seen(remote), TRACKER, "/mine")
+    done = apply(remote, change)
     remote.client.set_config("/field/tracker", {"position": "/theirs"})
-    with pytest.raises(CannotUndo, match="has been connected to /theirs by somebody else"):
-        back.check(remote.client)
+    with pytest.raises(CannotUndo, match="has been connected to /theirs by another client"):
+        done.undo()
+    with pytest.raises(CannotUndo, match="/theirs"):
+        change.check(remote.client)
 
 
-def test_a_nodelet_without_its_transformation_cannot_be_made_again(remote):
+def test_a_change_without_a_way_back_says_why(remote):
     remote.client.remove_transformation("tracker")
-    with pytest.raises(CannotUndo, match="not in the library"):
-        DestroyNodelet("/field/tracker").inverse(seen(remote), library(remote))
+    with pytest.raises(CannotUndo, match="does not have the transformation"):
+        apply(remote, destroy("/field/tracker")).undo()
+    with pytest.raises(CannotUndo, match="another one"):
+        next(iter(release("claim", "Tag").steps(Present(remote.client)))).undo()
 
 
-def test_history_is_a_pair_of_stacks():
-    history = UndoHistory()
-    one, two = Protect("/a", True), Protect("/b", True)
-    history.note(one, Protect("/a", False))
-    history.note(two, CannotUndo("never"))
-    assert history.texts == ("protect /b", "")
+def test_history_is_a_pair_of_stacks(remote):
+    history, names = UndoHistory(), ("/field/tracker", "/nao1/resize")
+    one, two = (apply(remote, protect(name, True)) for name in names)
+    history.note(one)
+    history.note(two)
+    assert history.texts == ("protect /nao1/resize", "")
     history.drop()
     history.note_undone()
-    assert history.texts == ("", "protect /a")
-    history.note_redone(one, Protect("/a", False))
-    assert history.texts == ("protect /a", "")
+    assert history.texts == ("", "protect /field/tracker")
+    history.note_redone(one)
+    assert history.texts == ("protect /field/tracker", "")
     history.note_undone()
-    history.note(two, CannotUndo("never"))
-    assert history.texts == ("protect /b", "")
-
-
-def test_a_change_that_was_made_twice_is_taken_back_in_turn():
-    history = UndoHistory()
-    protect, release = Protect("/a", True), Protect("/a", False)
-    for change, back in ((protect, release), (release, protect), (protect, release)):
-        history.note(change, back)
-    history.note_undone()
-    assert history.texts == ("release /a", "protect /a")
-    history.note_undone()
-    assert history.texts == ("protect /a", "release /a")
-    history.note_redone(release, protect)
-    assert history.texts == ("release /a", "protect /a")
+    history.note(two)
+    assert history.texts == ("protect /nao1/resize", "")
 
 
 def counts(uptime, messages, dropped):

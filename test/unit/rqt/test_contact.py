@@ -16,7 +16,7 @@ from unit.rqt.seeing import contrast
 from dyknow.model.graph import State
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.example_graphs import soccer
-from dyknow_rqt.graph.changes import Protect
+from dyknow_rqt.graph.changes import protect
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget
@@ -142,7 +142,7 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     window.create_.create.click()
     assert window.line.text.startswith("create /tracker: /dyknow_manager gone for")
     assert window.create_.create.isEnabled() and window.create_.create.text() == "Create"
-    window.monitor.do(Protect("/field/tracker", True))
+    window.monitor.do(protect("/field/tracker", True))
     assert window.line.text.startswith("protect /field/tracker: /dyknow_manager gone for")
     remote.client.is_up = True
     until(qtbot, lambda: "answers since" in contact_of(window))
@@ -212,7 +212,7 @@ def test_another_manager_of_the_name_is_read_from_the_beginning(qtbot, window, r
 
 def test_what_takes_long_is_said(qtbot, window, remote):
     remote.client.delay = 1.0
-    window.monitor.do(Protect("/field/tracker", True))
+    window.monitor.do(protect("/field/tracker", True))
     assert window.line.text == "protect /field/tracker …"
     until(qtbot, lambda: window.line.text == "done: protect /field/tracker")
 

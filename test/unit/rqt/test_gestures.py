@@ -148,7 +148,7 @@ def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remo
     until(qtbot, lambda: window.line.text == "done: load wiring.xml")
     assert wiring_of(remote.graph().nodelets) == wiring_of(whole)
     click(qtbot, window.graph.bar.undo)
-    until(qtbot, lambda: window.line.text == "done: undo: load wiring.xml")
+    until(qtbot, lambda: window.line.text == "done: undo 'load wiring.xml'")
     assert remote.graph().nodelets == less
     assert "tracker" not in {each.label for each in remote.client.get_model().transformations}
 

@@ -40,7 +40,7 @@ def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
     click(qtbot, window.line.yes)
     until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
-    assert "cannot undo 'destroy /field/tracker'" in window.line.text
+    until(qtbot, lambda: "cannot undo 'destroy /field/tracker'" in window.line.text)
     assert not window.graph.bar.undo.isEnabled()
 
 
@@ -49,7 +49,7 @@ def test_what_cannot_be_undone_is_not_in_the_way_of_what_was_done_before(qtbot, 
         create(qtbot, window, name)
     remote.client.destroy("/second")
     click(qtbot, window.graph.bar.undo)
-    until(qtbot, lambda: "destroy /second: " in window.line.text)
+    until(qtbot, lambda: "undo 'create /second': " in window.line.text)
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
@@ -58,7 +58,7 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     create(qtbot, window, "/first")
     remote.client.is_up = False
     window.monitor.undo()
-    until(qtbot, lambda: "destroy /first: " in window.line.text)
+    until(qtbot, lambda: "undo 'create /first': " in window.line.text)
     remote.client.is_up = True
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
