@@ -1,34 +1,51 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Parts of claimed streams that fall silent."""
+"""Streams without messages: before the first one, and after the last one."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import List
+
 import pytest
-from unit.manager.field import CHAIN, FIRST_MESSAGE, Field
+from unit.manager.field import CHAIN, FIRST_MESSAGE, POINT, Field
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import NO_MESSAGE, ClaimState
+
+REFEREE = (
+    '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
+    f'<ports><port type="out" datatype="{POINT}">position</port></ports>'
+    '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
+)
+UNKNOWN = "not known whether messages come: the publisher of {} cannot be asked"
 
 
 @pytest.fixture
-def field() -> Field:
-    return Field()
+def field(tmp_path: Path) -> Field:
+    return Field(str(tmp_path / "state"))
 
 
-def test_silence_is_nobody_s_business_unless_a_claim_says_so(field: Field) -> None:
+def called(field: Field, operation: str) -> bool:
+    return operation in {each for each, _ in field.host.calls}
+
+
+# A part falls silent
+
+
+def test_silence_is_no_fault_unless_a_claim_says_so(field: Field) -> None:
     field.acquire()
     field.settle(1.0)
     field.host.silent.add("/bottom_camera_1")
     field.host.calls.clear()
     field.settle(20.0)
     assert field.reasons() == ["requested", FIRST_MESSAGE]
-    assert not [call for call in field.host.calls if call[0] == "counts"]
+    assert not called(field, "counts")
 
 
 @pytest.mark.parametrize("label", CHAIN)
-def test_a_silent_nodelet_is_replaced_and_only_that_one(field: Field, label: str) -> None:
+def test_a_silent_nodelet_is_replaced_and_no_other(field: Field, label: str) -> None:
     claim = field.acquire(max_silence=1.0).claim
     field.settle(5.0)
     victim = f"/{label.replace(' ', '_')}_1"
@@ -41,14 +58,13 @@ def test_a_silent_nodelet_is_replaced_and_only_that_one(field: Field, label: str
     assert f"{what}; {victim[:-1]}2 is used now" in field.reasons()
     field.settle(5.0)
     assert others <= set(field.host.running)
-    assert victim not in field.host.running, "what is silent does not linger"
-    assert field.claim(claim.claim_id).topic == claim.topic
-    assert claim.topic in field.moving
+    assert victim not in field.host.running, "a silent nodelet does not linger"
+    assert field.claim(claim.claim_id).topic == claim.topic in field.moving
     assert sum("silent" in reason for reason in field.reasons()) == 2
 
 
 @pytest.mark.parametrize("label", CHAIN)
-def test_who_is_just_going_says_nothing_of_its_neighbours(field: Field, label: str) -> None:
+def test_a_nodelet_that_is_going_discredits_no_neighbour(field: Field, label: str) -> None:
     field.acquire(max_silence=1.0)
     field.settle(5.0)
     victim = f"/{label.replace(' ', '_')}_1"
@@ -65,7 +81,7 @@ def test_who_is_just_going_says_nothing_of_its_neighbours(field: Field, label: s
     assert sorted(field.labels()) == sorted(CHAIN)
 
 
-def test_what_is_silent_again_and_again_gives_way_to_another(field: Field) -> None:
+def test_a_transformation_that_is_silent_again_and_again_gives_way(field: Field) -> None:
     claim = field.acquire(max_silence=1.0).claim
     field.settle(5.0)
     field.host.silent.add("soccer/Camera")
@@ -75,15 +91,14 @@ def test_what_is_silent_again_and_again_gives_way_to_another(field: Field) -> No
     assert claim.topic in field.moving
 
 
-def test_where_there_is_no_other_way_the_pauses_grow(field: Field) -> None:
+def test_without_another_way_the_pauses_grow(field: Field) -> None:
     claim = field.acquire(max_silence=1.0).claim
     field.settle(5.0)
     field.host.silent.add("soccer/Localization")
     field.host.calls.clear()
     for _ in range(20):
         field.settle(10.0)
-    spawned = [call for call in field.host.calls if call[0] == "load"]
-    assert 3 <= len(spawned) <= 10
+    assert 3 <= sum(operation == "load" for operation, _ in field.host.calls) <= 10
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     assert "was silent for longer" in field.claim(claim.claim_id).detail
     field.host.silent.clear()
@@ -100,7 +115,6 @@ def test_an_ordinary_topic_can_be_silent_too(field: Field) -> None:
     field.settle(3.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     assert "topic /joint_states was silent" in field.claim(claim.claim_id).detail
-    assert field.labels() == CHAIN
     field.host.silent.clear()
     field.settle(3.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
@@ -113,67 +127,71 @@ def test_a_silent_nodelet_made_by_hand_is_passed_over_not_destroyed(field: Field
     assert "/camera" in claim.nodelets
     field.settle(5.0)
     field.host.silent.add("/camera")
-    field.settle(5.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert "/camera" not in field.claim(claim.claim_id).nodelets
-    assert claim.topic in field.moving
     field.tidy()
+    assert claim.topic in field.moving
     field.host.silent.clear()
     field.settle(5.0)
     assert "/camera" not in field.claim(claim.claim_id).nodelets, "it is not taken back by itself"
 
 
-def test_two_claims_with_different_patience_share_a_part(field: Field) -> None:
-    patient = field.acquire(max_silence=60.0).claim
-    careless = field.acquire("RelativePosition(ball)").claim
-    keen = field.acquire("Planes(field)", max_silence=1.0).claim
+def test_clients_with_different_patience_share_a_part(field: Field) -> None:
+    limits = {"FieldPosition(ball)": 60.0, "RelativePosition(ball)": 0.0, "Planes(field)": 1.0}
+    claims = [field.acquire(tag, max_silence=limit).claim for tag, limit in limits.items()]
     field.settle(5.0)
     field.host.silent.add("/bottom_camera_1")
     field.settle(5.0)
-    for claim in (patient, careless, keen):
+    for claim in claims:
         assert field.state(claim.claim_id) is ClaimState.ACTIVE
-        assert field.claim(claim.claim_id).topic == claim.topic
-        assert claim.topic in field.moving
+        assert field.claim(claim.claim_id).topic == claim.topic in field.moving
     field.tidy()
     assert field.labels() == CHAIN
 
 
+@pytest.mark.parametrize("is_lossy", [False, True])
+def test_a_bad_network_makes_no_part_silent(field: Field, is_lossy: bool) -> None:
+    field.acquire(max_silence=0.5)
+    field.settle(5.0)
+    before = field.host.running
+
+    def network(operation: str, argument: str) -> None:
+        if operation == "counts" and not is_lossy:
+            field.sleep(0.3)
+        elif operation == "counts" and int(field.now) % 2:
+            raise HostTimeout("no answer in time")
+
+    field.host.fail = network
+    field.settle(20.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+    assert field.host.running == before
+
+
+@pytest.mark.parametrize("service", [1.0, 3.0, 7.0])
+def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
+    field: Field, service: float
+) -> None:
+    """A part that has served between two failures is paused no longer than it has served."""
+    claim = field.acquire("YUV(field)", max_silence=1.0).claim
+    field.settle(10.0)
+    for _ in range(16):
+        (camera,) = field.claim(claim.claim_id).nodelets
+        field.host.silent.add(camera)
+        begin = field.now
+        while field.claim(claim.claim_id).nodelets == (camera,):
+            field.tick(0.1)
+            assert field.now - begin <= 2.0
+        field.host.silent.clear()
+        for _ in range(int(service / 0.1)):
+            field.tick(0.1)
+
+
+# A process hangs, and only the counts show it
+
+
 def without_looks(field: Field) -> None:
-    """Let only the watch find out that a nodelet manager hangs."""
     field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
 
 
-def test_a_slow_network_makes_nobody_silent(field: Field) -> None:
-    field.acquire(max_silence=0.5)
-    field.settle(5.0)
-    before = field.host.running
-
-    def take_long(operation: str, argument: str) -> None:
-        if operation == "counts":
-            field.sleep(0.3)
-
-    field.host.fail = take_long
-    field.settle(20.0)
-    assert field.reasons() == ["requested", FIRST_MESSAGE]
-    assert field.host.running == before
-
-
-def test_a_count_that_cannot_be_read_is_no_silence(field: Field) -> None:
-    field.acquire(max_silence=0.5)
-    field.settle(5.0)
-    before = field.host.running
-
-    def lose_most(operation: str, argument: str) -> None:
-        if operation == "counts" and int(field.now) % 2:
-            raise HostTimeout("no answer in time")
-
-    field.host.fail = lose_most
-    field.settle(20.0)
-    assert field.reasons() == ["requested", FIRST_MESSAGE]
-    assert field.host.running == before
-
-
-def test_who_waits_for_a_part_that_hangs_is_not_blamed(field: Field) -> None:
+def test_a_part_that_waits_for_one_that_hangs_is_not_blamed(field: Field) -> None:
     field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
     claim = field.acquire(max_silence=0.5).claim
     field.settle(5.0)
@@ -188,7 +206,7 @@ def test_who_waits_for_a_part_that_hangs_is_not_blamed(field: Field) -> None:
     assert claim.topic in field.moving
 
 
-def test_who_hung_can_be_used_again_when_it_answers(field: Field) -> None:
+def test_a_nodelet_that_hung_can_be_used_again_when_it_answers(field: Field) -> None:
     field.spawn("ceiling camera", "/mine", config={"image": "/mine/image"}, isolated=True)
     field.acquire(max_silence=0.5)
     field.settle(5.0)
@@ -197,8 +215,8 @@ def test_who_hung_can_be_used_again_when_it_answers(field: Field) -> None:
     field.host.hang(manager)
     field.settle(5.0)
     assert "/mine" not in field.living()[0].nodelets
-    field.manager.remove_transformation("bottom camera")
-    field.manager.remove_transformation("ceiling camera")
+    for label in ("bottom camera", "ceiling camera"):
+        field.manager.remove_transformation(label)
     field.settle(5.0)
     assert field.living()[0].state is ClaimState.DEGRADED
     field.host.wake(manager)
@@ -207,37 +225,126 @@ def test_who_hung_can_be_used_again_when_it_answers(field: Field) -> None:
     assert field.living()[0].state is ClaimState.ACTIVE
 
 
-def test_what_was_stopped_is_not_silent_when_it_goes_on(field: Field) -> None:
+def test_a_nodelet_that_was_stopped_is_not_silent_when_it_goes_on(field: Field) -> None:
     field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
-    field.manager.remove_transformation("ceiling camera")
-    field.manager.remove_transformation("bottom camera")
+    for label in ("bottom camera", "ceiling camera"):
+        field.manager.remove_transformation(label)
     field.acquire(max_silence=0.5)
     field.settle(5.0)
     without_looks(field)
-    field.host.hang("/fake_0")
-    field.host.hang("/fake_1")
-    field.settle(10.0)
-    field.host.wake("/fake_0")
-    field.host.wake("/fake_1")
-    field.settle(10.0)
+    for change in (field.host.hang, field.host.wake):
+        for manager in ("/fake_0", "/fake_1"):
+            change(manager)
+        field.settle(10.0)
     assert not [reason for reason in field.reasons() if "silent" in reason]
     assert field.living()[0].state is ClaimState.ACTIVE
 
 
-@pytest.mark.parametrize("service", [1.0, 3.0, 7.0])
-def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
-    field: Field, service: float
-) -> None:
-    """What has served between two failures is not left alone for longer than it has served."""
-    claim = field.acquire("YUV(field)", max_silence=1.0).claim
+# The first message
+
+
+def details(field: Field) -> List[str]:
+    assert all(claim.state is ClaimState.ACTIVE for claim in field.living())
+    return sorted(claim.detail for claim in field.living())
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_new_stream_says_so_until_the_first_message(field: Field, is_restarted: bool) -> None:
+    field.host.silent.add("/localization_1")
+    assert field.acquire().claim.detail == NO_MESSAGE
+    field.settle(20.0)
+    assert field.reasons() == ["requested"]
+    if is_restarted:
+        field.kill_manager()
+        field.settle(2.0)
+    assert details(field) == [NO_MESSAGE]
+    field.host.silent.clear()
+    field.settle(2.0)
+    assert details(field) == [""]
+    last = field.events[-1]
+    assert (last.reason, last.before.detail, last.after.detail) == (FIRST_MESSAGE, NO_MESSAGE, "")
+    field.host.calls.clear()
     field.settle(10.0)
-    for _ in range(16):
-        (camera,) = field.claim(claim.claim_id).nodelets
-        field.host.silent.add(camera)
-        begin = field.now
-        while field.claim(claim.claim_id).nodelets == (camera,):
-            field.tick(0.1)
-            assert field.now - begin <= 2.0
-        field.host.silent.clear()
-        for _ in range(int(service / 0.1)):
-            field.tick(0.1)
+    assert not called(field, "counts"), "nothing is counted any longer than need be"
+
+
+def test_a_repaired_or_replanned_stream_says_so_again(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle(2.0)
+    assert field.reconciler.replan(claim.claim_id).claim.detail == NO_MESSAGE
+    field.settle(2.0)
+    assert details(field) == [""]
+    field.host.silent.add("soccer/Localization")
+    field.host.vanish("/localization_1")
+    field.settle(5.0)
+    assert details(field) == [NO_MESSAGE]
+    field.host.silent.clear()
+    field.settle(2.0)
+    assert sum(reason == FIRST_MESSAGE for reason in field.reasons()) == 3
+
+
+def test_messages_before_the_request_do_not_count_but_a_latched_one_does(field: Field) -> None:
+    field.acquire()
+    field.settle(2.0)
+    field.host.silent.add("/localization_1")
+    assert field.acquire(request_id="another", client_id="me").claim.detail == NO_MESSAGE
+    field.settle(5.0)
+    assert details(field) == ["", NO_MESSAGE]
+    field.host.nodelet("/localization_1").latched.add("position")
+    field.settle(2.0)
+    assert details(field) == ["", ""]
+
+
+def test_a_stream_that_is_whole_again_says_so(field: Field) -> None:
+    field.spawn("localization", "/mine", isolated=True, config={"position": "/mine/position"})
+    field.manager.remove_transformation("localization")
+    planes = field.acquire("RelativePosition(ball)").claim
+    field.manager.host.connect("/mine", {"ball": planes.topic})
+    field.manager.look({"/mine"})
+    field.acquire()
+    field.settle(2.0)
+    assert details(field) == ["", ""]
+    manager = field.manager.graph.get("/mine").manager
+    field.host.hang(manager)
+    field.settle(5.0)
+    field.host.silent.add("/mine")
+    field.host.wake(manager)
+    field.settle(5.0)
+    assert field.reasons()[-1] == "it can be made now"
+    assert details(field) == ["", NO_MESSAGE]
+
+
+def test_a_patient_client_does_not_make_others_wait(field: Field) -> None:
+    field.acquire(max_silence=100.0)
+    field.settle(2.0)
+    field.acquire("RelativePosition(ball)")
+    field.settle(2.0)
+    assert details(field) == ["", ""]
+
+
+def test_a_pending_claim_counts_nothing(field: Field) -> None:
+    field.host.silent.add("/localization_1")
+    field.acquire()
+    field.host.vanish("/localization_1")
+    field.manager.remove_transformation("localization")
+    field.settle(2.0)
+    assert field.living()[0].state is ClaimState.PENDING
+    assert not called(field, "listen")
+
+
+def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field: Field) -> None:
+    field.manager.add_transformation(REFEREE)
+    field.host.topics.add("/referee/ball")
+    claim = field.acquire().claim
+    field.host.cpp.add("soccer/Camera")
+    field.host.stock = True
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"})
+    fixed = field.acquire("YUV(field)").claim
+    field.settle(5.0)
+    assert fixed.topic == "/mine/image"
+    assert details(field) == sorted(UNKNOWN.format(each.topic) for each in (claim, fixed))
+    assert not called(field, "listen")
+    assert field.acquire(max_silence=2.0).claim.detail == NO_MESSAGE
+    field.settle(2.0)
+    assert "" in details(field)
+    assert [each.topic for each in field.host.listeners] == ["/referee/ball"]

@@ -1,0 +1,428 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Claims with a ``min_rate`` or a ``max_age``: the part at fault is replaced, and no other."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, Dict, List, Tuple
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, transformation
+
+from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
+from dyknow.model.streams import UNKNOWN_AGE, ClaimState, StreamRequest
+
+#: Seconds between two messages of a source that is fast enough, and between two looks.
+STEP = 0.05
+RATE, AGE = 5.0, 0.1
+JOINTS = "/joint_states"
+
+
+class LimitField(Field):
+    """Parts send each so many messages that they receive, or steps of time, and add 10 ms."""
+
+    def __init__(self, path: str = ":memory:") -> None:
+        super().__init__(path)
+        self.host.dividers = self.dividers = {"soccer/Camera": 2, JOINTS: 1}
+        self.delays = self.host.delays
+        self.delays.update(dict.fromkeys(self.host.sources, 0.01))
+
+    def pass_time(self, seconds: float) -> None:
+        """Let messages flow every 50 ms, and the reconciler work every half second."""
+        for step in range(round(seconds / STEP)):
+            self.sleep(STEP)
+            if step % 10 == 9:
+                self.manager.look()
+                self.reconciler.reconcile()
+        self.check()
+
+    def mended(self) -> List[str]:
+        return [each for each in self.reasons() if each.startswith("mended")]
+
+    def parts(self) -> Dict[str, str]:
+        return {record.label: record.name for record in self.manager.graph.all()}
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit, and the faults that exceed it; a fault has a degree from 0 (none) to 5."""
+
+    request: Dict[str, float]
+    spoil: Callable[[LimitField, str, int], None]
+    spoiled: Callable[[LimitField], List[str]]
+    reason: str
+    event: str
+
+    def heal(self, field: LimitField, name: str) -> None:
+        self.spoil(field, name, 0)
+
+
+def slow_down(field: LimitField, name: str, degree: int) -> None:
+    field.dividers[name] = (degree + 1) * (2 if "camera" in name.lower() else 1)
+
+
+def delay(field: LimitField, name: str, degree: int) -> None:
+    field.delays[name] = (0.01, 0.01, 0.02, 0.2, 0.2, 2.0)[degree]
+
+
+LIMITS = {
+    "rate": Limit(
+        {"min_rate": RATE},
+        slow_down,
+        lambda field: [
+            name for name, each in field.dividers.items() if each > (2 if "camera" in name else 1)
+        ],
+        r"{} is too slow: it sends ([0-4][.0-9]*) Hz; "
+        r"the stream has [0-4][.0-9]* Hz, at least 5 Hz are demanded",
+        r"nodelet (\S+) is too slow",
+    ),
+    "age": Limit(
+        {"max_age": AGE},
+        delay,
+        lambda field: [name for name, each in field.delays.items() if each and each > 0.01],
+        r"{} delays the stream by 2 s: it is 2[.0-9]* s old, at most 0.1 s was asked for",
+        r"nodelet (\S+) delays",
+    ),
+}
+
+
+@pytest.fixture(params=LIMITS)
+def limit(request: pytest.FixtureRequest) -> Limit:
+    return LIMITS[request.param]
+
+
+@pytest.fixture
+def field() -> LimitField:
+    return LimitField()
+
+
+# Both limits
+
+
+def test_a_stream_within_its_limits_is_left_alone(field: LimitField) -> None:
+    field.acquire(min_rate=10.0, max_age=AGE)
+    field.delays["soccer/Camera"] = 0.05
+    field.pass_time(60.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+
+
+@pytest.mark.parametrize("label", CHAIN)
+def test_the_part_at_fault_is_replaced_once(field: LimitField, limit: Limit, label: str) -> None:
+    claim = field.acquire(**limit.request).claim
+    field.pass_time(15.0)
+    victim = field.parts()[label]
+    others = set(field.host.running) - {victim}
+    limit.spoil(field, victim, 5)
+    field.pass_time(60.0)
+    (reason,) = field.mended()
+    what = "mended: nodelet " + limit.reason.format(victim)
+    assert re.fullmatch(what + f"; {victim[:-1]}2 is used now", reason)
+    assert others <= set(field.host.running)
+    assert victim not in field.host.running
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert field.claim(claim.claim_id).topic == claim.topic in field.moving
+
+
+def test_without_another_way_it_is_degraded_until_the_part_recovers(
+    field: LimitField, limit: Limit
+) -> None:
+    field.manager.remove_transformation("ceiling camera")
+    limit.spoil(field, "soccer/Camera", 4)
+    claim = field.acquire(**limit.request).claim
+    field.pass_time(120.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    assert "nodelet /bottom_camera_" in field.claim(claim.claim_id).detail
+    assert claim.topic in field.moving
+    assert len(field.mended()) <= 4
+    limit.heal(field, "soccer/Camera")
+    field.pass_time(120.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.tidy()
+
+
+def test_a_transformation_that_never_is_good_enough_gives_way(
+    field: LimitField, limit: Limit
+) -> None:
+    limit.spoil(field, "soccer/Camera", 5)
+    claim = field.acquire(**limit.request).claim
+    field.pass_time(30.0)
+    assert "ceiling camera" in field.labels()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    mended = len(field.mended())
+    assert mended <= 2
+    field.pass_time(60.0)
+    assert len(field.mended()) == mended
+
+
+def test_an_ordinary_topic_can_be_at_fault(field: LimitField, limit: Limit) -> None:
+    text = transformation("scan", "/scan", "out scan", "scan Scan(here)")
+    field.manager.add_transformation(
+        text.replace("<transformation", '<transformation type="topic"')
+    )
+    field.host.topics.add("/scan")
+    claim = field.acquire("Scan(here)", **limit.request).claim
+    field.pass_time(10.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    limit.spoil(field, "/scan", 5)
+    field.pass_time(15.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    detail = field.claim(claim.claim_id).detail
+    assert re.match("topic " + limit.reason.format("/scan"), detail)
+    limit.heal(field, "/scan")
+    field.pass_time(15.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert not field.mended()
+
+
+@pytest.mark.parametrize("is_by_hand", [False, True])
+def test_clients_without_the_limit_go_on_with_the_part(
+    field: LimitField, limit: Limit, is_by_hand: bool
+) -> None:
+    if is_by_hand:
+        field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
+    easy = field.acquire("YUV(field)").claim
+    keen = field.acquire(**limit.request).claim
+    field.pass_time(10.0)
+    limit.spoil(field, *easy.nodelets, 5)
+    field.pass_time(30.0)
+    assert len(field.mended()) == 1
+    assert field.claim(easy.claim_id).nodelets == easy.nodelets
+    assert not {*easy.nodelets} & {*field.claim(keen.claim_id).nodelets}
+    assert field.state(keen.claim_id) is ClaimState.ACTIVE
+
+
+def test_a_claim_keeps_its_limits_over_a_restart(tmp_path: Path, limit: Limit) -> None:
+    field = LimitField(str(tmp_path / "state.db"))
+    claim = field.acquire(**limit.request, budget=1.5).claim
+    field.pass_time(5.0)
+    field.kill_manager()
+    assert field.claim(claim.claim_id).request == claim.request
+    field.pass_time(10.0)
+    limit.spoil(field, "/bottom_camera_1", 5)
+    field.pass_time(15.0)
+    assert len(field.mended()) == 1
+
+
+TURNS = st.tuples(st.sampled_from(CHAIN), st.integers(0, 5), st.integers(2, 15))
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.sampled_from(sorted(LIMITS)), st.lists(TURNS, max_size=5))
+@example("rate", [("bottom camera", 5, 5), ("subsampler", 2, 3), ("subsampler", 1, 2)])
+@example("rate", [("bottom camera", 3, 3), ("detector", 1, 3), ("bottom camera", 1, 3)])
+@example("age", [("bottom camera", 3, 4), ("detector", 5, 3), ("localization", 4, 9)])
+def test_only_a_part_that_was_at_fault_lately_is_blamed(
+    name_of_limit: str, turns: List[Tuple[str, int, int]]
+) -> None:
+    limit, field = LIMITS[name_of_limit], LimitField()
+    claim = field.acquire(**limit.request).claim
+    field.pass_time(10.0)
+    bad_until: Dict[str, float] = {}
+
+    def check(seconds: float) -> None:
+        begin = len(field.events)
+        field.pass_time(seconds)
+        for event in field.events[begin:]:
+            for name in re.findall(limit.event, event.reason):
+                assert field.now - bad_until.get(name, -100.0) < seconds + 10.0, name
+
+    for label, degree, seconds in turns:
+        name = field.parts().get(label)
+        if name is None:
+            continue  # another camera stands in for it
+        limit.spoil(field, name, degree)
+        bad_until.update(dict.fromkeys(limit.spoiled(field), field.now + seconds))
+        check(seconds)
+    for name in set(field.host.running):
+        limit.heal(field, name)
+    check(60.0)
+    begin = len(field.events)
+    field.pass_time(60.0)
+    assert len(field.events) - begin <= 3, "it has come to rest"
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("min_rate", -1.0),
+        ("min_rate", float("nan")),
+        ("min_rate", float("inf")),
+        ("max_age", -0.1),
+        ("max_silence", float("inf")),
+        ("budget", -1.0),
+        ("budget", 61.0),
+        ("lease", -1.0),
+    ],
+)
+def test_bad_values_are_refused(field: LimitField, name: str, value: float) -> None:
+    with pytest.raises(BadParameter, match=f"parameter '{name}' is {value}"):
+        field.acquire("YUV(field)", **{name: value})
+    assert not field.living()
+
+
+# Rates
+
+
+def test_a_part_that_sends_less_than_it_receives_is_not_blamed(field: LimitField) -> None:
+    """The subsampler sends each third image; then the camera, still above 5 Hz, slows down."""
+    field.dividers.update({"soccer/Camera": 1, "soccer/Subsampler": 3})
+    field.acquire(min_rate=RATE)
+    field.pass_time(15.0)
+    field.dividers["/bottom_camera_1"] = 3
+    field.pass_time(30.0)
+    assert len(field.mended()) == 1
+    assert "/bottom_camera_1 is too slow" in field.mended()[0]
+
+
+def test_a_rate_about_the_limit_makes_nothing_flap(field: LimitField) -> None:
+    field.manager.remove_transformation("ceiling camera")
+    field.acquire(min_rate=RATE)
+    field.pass_time(15.0)
+    for turn in range(40):
+        field.dividers["soccer/Camera"] = 4 + turn % 2
+        field.pass_time(3.5)
+    assert len(field.mended()) <= 5, field.mended()  # in 140 s: the pauses grow
+    assert all("/bottom_camera_" in each for each in field.mended())
+
+
+def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
+    field.acquire(min_rate=RATE)
+    field.pass_time(10.0)
+
+    def take_long(operation: str, argument: str) -> None:
+        if operation == "counts":
+            for _ in range(4):
+                field.sleep(STEP)
+
+    field.host.fail = take_long
+    field.pass_time(30.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+
+
+def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: LimitField) -> None:
+    camera = """<transformation cost="{}"><label>{}</label><source>soccer/Camera</source>
+        <ports><port type="out" rate="{}">image</port></ports>
+        <tags><tag port="image">Thermal(field)</tag></tags></transformation>"""
+    smoother = transformation(
+        "smoother", "dyknow/Relay", "in in, out out", "in Thermal(field); out Smooth(field)"
+    )
+    field.manager.add_transformation(smoother)
+    field.manager.add_transformation(camera.format(1, "slow", 5))
+    field.acquire("Smooth(field)")
+    with pytest.raises(NoPlanFound, match="it is stated at 5 Hz, below 10 Hz"):
+        field.acquire("Smooth(field)", min_rate=10.0)
+    for cost, label, rate in ((3, "fast", 30), (2, "medium", 10)):
+        field.manager.add_transformation(camera.format(cost, label, rate))
+    found = [
+        field.acquire("Thermal(field)", min_rate=rate, exclude=("smoother",)).claim.nodelets
+        for rate in (0.0, 10.0, 10.5)
+    ]
+    assert found == [("/slow_1",), ("/medium_1",), ("/fast_1",)]
+    with pytest.raises(NoPlanFound, match="it is stated at 30 Hz, below 31 Hz"):
+        field.acquire("Thermal(field)", min_rate=31.0)
+
+
+# Ages
+
+
+def test_a_delay_that_is_stated_is_not_blamed(field: LimitField) -> None:
+    """The detector states that it takes long; the camera does not."""
+    for label, latency in (("detector", 0.3), ("bottom camera", 0.0)):
+        known = field.manager.library.get(label)
+        ports = tuple(
+            port._replace(latency=latency if port.direction == "out" else 0.0)
+            for port in known.ports
+        )
+        field.manager.add_transformation(known._replace(ports=ports).to_xml())
+    field.acquire(max_age=0.4)
+    field.pass_time(10.0)
+    field.delays.update({field.parts()["detector"]: 0.3, "/bottom_camera_1": 0.2})
+    field.pass_time(30.0)
+    (reason,) = field.mended()
+    assert "/bottom_camera_1 delays the stream by 0.2 s" in reason
+
+
+def test_an_input_that_is_older_than_the_output_is_not_blamed(field: LimitField) -> None:
+    """Messages of the detector bear the stamp of its images, not that of its joints."""
+    field.acquire(max_age=AGE)
+    field.pass_time(10.0)
+    detector = field.parts()["detector"]  # its delay adds to the age of its oldest input
+    field.delays.update({"/bottom_camera_1": 0.2, JOINTS: 5.0, detector: -4.78})
+    field.pass_time(8.0)
+    (reason,) = field.mended()
+    assert "nodelet /bottom_camera_1 delays the stream by 0.2 s" in reason
+
+
+def test_inputs_without_stamps_are_passed_over(field: LimitField) -> None:
+    """The detector is fed by images without stamps, and by joints that are late."""
+    claim = field.acquire(max_age=AGE).claim
+    field.delays.update({JOINTS: 0.3, "soccer/Camera": None, "soccer/Subsampler": None})
+    field.pass_time(10.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    assert "topic /joint_states delays the stream by 0.3 s" in field.claim(claim.claim_id).detail
+
+
+def test_hiccups_are_no_delay(field: LimitField) -> None:
+    field.acquire(max_age=AGE)
+    field.pass_time(10.0)
+    for _ in range(10):
+        field.delays["/bottom_camera_1"] = 1.0
+        field.pass_time(1.0)
+        field.delays["/bottom_camera_1"] = 0.01
+        field.pass_time(4.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+
+
+def test_clients_share_a_topic_only_if_the_newcomer_allows_as_much_age(field: LimitField) -> None:
+    first = field.acquire(max_age=AGE).claim
+    assert field.acquire(max_age=2 * AGE).claim.topic == first.topic
+    assert field.acquire().claim.topic == first.topic
+    assert field.acquire(max_age=AGE / 2).claim.topic != first.topic
+
+
+def test_the_claim_says_that_an_age_is_not_known(field: LimitField) -> None:
+    field.delays["soccer/Localization"] = None
+    claim = field.acquire(max_age=AGE).claim
+    field.pass_time(10.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE, UNKNOWN_AGE]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert field.claim(claim.claim_id).detail == UNKNOWN_AGE
+    field.delays["soccer/Localization"] = 0.01
+    field.pass_time(5.0)
+    assert field.claim(claim.claim_id).detail == ""
+    assert not field.mended()
+
+
+@pytest.mark.parametrize("dry_run", [False, True])
+@pytest.mark.parametrize("datatype", ["", IMAGE])
+def test_types_without_a_header_are_refused(
+    field: LimitField, dry_run: bool, datatype: str
+) -> None:
+    field.host.unstamped.add(IMAGE)
+    known = field.manager.library.get("bottom camera")
+    port = known.ports[0]._replace(datatype=IMAGE)
+    field.manager.add_transformation(known._replace(ports=(port,)).to_xml())
+    field.manager.remove_transformation("ceiling camera")
+    request = StreamRequest("YUV(field)", datatype, max_age=AGE)
+    expected = f"carries {IMAGE}, but a type that begins with a header .* was asked for"
+    with pytest.raises(StreamTypeMismatch, match=expected):
+        field.reconciler.acquire(request, dry_run)
+    assert not field.living()
+    assert ("load", "/bottom_camera_1") not in field.host.calls
+
+
+def test_a_type_that_the_spawn_shows_is_checked_too(field: LimitField) -> None:
+    field.host.unstamped.add(IMAGE)
+    with pytest.raises(StreamTypeMismatch, match="begins with a header"):
+        field.acquire("YUV(field)", max_age=AGE)
+    assert (field.living(), field.host.running) == ([], [])
+    field.host.sources["soccer/Ceiling"] = [("image", "out", POINT)]
+    claim = field.acquire("YUV(field)", max_age=AGE).claim
+    assert (claim.nodelets, claim.datatype) == (("/ceiling_camera_1",), POINT)
