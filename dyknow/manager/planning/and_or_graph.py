@@ -6,30 +6,16 @@
 from __future__ import annotations
 
 import heapq
-from typing import (
-    AbstractSet,
-    Collection,
-    Dict,
-    Iterable,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Collection, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
+from dyknow.manager.planning.library import Operator
+from dyknow.manager.planning.patterns import Theta
 from dyknow.manager.planning.request import Need, Request
 from dyknow.manager.planning.search import Instance, Search
 
 
 class Draft(NamedTuple):
-    """A way to the goal.
-
-    Attributes:
-        chosen: the supplier of each node.
-        order: the instances, suppliers first.
-        cost: their cost.
-    """
+    """A way to the goal: the supplier of each node, the instances, suppliers first, their cost."""
 
     chosen: Dict[Need, Instance]
     order: List[Instance]
@@ -38,27 +24,33 @@ class Draft(NamedTuple):
 
 def drafted(request: Request, chosen: Dict[Need, Instance]) -> Draft:
     """Follow choices, which have no cycle, from the goal."""
-    order: Dict[Instance, None] = {}
+    order: List[Instance] = []
     stack = [(chosen[Need(request.goal, ())], True)]
     entered = set()
     while stack:
         instance, is_new = stack.pop()
         if not is_new:
-            order[instance] = None
+            order.append(instance)
         elif instance not in entered:
             entered.add(instance)
             stack.append((instance, False))
             stack += [(chosen[need], True) for need in reversed(instance.needs)]
-    return Draft(chosen, list(order), sum([e.cost for e in order]) + unfree(request, order))
+    return Draft(chosen, order, _cost(request, order))
 
 
-def unfree(request: Request, instances: Iterable[Instance]) -> int:
-    """Return the costs of instances where only one nodelet of an action is free."""
-    if not request.kept:
-        return 0
-    keys = {(each.action.slow or each.action, each.theta) for each in instances}
-    free = [action for action, theta in keys if request.is_free(action, theta)]
-    return sum([action.cost for action in free]) - sum([action.cost for action in {*free}])
+def is_sound(request: Request, draft: Draft) -> bool:
+    """Whether no nodelet is both an instance with fast inputs and one with others."""
+    nodelets = [each.nodelet for each in draft.order if request.demand.min_rate]
+    return len({*nodelets}) == len(nodelets)
+
+
+def _cost(request: Request, instances: Iterable[Instance]) -> int:
+    """Sum up the costs of instances, of which only one can use the free nodelet of an action."""
+    total = sum([each.cost for each in instances])
+    if request.kept:
+        free = [each.action.base for each in instances if request.is_free(*each.key)]
+        total += sum([each.cost for each in free]) - sum([each.cost for each in {*free}])
+    return total
 
 
 class AndOrGraph:
@@ -70,6 +62,7 @@ class AndOrGraph:
         makes: nodes that each action supplies.
         users: actions that need each node.
         offers: actions that supply each node.
+        twins: for each action, those that are the same nodelet, of which a plan has one.
         size: its number of edges, the unit in which effort is counted.
         limit: microseconds after which no node may be supplied; None for any.
     """
@@ -86,32 +79,30 @@ class AndOrGraph:
         }
         # Equal problems have equal numbers here: by label and bindings.
         found = {each: None for offers in search.offers.values() for each in offers}
-        order = sorted(found, key=lambda e: (e.action.label, e.theta, e.action.slow is None))
+        order = sorted(found, key=lambda e: (e.action.label, e.theta, e.action is e.action.base))
         self._instances = order
         self._numbers = {each.key: number for number, each in enumerate(order)}
-        nodes: Dict[Need, int] = {goal: 0}
-        for each in order:
-            for need in each.needs:
-                if need not in self._there:
-                    nodes.setdefault(need, len(nodes))
-        self._nodes = list(nodes)
+        needed = [need for each in order for need in each.needs if need not in self._there]
+        self._nodes = list(dict.fromkeys([goal, *needed]))
+        numbers = {node: number for number, node in enumerate(self._nodes)}
         self.costs = [each.cost for each in order]
         self.needs = [
-            list(dict.fromkeys([nodes[need] for need in each.needs if need in nodes]))
+            list(dict.fromkeys([numbers[need] for need in each.needs if need in numbers]))
             for each in order
         ]
         self.offers = [
             sorted([self._numbers[each.key] for each in search.offers.get(node, ())])
-            for node in nodes
+            for node in self._nodes
         ]
-        self.makes: List[List[int]] = [[] for _ in order]
-        self.users: List[List[int]] = [[] for _ in nodes]
-        for node, offers in enumerate(self.offers):
-            for action in offers:
-                self.makes[action].append(node)
-        for action, needed in enumerate(self.needs):
-            for node in needed:
-                self.users[node].append(action)
+        self.makes = _turned(self.offers, len(order))
+        self.users = _turned(self.needs, len(self._nodes))
+        by_nodelet: Dict[Tuple[Operator, Theta], List[int]] = {}
+        for number, each in enumerate(order):
+            by_nodelet.setdefault(each.nodelet, []).append(number)
+        self.twins = [
+            [twin for twin in by_nodelet[each.nodelet] if twin != number]
+            for number, each in enumerate(order)
+        ]
         self._latencies = {
             (action, node): self._latency(order[action], self._nodes[node])
             for action, made in enumerate(self.makes if self.limit is not None else ())
@@ -130,11 +121,7 @@ class AndOrGraph:
         return [self._numbers[each.key] for each in draft.order if each.key in self._numbers]
 
     def cost(self, actions: Collection[int]) -> int:
-        """Sum up the costs of actions."""
-        total = sum([self.costs[each] for each in actions])
-        if self._request.kept:
-            total += unfree(self._request, [self._instances[each] for each in actions])
-        return total
+        return _cost(self._request, [self._instances[each] for each in actions])
 
     def drafted(self, way: Dict[int, int]) -> Draft:
         """Return the draft that chooses suppliers so."""
@@ -145,33 +132,30 @@ class AndOrGraph:
     def _is_late(self, done: int) -> bool:
         return self.limit is not None and done > self.limit
 
-    def derive(self, actions: AbstractSet[int]) -> Dict[int, int]:
-        """Supply all nodes that some actions alone can supply.
+    def derive(self, actions: Iterable[int]) -> Dict[int, int]:
+        """Supply all nodes that some actions alone can supply in time.
+
+        Of twins the one with fast inputs is taken, which supplies all that the other one does.
 
         Returns:
-            For each node that is reached its supplier, without a cycle; if there is a limit,
-            the soonest one, and the nodes that are supplied in time.
+            For each node that is reached its soonest supplier, without a cycle.
         """
-        if self.limit is not None:
-            return self._soonest(actions)
-        makes, users = self.makes, self.users
         missing = {action: len(self.needs[action]) for action in actions}
+        for action in [each for each in missing if self.twins[each]]:
+            if self._instances[action].action.slow is not None:
+                missing.pop(self.twins[action][0], None)
+        if self.limit is not None:
+            return self._soonest(missing)
         way: Dict[int, int] = {}
         waiting = sorted([action for action, left in missing.items() if not left])
         for action in waiting:  # grows meanwhile
-            for node in makes[action]:
+            for node in self.makes[action]:
                 if node not in way:
                     way[node] = action
-                    for user in users[node]:
-                        left = missing.get(user, 0)
-                        if left:
-                            missing[user] = left - 1
-                            if left == 1:
-                                waiting.append(user)
+                    waiting += self._met(node, missing)
         return way
 
-    def _soonest(self, actions: AbstractSet[int]) -> Dict[int, int]:
-        missing = {action: len(self.needs[action]) for action in actions}
+    def _soonest(self, missing: Dict[int, int]) -> Dict[int, int]:
         way: Dict[int, int] = {}
         heap = [(0, -1, action) for action, left in missing.items() if not left]
         heapq.heapify(heap)  # nodes by the times when they are supplied, and actions by theirs
@@ -184,12 +168,20 @@ class AndOrGraph:
                         heapq.heappush(heap, (done, made, action))
             elif node not in way:
                 way[node] = action
-                for user in self.users[node]:
-                    if user in missing:
-                        missing[user] -= 1
-                        if not missing[user]:
-                            heapq.heappush(heap, (begun, -1, user))
+                for user in self._met(node, missing):
+                    heapq.heappush(heap, (begun, -1, user))
         return way
+
+    def _met(self, node: int, missing: Dict[int, int]) -> List[int]:
+        """Supply a node; return the users that miss nothing any more."""
+        found = []
+        for user in self.users[node]:
+            left = missing.get(user, 0)
+            if left:
+                missing[user] = left - 1
+                if left == 1:
+                    found.append(user)
+        return found
 
     def cheapest(
         self, prices: Sequence[float], use_sum: bool = True
@@ -233,12 +225,21 @@ class AndOrGraph:
         return way, last, goal
 
     def followed(self, way: Dict[int, int]) -> List[int]:
-        """Return the actions that choices lead to from the goal."""
-        waiting = [way[0]]
-        found = {way[0]}
+        """Return the actions that choices lead to from the goal; none if it is not reached."""
+        waiting = [way[0]] if 0 in way else []
+        found = {*waiting}
         for action in waiting:  # grows meanwhile
             for node in self.needs[action]:
                 if way[node] not in found:
                     found.add(way[node])
                     waiting.append(way[node])
         return waiting
+
+
+def _turned(edges: List[List[int]], count: int) -> List[List[int]]:
+    """Turn edges round, to so many ends."""
+    found: List[List[int]] = [[] for _ in range(count)]
+    for begin, ends in enumerate(edges):
+        for end in ends:
+            found[end].append(begin)
+    return found

@@ -15,7 +15,7 @@ from __future__ import annotations
 import heapq
 from typing import Dict, List, NamedTuple, Optional, Tuple
 
-from dyknow.manager.planning.library import Head, Operator
+from dyknow.manager.planning.library import Operator
 from dyknow.manager.planning.patterns import Pattern
 from dyknow.manager.planning.request import Request
 
@@ -25,7 +25,7 @@ _RANK = (1 << _BITS) - 1
 
 
 class _Supplier(NamedTuple):
-    """An action, or many that were not looked at: its cost, needs and supplies."""
+    """An action, or many makers that were not looked at: its cost, needs and supplies."""
 
     action: Optional[Operator]
     cost: int
@@ -38,43 +38,44 @@ class Bounds:
 
     Attributes:
         users: for each pattern that is reached, the places of the suppliers that need it.
+        size: how many actions that need something are reached.
+        most: what everything that is reached costs together.
         is_simple: whether no names are to be bound.
     """
 
     def __init__(self, request: Request, is_whole: bool = False) -> None:
-        """Collect the reach of the goal.
-
-        Args:
-            request: the problem.
-            is_whole: also the suppliers of a demand that is met at no cost.
-        """
+        """Collect the reach of the goal; as a whole, also where a demand is met at no cost."""
         self._goal = request.goal
         self.is_simple = not request.goal.wanted
         self.users: Dict[Pattern, List[int]] = {request.goal: []}
         self._suppliers: List[_Supplier] = []
-        self._facts: Dict[Operator, _Supplier] = {}
-        self._crowds: List[_Supplier] = []
-        users, suppliers, is_met = self.users, self._suppliers, request.is_met
+        users, suppliers = self.users, self._suppliers
         found: Dict[Operator, _Supplier] = {}
         patterns = [request.goal]
         for pattern in patterns:  # grows meanwhile
             fact = request.cheapest_fact(pattern)
             if fact is not None:
-                self._add_fact(fact, pattern)
-                if not is_whole and not pattern.wanted and is_met(fact):
+                known = found.get(fact.action)
+                if known is None:
+                    known = found[fact.action] = _Supplier(fact.action, fact.cost, (), [])
+                    suppliers.append(known)
+                known.serves.append(pattern)
+            if not is_whole:
+                if fact is not None and not pattern.wanted and request.is_met(pattern, fact):
                     continue
-            crowd = None if is_whole or not pattern.wanted else request.crowd(pattern)
-            if crowd is not None:  # they are looked at when more is known
-                self._crowds.append(_Supplier(None, crowd, (), [pattern]))
-                continue
-            for action in request.makers(pattern):
+                crowd = request.crowd(pattern) if pattern.wanted else None
+                if crowd is not None:  # they are looked at when more is known
+                    suppliers.append(_Supplier(None, crowd, (), [pattern]))
+                    continue
+            for action, _ in request.offers(pattern):
                 supplier = found.get(action)
                 if supplier is not None:
-                    supplier.serves.append(pattern)
+                    if supplier.serves[-1] is not pattern:
+                        supplier.serves.append(pattern)
                     continue
-                needs = action.needs
-                supplier = _Supplier(action, request.floor(action), needs, [pattern])
-                found[action] = supplier
+                needs = action.inputs
+                if len(needs) > 1:
+                    needs = tuple(dict.fromkeys(needs))
                 if action.variables:
                     self.is_simple = False
                 for need in needs:
@@ -83,23 +84,12 @@ class Bounds:
                     else:
                         patterns.append(need)
                         users[need] = [len(suppliers)]
+                supplier = found[action] = _Supplier(
+                    action, request.floor(action), needs, [pattern]
+                )
                 suppliers.append(supplier)
-
-    def _add_fact(self, head: Head, pattern: Pattern) -> None:
-        known = self._facts.get(head.action)
-        if known is None:
-            self._facts[head.action] = _Supplier(head.action, head.cost, (), [pattern])
-        else:
-            known.serves.append(pattern)
-
-    def __len__(self) -> int:
-        """Count the actions that need something."""
-        return len(self._suppliers)
-
-    @property
-    def most(self) -> int:
-        """What all of them cost together, and the facts."""
-        return sum([each.cost for each in (*self._suppliers, *self._facts.values())])
+        self.size = len([each for each in suppliers if each.needs])
+        self.most = sum([each.cost for each in suppliers])
 
     def least(
         self, use_sum: bool = True, below: Optional[int] = None
@@ -114,25 +104,25 @@ class Bounds:
         Returns:
             Both by pattern, without those that cannot be supplied.
         """
-        suppliers = [*self._suppliers, *self._facts.values(), *self._crowds]
-        # Labels decide between equal costs, where the supplier of a demand matters.
+        suppliers, users = self._suppliers, self.users
         by_rank = list(range(len(suppliers)))
         if self.is_simple and use_sum:
+            # Labels decide between equal costs, where the supplier of a demand matters.
             actions = [each.action for each in suppliers]
             labels = [
-                (each.label, each.slow is not None) if each else ("", False) for each in actions
+                each.label + "\0" * (each.slow is not None) if each else "" for each in actions
             ]
             by_rank.sort(key=labels.__getitem__)
         ranks = [0] * len(suppliers)
         for rank, place in enumerate(by_rank):
             ranks[place] = rank
-        missing = [len(each.needs) for each in self._suppliers]
+        missing = [len(each.needs) for each in suppliers]
         total = [each.cost for each in suppliers]
         heap = [
-            total[place] << _BITS | ranks[place] for place in range(len(missing), len(suppliers))
+            total[place] << _BITS | ranks[place] for place, left in enumerate(missing) if not left
         ]
         heapq.heapify(heap)
-        pop, push, users = heapq.heappop, heapq.heappush, self.users
+        pop, push = heapq.heappop, heapq.heappush
         value: Dict[Pattern, int] = {}
         chosen: Dict[Pattern, Operator] = {}
         while heap:
@@ -164,9 +154,10 @@ class Bounds:
             That, and its cost besides a demand of which nothing is known.
         """
         found: Dict[Pattern, int] = {}
+        rest = below
         suppliers: Dict[Pattern, List[Tuple[int, _Supplier]]] = {}
         for each in self._suppliers:
-            floor = max([least.get(need, below) for need in each.needs]) + each.cost
+            floor = max([least.get(need, below) for need in each.needs], default=0) + each.cost
             for pattern in each.serves:
                 suppliers.setdefault(pattern, []).append((floor, each))
         heap = [(0, 0, self._goal)]
@@ -177,15 +168,13 @@ class Bounds:
                 continue
             found[pattern] = price
             for floor, each in suppliers.get(pattern, ()):
-                if price + floor < below:
+                if each.action is None:
+                    rest = min(rest, price + each.cost)
+                elif price + floor < below:
                     for need in each.needs:
                         if need not in found:
                             pushed += 1
                             heapq.heappush(heap, (price + each.cost, pushed, need))
-        rest = min(
-            [found[each.serves[0]] + each.cost for each in self._crowds if each.serves[0] in found]
-            + [below]
-        )
         if rest < below:
             found = {pattern: min(price, rest) for pattern, price in found.items()}
         return found, rest

@@ -32,13 +32,9 @@ _TOPIC = "topic"
 
 
 class Entry(NamedTuple):
-    """A line of the tree: one supplier.
+    """A line of the tree: a supplier, at depth 0 that of the goal, and whether it runs or is new.
 
-    Attributes:
-        depth: 0 for the goal.
-        port: in-port that it supplies, empty for the goal.
-        what: transformation, out-port and bindings, or topic.
-        how: whether it runs, is new or shared, or is a topic.
+    It supplies an in-port, and is a transformation with out-port and bindings, or a topic.
     """
 
     depth: int
@@ -90,7 +86,7 @@ def read_tree(text: str) -> Tuple[str, List[Entry]]:
 
 
 def tree_as_dot(text: str) -> str:
-    """Draw a plan that was written as a tree: new nodelets are dashed, topics are rectangles.
+    """Draw the tree of a plan: new nodelets are dashed, topics are rectangles.
 
     Raises:
         ValueError: the text is something else.
@@ -118,7 +114,6 @@ def tree_as_dot(text: str) -> str:
 
 
 def _how_good(plan: Plan) -> str:
-    """Tell how far a plan can be from the cheapest one."""
     if plan.cost <= plan.least_cost:
         return "proven least"
     # Upwards and in whole numbers, of which costs may be too large for a float.

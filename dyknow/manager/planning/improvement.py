@@ -20,7 +20,7 @@ import random
 import sys
 from typing import Callable, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted, is_sound
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.request import Need, Request
 from dyknow.manager.planning.search import Search
@@ -40,7 +40,7 @@ _PARTS = 4
 _MOST_OUT = 6
 #: How often a dearer plan is gone on with.
 _WORSE = 0.02
-#: Steps of each search for a plan that is in time.
+#: Steps of each search for a plan that is allowed.
 _EACH_RISE = 5_000_000
 
 
@@ -48,12 +48,6 @@ class Budget:
     """Counts steps, so that equal problems have equal plans; the clock is the last resort."""
 
     def __init__(self, seconds: float, clock: Callable[[], float]) -> None:
-        """Start.
-
-        Args:
-            seconds: the budget of the improvement.
-            clock: steady time, in seconds.
-        """
         self._clock = clock
         self._deadline = clock() + seconds
         self.steps = int(seconds * STEPS)
@@ -70,79 +64,64 @@ class Budget:
 
 
 class Improved(NamedTuple):
-    """A draft, and the bounds of its cost.
-
-    Attributes:
-        draft: the best one.
-        least_cost: no plan costs less.
-        is_cut_short: whether the clock ended the improvement, not the count of its steps.
-    """
+    """The best draft, a cost that no plan is below, and whether the clock ended the search."""
 
     draft: Draft
     least_cost: int
     is_cut_short: bool = False
 
 
-def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool]:
-    """Return a rather cheap draft that is in time, or the soonest one; and whether it is in time.
+def allowed(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool]:
+    """Return a rather cheap draft that is sound and in time, or the soonest, and if it is so.
 
     A fixed number of steps limits the search, not the clock, which must not decide whether there
-    is a plan.
-
-    Args:
-        request: the problem.
-        bounds: the reach of the goal.
-        draft: the cheapest tree, which is too late.
+    is a plan. The given draft is the cheapest tree.
     """
     least, _ = bounds.least(False)
     cost = draft.cost
     for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
-        found = Search(request, bounds, least, False, below)
+        found = Search(request, bounds, least, below)
         found.run(_EACH_RISE)
         graph = AndOrGraph(request, found)
-        way, _, _ = graph.cheapest(graph.costs)
+        way = graph.derive(graph.followed(graph.cheapest(graph.costs)[0]))
+        if 0 not in way and any(graph.twins):
+            improvement = _Improvement(graph, False, Budget(_EACH_RISE / STEPS, lambda: 0.0))
+            no_rest = [0] * len(graph.costs)
+            way = graph.derive(improvement.branched(0, no_rest, sum(graph.costs) + 1, 0)[0])
         if 0 in way:
             return graph.drafted(way), True
-    every = set(range(len(graph.costs)))
+    if request.limit is None:
+        return draft, False
+    every = range(len(graph.costs))
     way = graph.derive(every)
     is_in_time = 0 in way
     if not is_in_time:
         graph.limit = sys.maxsize
         way = graph.derive(every)
-    if 0 not in way:  # not everything was searched
-        return draft, False
-    return graph.drafted(way), is_in_time
+    return (graph.drafted(way), is_in_time) if 0 in way else (draft, False)
 
 
 def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> Improved:
-    """Return a draft of less cost, or the given one.
-
-    Args:
-        request: the problem.
-        bounds: the reach of the goal.
-        draft: the cheapest tree, or one that is in time.
-        budget: the budget of the improvement.
-    """
-    if not draft.cost or not budget.spend(_BOUNDED * len(bounds)):
+    """Return a draft of less cost, or the given one."""
+    if not draft.cost or not budget.spend(_BOUNDED * bounds.size):
         return Improved(draft, 0)
     goal = Need(request.goal, ())
     least, _ = bounds.least(False, draft.cost)
     floor = least.get(request.goal, draft.cost)
     if draft.cost <= floor or len(draft.order) > _MOST_INSTANCES:
         return Improved(draft, min(floor, draft.cost))
-    found = Search(request, bounds, least, False, draft.cost)
+    found = Search(request, bounds, least, draft.cost)
     budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
     if goal in found.value:
         floor = max(floor, found.value[goal])
-    elif not found.is_complete:
-        floor = max(floor, found.reached)
     else:
-        floor = draft.cost
+        floor = draft.cost if found.is_complete else max(floor, found.reached)
     floor = min(floor, draft.cost)
     edges = sum(map(len, found.offers.values()))
     if floor < draft.cost and goal in found.value and budget.spend(_COPIED * edges):
         if request.limit is None:
-            draft = min(draft, drafted(request, found.chosen), key=lambda each: each.cost)
+            cheap = drafted(request, found.chosen)
+            draft = min(draft, cheap, key=lambda each: (not is_sound(request, each), each.cost))
         if floor < draft.cost:
             graph = AndOrGraph(request, found)
             return _Improvement(graph, found.is_complete, budget).run(draft, floor)
@@ -162,41 +141,44 @@ class _Improvement:
         cuts, rest = self._cuts()
         # Parts that a large search left out could be cheaper than these cuts.
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
-        best = graph.numbers(draft)
-        way = graph.derive(set(best))
-        if 0 not in way:  # some of it cannot be part of a cheaper plan
-            way, _, _ = graph.cheapest(graph.costs)
-            if 0 not in way:
-                way = graph.derive(set(range(len(graph.costs))))
-            if 0 not in way:  # what is cheaper is too late
-                bound = draft.cost if self._is_complete else bound
-                return Improved(draft, bound, budget.is_cut_short)
-            best = graph.followed(way)
-        best = self._pruned(best, sorted(best, key=lambda each: (-graph.costs[each], each)))
-        least = min(draft.cost, graph.cost(best))
+        best = self._first(draft)
+        least = min(draft.cost, graph.cost(best)) if best else draft.cost
         if bound < least:
             left = int(budget.steps * (1 - _EXACT))
-            found, is_exact = self._branched(cuts, rest, least, left)
+            found, is_exact = self.branched(cuts, rest, least, left)
             best = found or best
             if is_exact and self._is_complete:
-                bound = min(least, graph.cost(best))
-            else:
+                bound = graph.cost(found) if found else least
+            elif best:
                 best = self._varied(best, bound)
-        if graph.cost(best) < draft.cost:
-            draft = graph.drafted(graph.derive(set(best)))
+        if best and graph.cost(best) < draft.cost:
+            draft = graph.drafted(graph.derive(best))
         return Improved(draft, bound, budget.is_cut_short)
+
+    def _first(self, draft: Draft) -> List[int]:
+        """Return a plan to begin with; none if all that is cheaper is too late or unsound."""
+        graph = self._graph
+        # Some of the draft may be without use for a cheaper plan, and so not be there.
+        for actions in (
+            graph.numbers(draft),
+            graph.followed(graph.cheapest(graph.costs)[0]),
+            range(len(graph.costs)),
+        ):
+            best = graph.followed(graph.derive(actions))
+            if best:
+                order = sorted(best, key=lambda each: (-graph.costs[each], each))
+                return self._pruned(best, order)
+        return []
 
     def _pruned(self, actions: Iterable[int], order: Sequence[int]) -> List[int]:
         """Leave out actions that the goal is reached without, as far as the budget lasts."""
         graph = self._graph
-        kept = set(graph.followed(graph.derive(set(actions))))
+        kept = set(graph.followed(graph.derive(actions)))
         for action in order:
             if action in kept and not self._is_alone(action, kept):
                 if not self._budget.spend(4 * len(kept)):
                     break
-                way = graph.derive(kept - {action})
-                if 0 in way:
-                    kept = set(graph.followed(way))
+                kept = set(graph.followed(graph.derive(kept - {action}))) or kept
         return sorted(kept)
 
     def _is_alone(self, action: int, kept: Set[int]) -> bool:
@@ -262,7 +244,7 @@ class _Improvement:
 
     # Branch and bound
 
-    def _branched(
+    def branched(
         self, bound: int, rest: Sequence[int], below: int, left: int
     ) -> Tuple[List[int], bool]:
         """Search all plans that may cost less than a known one.
@@ -299,7 +281,7 @@ class _Improvement:
             branches = []
             if choices and paid + min([costs[action] for action in choices]) < below:
                 for action in sorted(choices, key=lambda each: (rest[each], costs[each], each)):
-                    branches.append((has | {action}, lacks))
+                    branches.append((has | {action}, lacks.union(graph.twins[action])))
                     lacks = lacks | {action}
             stack += reversed(branches)
         return best, True
@@ -335,7 +317,7 @@ class _Improvement:
         while least > bound and budget.spend(6 * graph.size):
             out = set(chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present)))))
             kept = [action for action in present if action not in out]
-            derived = graph.derive(set(kept))
+            derived = graph.derive(kept)
             prices: List[float] = [
                 cost
                 * (1 + chance.random())
@@ -344,12 +326,11 @@ class _Improvement:
             ]
             for action in kept:
                 prices[action] = 0
-            way, _, _ = graph.cheapest(prices)
-            if 0 not in way:
-                continue
-            found = {*kept, *graph.followed(way)}
+            found = {*kept, *graph.followed(graph.cheapest(prices)[0])}
             order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
             plan = self._pruned(found, order)
+            if not plan:
+                continue
             cost = graph.cost(plan)
             if cost <= price or chance.random() < _WORSE:
                 present, price = plan, cost

@@ -5,6 +5,9 @@
 
 A library is a value that any thread may search: a change makes another one, which shares the
 parts that did not change. Actions without tagged in-ports are *facts*, the rest *makers*.
+
+There may be 100,000 transformations, and each full garbage collection visits every object that
+is not a plain tuple of plain values. So an action holds few.
 """
 
 from __future__ import annotations
@@ -27,19 +30,16 @@ from dyknow.manager.planning.patterns import (
     Theta,
     Types,
     atoms_of,
-    known_args,
-    matcher,
+    limits_of,
     pattern_of,
     pushed,
     solutions,
 )
-from dyknow.manager.planning.problem import New, Source
+from dyknow.manager.planning.problem import Live
 from dyknow.manager.specifications.tags import Term, read_tags, types_of
 from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 
-#: Makers that are looked up by the names that a search knows, not all at once.
-MANY = 300
 #: Transformations whose variables are remembered: many have equal ones.
 _REMEMBERED = 1_000
 
@@ -49,35 +49,38 @@ _Arguments = Tuple[Tuple[str, ...], Tuple[str, ...]]
 
 @dataclass(eq=False)
 class Head:
-    """A tagged out-port of an action; compared by identity.
+    """A tagged out-port of an action, or a live stream; compared by identity.
 
     Attributes:
         cost: the action's cost, as a fact.
-        source: its source in a plan, without bindings.
-        action: whose it is.
         texts: its tags as they are written.
         atoms: those that can supply something, with the variables numbered as the action's.
-        datatype: its ROS type.
         rate: Hz that it states; 0 if it states none.
         latency: microseconds that it states.
+        live: the stream, if it exists.
     """
 
-    __slots__ = ("action", "atoms", "cost", "datatype", "latency", "rate", "source", "texts")
-    cost: int
-    source: Source
+    __slots__ = ("action", "atoms", "cost", "datatype", "latency", "live", "port", "rate", "texts")
     action: Operator
+    cost: int
+    port: str
     texts: Tuple[str, ...]
     atoms: Tuple[Atom, ...]
     datatype: str
     rate: float
     latency: int
+    live: Optional[Live]
+
+    @property
+    def label(self) -> str:
+        """The label of its transformation."""
+        return self.action.label if self.live is None else self.live.label
 
     @property
     def is_ground(self) -> bool:
-        """Whether the atoms have no variables."""
-        return not [arg for atom in self.atoms for arg in atom.args if isinstance(arg, int)]
+        return not [arg for atom in self.atoms for arg in atom if isinstance(arg, int)]
 
-    def goes_with(self, datatype: str) -> bool:
+    def has_type(self, datatype: str) -> bool:
         """Whether messages of a type may come from it."""
         return self.datatype == datatype or types_fit(self.datatype, datatype)
 
@@ -91,14 +94,12 @@ class Operator:
 
     Attributes:
         label: of the transformation, or the name of the live nodelet.
-        cost: the cost of a nodelet of it.
-        heads: the tagged out-ports.
-        ports: its tagged in-ports, in the order written.
+        transformation: None for live streams.
+        ports: the names of the tagged in-ports, in the order written.
         inputs: their patterns.
-        needs: the same, each once.
-        variables: the names of its variables.
-        types: of the variables.
+        variables: the names of its variables, with their types.
         shares: for each in-port those of the variables that its pattern wants, in that order.
+        heads: the tagged out-ports.
         has_bindings: whether any in-port has a variable.
         slow: the same action with inputs of any rate, if its inputs have to be fast.
     """
@@ -109,24 +110,39 @@ class Operator:
         "heads",
         "inputs",
         "label",
-        "needs",
         "ports",
         "shares",
         "slow",
+        "transformation",
         "types",
         "variables",
     )
     label: str
     cost: int
-    heads: List[Head]
-    ports: Tuple[Port, ...]
+    transformation: Optional[Transformation]
+    ports: Tuple[str, ...]
     inputs: Tuple[Pattern, ...]
-    needs: Tuple[Pattern, ...]
     variables: Tuple[str, ...]
     types: Tuple[Types, ...]
     shares: Tuple[Tuple[int, ...], ...]
+    heads: Tuple[Head, ...]
     has_bindings: bool
     slow: Optional[Operator]
+
+    @property
+    def base(self) -> Operator:
+        """The action whose nodelet it is."""
+        return self.slow or self
+
+    def tags(self, port: int) -> Tuple[str, ...]:
+        """Return the tags of an in-port as they are written."""
+        assert self.transformation is not None
+        return _in_ports(self.transformation)[port].tags
+
+
+def _in_ports(transformation: Transformation) -> List[Port]:
+    ports = transformation.ports
+    return [port for port in ports if port.direction == IN and port.tags and read_tags(port.tags)]
 
 
 class Offer(NamedTuple):
@@ -146,78 +162,60 @@ class Offer(NamedTuple):
 
 def _by_order(head: Head) -> Tuple[int, str, str]:
     """Sort by cost, then by the attributes that distinguish heads."""
-    return head.cost, head.source[0], head.source[1]
+    return head.cost, head.action.label, head.port
 
 
 class Bucket:
     """The out-ports that have a tag of one functor and number of arguments; does not change."""
 
-    def __init__(self, entries: List[Tuple[Head, Atom]]) -> None:
-        self.entries = entries
-        # Filled when they are first needed; it does not matter by which thread.
-        self._by_args: Dict[Any, List[Head]] = {}
+    def __init__(self, functor: str, size: int, heads: Iterable[Head]) -> None:
+        self._functor = functor
+        self._size = size
+        #: The cheapest first.
+        self.heads = sorted(heads, key=_by_order)
+        #: By place and name, or None for a variable; filled when first needed, by any thread.
         self._by_place: Dict[int, Dict[Optional[str], List[Head]]] = {}
-        self._by_cost: List[Head] = []
-
-    def by_cost(self) -> List[Head]:
-        """Return all, the cheapest first."""
-        if not self._by_cost:
-            heads = dict.fromkeys([head for head, _ in self.entries])
-            self._by_cost = sorted(heads, key=_by_order)
-        return self._by_cost
 
     def _index(self, place: int) -> Dict[Optional[str], List[Head]]:
-        """Return the heads by the name in some place; None for a variable."""
         index = self._by_place.get(place)
         if index is None:
             index = {}
-            for head, atom in self.entries:
-                arg = atom.args[place]
-                index.setdefault(arg if isinstance(arg, str) else None, []).append(head)
+            for head in self.heads:
+                for atom in head.atoms:
+                    if atom[0] == self._functor and len(atom) == self._size:
+                        arg = atom[place]
+                        heads = index.setdefault(arg if isinstance(arg, str) else None, [])
+                        if not heads or heads[-1] is not head:
+                            heads.append(head)
             self._by_place[place] = index
         return index
 
-    def _with(self, args: Known) -> List[Head]:
-        """Return the heads that have these names, or variables."""
-        if not self._by_args:
-            by_args: Dict[Any, List[Head]] = {}
-            for head, atom in self.entries:
-                key: Any = atom.args if all(isinstance(arg, str) for arg in atom.args) else None
-                by_args.setdefault(key, []).append(head)
-            for heads in by_args.values():
-                heads.sort(key=_by_order)
-            self._by_args = by_args
-        found, others = self._by_args.get(args, []), self._by_args.get(None, [])
-        return sorted({*found, *others}, key=_by_order) if found and others else found or others
-
-    def find(self, known: Known, names: Names) -> List[Head]:
-        """Return those that may match, the cheapest first."""
-        if all(isinstance(each, str) for each in known):
-            return self._with(known)
-        best: Optional[List[Head]] = None
-        fewest = len(self.entries)
-        for place, each in enumerate(known):
+    def find(self, limits: Known, names: Names) -> List[Head]:
+        """Return those whose arguments may meet the limits, the cheapest first."""
+        best = [self.heads]
+        fewest = len(self.heads)
+        for place, each in enumerate(limits, 1):
             if each is None or fewest < 2:
                 continue
             below = (each,) if isinstance(each, str) else names.below(each)
             if len(below) < fewest:
                 index = self._index(place)
-                found = [head for name in below for head in index.get(name, ())]
-                found += index.get(None, ())
-                if len(found) < fewest:
-                    best, fewest = found, len(found)
-        if best is None:
-            return self.by_cost()
-        return best if fewest < 2 else sorted(dict.fromkeys(best), key=_by_order)
+                found = [index[name] for name in (*below, None) if name in index]
+                count = sum(map(len, found))
+                if count < fewest:
+                    best, fewest = found, count
+        if len(best) == 1:
+            return best[0]
+        return sorted({head for heads in best for head in heads}, key=_by_order)
 
 
 Buckets = Dict[Tuple[str, int], Bucket]
-"""By functor and number of arguments."""
+"""By the functor and the length of the atom."""
 
 
 def microseconds(seconds: float) -> int:
     """Return the nearest whole number of microseconds: sums of these are exact."""
-    return round(seconds * 1e6)
+    return round(seconds * 1e6) if seconds else 0
 
 
 class OperatorIndex:
@@ -232,9 +230,7 @@ class OperatorIndex:
         self.makers = makers
         # Results about the patterns of in-ports; it does not matter by which thread.
         self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
-        self._makers: Dict[Pattern, Tuple[Operator, ...]] = {}
         self._cheapest: Dict[Pattern, Optional[Head]] = {}
-        self._crowds: Dict[Pattern, Optional[int]] = {}
 
     def changed(self, removed: Iterable[str], added: Sequence[Operator]) -> OperatorIndex:
         """Make another library; actions of known labels are replaced."""
@@ -246,7 +242,7 @@ class OperatorIndex:
         facts, makers = (
             _edited(
                 buckets,
-                [each for each in gone if bool(each.inputs) is is_maker],
+                {each for each in gone if bool(each.inputs) is is_maker},
                 [each for each in come.values() if bool(each.inputs) is is_maker],
             )
             for buckets, is_maker in ((self.facts, False), (self.makers, True))
@@ -262,49 +258,28 @@ class OperatorIndex:
                 self._offers[pattern] = found
         return found
 
-    def makers_of(self, pattern: Pattern) -> Tuple[Operator, ...]:
-        """Return the makers that can supply a pattern, each once."""
-        found = self._makers.get(pattern)
-        if found is None:
-            found = tuple(dict.fromkeys([offer.head.action for offer in self.offers(pattern)]))
-            if pattern.is_kept:
-                self._makers[pattern] = found
-        return found
-
     def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
         """Yield how makers can supply a pattern; known names rule some of them out."""
-        # A result for an action holds for all whose out-ports look the same.
-        seen: Dict[Tuple[object, ...], Optional[Tuple[Types, ...]]] = {}
-        args = pattern.atoms[0].args
-        wanted = [args.index(each) for each in pattern.wanted] if pattern.is_plain else []
+        wanted = [pattern.atoms[0].index(each) for each in pattern.wanted if pattern.is_plain]
         for head in candidates(self.makers, pattern, known, self.names):
-            atoms, own = head.atoms, head.action.types
-            if not head.goes_with(pattern.datatype):
+            atoms = head.atoms
+            if not head.has_type(pattern.datatype):
                 continue
-            key = atoms, own
-            if key not in seen:
-                seen[key] = pushed(atoms, pattern, own, self.names)
-            types = seen[key]
-            if types is not None:
-                if pattern.is_plain and len(atoms) == 1:
-                    have = atoms[0].args
-                    yield Offer(head, types, tuple([have[at] for at in wanted]))
-                elif not head.is_ground or solutions(atoms, pattern, self.names):
-                    yield Offer(head, types, None)
+            types = pushed(atoms, pattern, head.action.types, self.names)
+            if types is None:
+                continue
+            if pattern.is_plain and len(atoms) == 1:
+                yield Offer(head, types, tuple([atoms[0][at] for at in wanted]))
+            elif not head.is_ground or solutions(atoms, pattern, self.names):
+                yield Offer(head, types, None)
 
-    def crowd(self, pattern: Pattern) -> Optional[int]:
-        """Return the least cost of very many makers that may supply a pattern."""
-        if pattern in self._crowds:
-            return self._crowds[pattern]
+    def count_makers(self, pattern: Pattern) -> Tuple[int, int]:
+        """Return how many makers may supply a pattern, and a bound that none of them is below."""
         atom = pattern.atoms[0]
-        functors = self.names.below(frozenset((atom.functor,)))
-        found = [self.makers.get((functor, len(atom.args))) for functor in functors]
-        buckets = [each for each in found if each is not None]
-        is_crowd = pattern.wanted and sum([len(each.entries) for each in buckets]) > MANY
-        least = min([each.by_cost()[0].cost for each in buckets]) if is_crowd else None
-        if pattern.is_kept:
-            self._crowds[pattern] = least
-        return least
+        keys = [(each, len(atom)) for each in self.names.below(frozenset((str(atom[0]),)))]
+        buckets = [self.makers[key] for key in keys if key in self.makers]
+        count = sum([len(each.heads) for each in buckets])
+        return count, min([each.heads[0].cost for each in buckets], default=0)
 
     def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
         """Return the cheapest fact that supplies a pattern."""
@@ -319,25 +294,25 @@ class OperatorIndex:
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
     """Sort heads into buckets."""
-    found: Dict[Tuple[str, int], List[Tuple[Head, Atom]]] = {}
+    found: Dict[Tuple[str, int], Dict[Head, None]] = {}
     for head in heads:
         for atom in head.atoms:
-            found.setdefault((atom.functor, len(atom.args)), []).append((head, atom))
-    return {key: Bucket(entries) for key, entries in found.items()}
+            found.setdefault((str(atom[0]), len(atom)), {})[head] = None
+    return {key: Bucket(*key, some) for key, some in found.items()}
 
 
-def _edited(old: Buckets, gone: List[Operator], come: List[Operator]) -> Buckets:
+def _edited(old: Buckets, gone: set[Operator], come: List[Operator]) -> Buckets:
     """Return buckets without the heads of some actions, and with those of other actions."""
-    left = set(gone)
     new = dict(old)
     more = bucketed([head for action in come for head in action.heads])
     for key in {*bucketed([head for action in gone for head in action.heads]), *more}:
-        kept = old[key].entries if key in old else []
-        if left:
-            kept = [each for each in kept if each[0].action not in left]
-        entries = kept + more[key].entries if key in more else kept
-        if entries:
-            new[key] = Bucket(entries)
+        heads = old[key].heads if key in old else []
+        if gone:
+            heads = [head for head in heads if head.action not in gone]
+        if key in more:
+            heads = heads + more[key].heads
+        if heads:
+            new[key] = Bucket(*key, heads)
         else:
             del new[key]
     return new
@@ -348,38 +323,29 @@ def candidates(
 ) -> Iterator[Head]:
     """Return the out-ports that may supply a pattern, the cheapest first; some may not.
 
-    Args:
-        buckets: where they are.
-        pattern: the demand.
-        known: of its wanted variables.
-        names: how names are related.
-        is_local: whether their names are not entered.
+    Names of live streams, which are local to a request, are not entered.
     """
-    best: List[List[Head]] = []
-    fewest = -1
+    best: Optional[List[List[Head]]] = None
+    fewest = 0
     for atom in pattern.atoms:
+        functor = str(atom[0])
         if is_local:
-            functors: Sequence[str] = [
-                each for each, _ in buckets if names.subsumes(atom.functor, each)
-            ]
+            functors: Sequence[str] = [e for e, _ in buckets if names.subsumes(functor, e)]
         else:
-            functors = names.below(frozenset((atom.functor,)))
-        lists = []
-        limits: Optional[Known] = None
-        for functor in functors:
-            bucket = buckets.get((functor, len(atom.args)))
-            if bucket is not None:
-                if limits is None:
-                    limits = known_args(pattern, known, atom, names)
-                    if is_local:
-                        limits = tuple([e if isinstance(e, str) else None for e in limits])
-                lists.append(bucket.find(limits, names))
-        count = sum(map(len, lists))
-        if fewest < 0 or count < fewest:
-            best, fewest = lists, count
+            functors = names.below(frozenset((functor,)))
+        found = [buckets[each, len(atom)] for each in functors if (each, len(atom)) in buckets]
+        limits: Known = ()
+        if found:
+            limits = limits_of(pattern, known, atom, names)
+            if is_local:
+                limits = tuple([each if isinstance(each, str) else None for each in limits])
+        heads = [bucket.find(limits, names) for bucket in found]
+        count = sum(map(len, heads))
+        if best is None or count < fewest:
+            best, fewest = heads, count
         if not fewest:
             break
-    if len(best) < 2:
+    if not best or len(best) == 1:
         return iter(best[0] if best else ())
     return iter(dict.fromkeys(heapq.merge(*best, key=_by_order)))
 
@@ -388,12 +354,11 @@ def matching(
     heads: Iterable[Head], pattern: Pattern, known: Known, names: Names
 ) -> Iterator[Tuple[Head, Theta]]:
     """Yield the out-ports without variables that supply a pattern, with its wanted variables."""
-    match = None
     for head in heads:
-        if head.goes_with(pattern.datatype):
-            match = match or matcher(pattern, known, names)
-            for theta in match(head.atoms):
-                yield head, theta
+        if head.has_type(pattern.datatype):
+            for theta in solutions(head.atoms, pattern, names):
+                if names.agrees(theta, known):
+                    yield head, theta
 
 
 class Reader:
@@ -402,61 +367,52 @@ class Reader:
     def __init__(self, names: Names) -> None:
         self._names = names
         self._patterns: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
-        self._by_text: Dict[Any, Pattern] = {}
 
     def read(self, transformations: Iterable[Transformation]) -> List[Operator]:
-        """Read transformations."""
-        found = [self._read(each) for each in transformations]
-        self._by_text = {}  # patterns that no operator has are forgotten
-        return found
+        return [self._read(each) for each in transformations]
 
     def _read(self, transformation: Transformation) -> Operator:
-        tagged = [port for port in transformation.ports if port.tags]
-        ports = [each for each in tagged if each.direction == IN and read_tags(each.tags)]
+        ports = _in_ports(transformation)
+        outs = [port for port in transformation.ports if port.direction == OUT and port.tags]
         variables: Tuple[str, ...] = ()
         types: Tuple[Types, ...] = ()
         shares: Tuple[Tuple[int, ...], ...] = ((),) * len(ports)
         has_bindings = "?" in "".join([text for port in ports for text in port.tags])
         if has_bindings:
-            out = [t for port in tagged if port.direction == OUT for t in read_tags(port.tags)]
-            written = [each.text for each in transformation.parameters]
             variables, of_names, shares = _variables(
                 tuple([tuple([term[1:] for term in read_tags(port.tags)]) for port in ports]),
-                tuple([term[1:] for term in out]),
-                tuple([each for text in written for each in variables_of(text)]),
+                tuple([term[1:] for port in outs for term in read_tags(port.tags)]),
+                tuple([e for each in transformation.parameters for e in variables_of(each.text)]),
             )
             canonical = self._names.canonical
             types = tuple([frozenset(map(canonical, each)) for each in of_names])
-        inputs = [self._pattern(port.tags, port.datatype, variables, types) for port in ports]
+        inputs = tuple(
+            [
+                self._pattern(port, [variables[at] for at in share], [types[at] for at in share])
+                for port, share in zip(ports, shares)
+            ]
+        )
         action = Operator(
             transformation.label,
             transformation.cost,
-            [],
-            tuple(ports),
-            tuple(inputs),
-            tuple(dict.fromkeys(inputs)) if len(inputs) > 1 else tuple(inputs),
+            transformation,
+            tuple([port.name for port in ports]),
+            inputs,
             variables,
             types,
             shares,
+            (),
             has_bindings,
             None,
         )
-        action.heads.extend([self._head(action, port) for port in tagged if port.direction == OUT])
+        action.heads = tuple([self._head(action, port) for port in outs])
         return action
 
-    def _pattern(
-        self,
-        tags: Tuple[str, ...],
-        datatype: str,
-        variables: Tuple[str, ...],
-        types: Tuple[Types, ...],
-    ) -> Pattern:
-        key = tags, datatype, variables, types
-        found = self._by_text.get(key)
-        if found is None:
-            found = pattern_of(read_tags(tags), datatype, self._names, variables, types)
-            found = self._by_text[key] = self._patterns.setdefault(found.key, found)
-            found.is_kept = True
+    def _pattern(self, port: Port, wanted: Sequence[str], types: Sequence[Types]) -> Pattern:
+        terms = read_tags(port.tags)
+        found = pattern_of(terms, port.datatype, self._names, wanted, types)
+        found = self._patterns.setdefault(found.key, found)
+        found.is_kept = True
         return found
 
     def _head(self, action: Operator, port: Port) -> Head:
@@ -465,20 +421,19 @@ class Reader:
         if "?" in "".join(port.tags):
             terms = tuple([term for term in terms if {*term.variables} <= {*action.variables}])
         atoms = atoms_of(terms, action.variables, self._names)
-        if not self._names.is_plain:
-            for atom in atoms:
-                for name in (atom.functor, *atom.args):
-                    if isinstance(name, str):
-                        self._names.enter(name)
+        for name in [arg for atom in atoms for arg in atom if isinstance(arg, str)]:
+            self._names.enter(name)
+        latency = microseconds(port.latency)
         return Head(
-            action.cost,
-            New(action.label, port.name),
             action,
+            action.cost,
+            port.name,
             port.tags,
             atoms,
             port.datatype,
             port.rate,
-            microseconds(port.latency) if port.latency else 0,
+            latency,
+            None,
         )
 
 

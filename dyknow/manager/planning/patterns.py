@@ -10,12 +10,10 @@ acts as a type: it subsumes the supplied name in its place.
 from __future__ import annotations
 
 from typing import (
-    Callable,
     Dict,
     FrozenSet,
     Iterable,
     List,
-    NamedTuple,
     Optional,
     Sequence,
     Tuple,
@@ -26,24 +24,18 @@ from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, t
 
 Argument = Union[str, int]
 """A canonical name, or the number of a variable."""
+Atom = Tuple[Argument, ...]
+"""A functor and its arguments. The garbage collector need not visit plain tuples of these."""
 Types = FrozenSet[str]
 Theta = Tuple[str, ...]
 """Canonical names that the wanted variables of a pattern, or those of an action, stand for."""
-Known = Tuple[Union[None, str, Types], ...]
-"""For each such variable: its name, types that its name has to have, or nothing."""
+Limit = Union[None, str, Types]
+"""A constraint on a variable: nothing, its name, or types that its name has to have.
+
+The empty text stands for a contradiction.
+"""
+Known = Tuple[Limit, ...]
 NO_TYPES: Types = frozenset()
-
-
-class Atom(NamedTuple):
-    """A functor and its arguments."""
-
-    functor: str
-    args: Tuple[Argument, ...]
-
-    def ground(self, theta: Theta) -> Atom:
-        """Put names in the places of the variables."""
-        args = [arg if isinstance(arg, str) else theta[arg] for arg in self.args]
-        return Atom(self.functor, tuple(args))
 
 
 class Pattern:
@@ -85,7 +77,7 @@ class Pattern:
         self.wanted = wanted
         self.slow = slow
         self.is_kept = False
-        variables = [arg for arg in atoms[0].args if isinstance(arg, int)]
+        variables = [arg for arg in atoms[0] if isinstance(arg, int)]
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
     @property
@@ -102,7 +94,6 @@ class Names:
     """
 
     def __init__(self, ontology: Subsumption) -> None:
-        """Start without a name."""
         self.ontology = ontology
         self.is_plain = ontology is NO_ONTOLOGY
         self._canonical: Dict[str, str] = {}
@@ -135,7 +126,6 @@ class Names:
         return found
 
     def subsumes(self, upper: str, name: str) -> bool:
-        """Whether one canonical name subsumes another."""
         return upper == name or (not self.is_plain and upper in self.above(name))
 
     def fits(self, name: str, types: Types) -> bool:
@@ -175,19 +165,14 @@ class Names:
         fewest = min([self._below.get(each, []) for each in types], key=len)
         return fewest if len(types) == 1 else [each for each in fewest if self.fits(each, types)]
 
-    def known(self, types: Types) -> Union[None, str, Types]:
-        """Return the constraint of types on a variable: without an ontology a type is the name.
-
-        The empty text stands for a contradiction.
-        """
+    def limit(self, types: Types) -> Limit:
+        """Return the constraint of types: without an ontology a type is the name."""
         if self.is_plain and types:
             return next(iter(types)) if len(types) == 1 else ""
         return types or None
 
-    def both(
-        self, one: Union[None, str, Types], other: Union[None, str, Types]
-    ) -> Union[None, str, Types]:
-        """Combine two constraints of a variable; the empty text stands for a contradiction."""
+    def both(self, one: Limit, other: Limit) -> Limit:
+        """Combine two constraints of a variable."""
         if one is None or one == other:
             return other
         if other is None:
@@ -199,7 +184,7 @@ class Names:
         return "" if self.is_plain else self.narrowed(one | other)
 
     def agrees(self, theta: Iterable[str], known: Known) -> bool:
-        """Whether names fit the constraints on them."""
+        """Whether names meet the constraints on them."""
         for name, each in zip(theta, known):
             if isinstance(each, str):
                 if each != name:
@@ -212,11 +197,16 @@ class Names:
 def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> Tuple[Atom, ...]:
     """Number the variables of terms by their places in a list."""
     canonical = names.canonical
-    found = []
+    found: List[Atom] = []
     for term in terms:
         args = [variables.index(arg) if arg[:1] == "?" else canonical(arg) for arg in term.args]
-        found.append(Atom(canonical(term.functor), tuple(args)))
+        found.append((canonical(term.functor), *args))
     return tuple(found)
+
+
+def ground(atom: Atom, theta: Theta) -> Atom:
+    """Put names in the places of variables."""
+    return tuple([arg if isinstance(arg, str) else theta[arg] for arg in atom])
 
 
 def pattern_of(
@@ -226,15 +216,7 @@ def pattern_of(
     wanted: Sequence[str] = (),
     types: Sequence[Types] = (),
 ) -> Pattern:
-    """Return the pattern of a demand.
-
-    Args:
-        terms: its tags.
-        datatype: ROS type; empty for any.
-        names: how names are related.
-        wanted: variables whose names matter.
-        types: their types, besides those of the tags.
-    """
+    """Return the pattern of a demand, with more types of the variables that are wanted."""
     terms = sorted(terms)
     variables = list(dict.fromkeys([each for term in terms for each in term.variables]))
     known = {key: frozenset(map(names.canonical, of)) for key, of in types_of(terms).items()}
@@ -250,17 +232,16 @@ def pattern_of(
 
 def can_match(supplied: Atom, demanded: Atom, types: Sequence[Types], names: Names) -> bool:
     """Whether an atom can meet the demand, for some values of its variables."""
-    if len(supplied.args) != len(demanded.args):
+    if len(supplied) != len(demanded):
         return False
-    if not names.subsumes(demanded.functor, supplied.functor):
-        return False
-    for have, want in zip(supplied.args, demanded.args):
-        if isinstance(have, str):
-            if isinstance(want, str):
-                if not names.subsumes(want, have):
-                    return False
-            elif not names.fits(have, types[want]):
+    for have, want in zip(supplied, demanded):
+        if not isinstance(have, str):
+            continue
+        if isinstance(want, str):
+            if not names.subsumes(want, have):
                 return False
+        elif not names.fits(have, types[want]):
+            return False
     return True
 
 
@@ -281,74 +262,31 @@ def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[
                 bound = dict(way)
                 if all(
                     isinstance(want, str) or bound.setdefault(want, str(have)) == have
-                    for have, want in zip(atom.args, demanded.args)
+                    for have, want in zip(atom, demanded)
                 ):
                     more.append(bound)
         ways = more
     return sorted({tuple([way[each] for each in pattern.wanted]) for way in ways})
 
 
-def known_args(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
-    """Return the known arguments of an atom of a pattern."""
+def limits_of(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
+    """Return the constraints on the arguments of an atom of a pattern."""
     if names.is_plain and not pattern.types:
-        return atom.args  # type: ignore[return-value]
+        return atom[1:]  # type: ignore[return-value]
     by_variable = dict(zip(pattern.wanted, known))
-    found: List[Union[None, str, Types]] = []
-    for arg in atom.args:
+    found: List[Limit] = []
+    for arg in atom[1:]:
         if isinstance(arg, str):
-            found.append(arg if names.is_plain else frozenset((arg,)))
+            found.append(names.limit(frozenset((arg,))))
         else:
-            found.append(names.both(names.known(pattern.types[arg]), by_variable.get(arg)))
+            found.append(names.both(names.limit(pattern.types[arg]), by_variable.get(arg)))
     return tuple(found)
-
-
-def matcher(
-    pattern: Pattern, known: Known, names: Names
-) -> Callable[[Sequence[Atom]], Sequence[Theta]]:
-    """Return a function that matches ground atoms with a pattern, fast for many of them.
-
-    The atoms are such that each of the pattern has one among them of the same number of
-    arguments, whose functor it subsumes.
-    """
-
-    def match(supplied: Sequence[Atom]) -> Sequence[Theta]:
-        found = solutions(supplied, pattern, names)
-        return [theta for theta in found if names.agrees(theta, known)]
-
-    if not pattern.is_plain:
-        return match
-    args = pattern.atoms[0].args
-    limits = list(enumerate(known_args(pattern, known, pattern.atoms[0], names)))
-    exact = [(at, each) for at, each in limits if isinstance(each, str)]
-    typed = [(at, each) for at, each in limits if isinstance(each, frozenset)]
-    places = [args.index(each) for each in pattern.wanted]
-    fits = names.fits
-
-    def match_one(supplied: Sequence[Atom]) -> Sequence[Theta]:
-        if len(supplied) > 1:
-            return match(supplied)
-        have: Tuple[str, ...] = supplied[0].args  # type: ignore[assignment]
-        for at, name in exact:
-            if have[at] != name:
-                return ()
-        for at, types in typed:
-            if not fits(have[at], types):
-                return ()
-        return (tuple([have[at] for at in places]),)
-
-    return match_one
 
 
 def pushed(
     supplied: Sequence[Atom], pattern: Pattern, own: Sequence[Types], names: Names
 ) -> Optional[Tuple[Types, ...]]:
-    """Unify the atoms of an out-port, which may have variables, with a pattern.
-
-    Args:
-        supplied: the atoms.
-        pattern: the demand.
-        own: the types of the variables of the out-port's action.
-        names: how names are related.
+    """Unify the atoms of an out-port, which may have variables of some types, with a pattern.
 
     Returns:
         For each variable of the action, the pattern's further types for it; None if the
@@ -362,7 +300,7 @@ def pushed(
             return None
         if len(fitting) > 1:
             continue
-        for have, want in zip(fitting[0].args, demanded.args):
+        for have, want in zip(fitting[0], demanded):
             if isinstance(have, int):
                 more[have] |= frozenset((want,)) if isinstance(want, str) else pattern.types[want]
     return tuple(

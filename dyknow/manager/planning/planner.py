@@ -27,11 +27,11 @@ from typing import (
 )
 
 from dyknow.manager.planning import problem
-from dyknow.manager.planning.and_or_graph import Draft, drafted
+from dyknow.manager.planning.and_or_graph import Draft, drafted, is_sound
 from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.improvement import STEPS, Budget, Improved, improve, soonest
+from dyknow.manager.planning.improvement import STEPS, Budget, Improved, allowed, improve
 from dyknow.manager.planning.library import Operator, OperatorIndex, Reader
-from dyknow.manager.planning.patterns import Names, Pattern, Theta
+from dyknow.manager.planning.patterns import Names, Pattern
 from dyknow.manager.planning.problem import (
     AVOIDED,
     NO_FREE,
@@ -42,6 +42,7 @@ from dyknow.manager.planning.problem import (
     Charge,
     Demand,
     Live,
+    New,
     NoPlan,
     Plan,
     PlanStep,
@@ -137,10 +138,11 @@ class Planner:
             if not search.goal.answers:
                 return no_plan(request, search)
             draft = drafted(request, search.chosen)
-        if request.limit is not None and not demand.is_soon(_latency(request, draft)):
-            draft, is_in_time = soonest(request, bounds, draft)
-            if not is_in_time:
-                return NoPlan(demand, (), False, _latency(request, draft))
+        if not is_sound(request, draft) or _is_late(request, draft):
+            draft, is_allowed = allowed(request, bounds, draft)
+            if not is_allowed:
+                latency = _latency(request, draft) if demand.max_age else 0.0
+                return NoPlan(demand, (), not demand.max_age, latency)
         return _written(request, improve(request, bounds, draft, Budget(budget, self._clock)))
 
     def charges(
@@ -179,18 +181,13 @@ class Planner:
 
 def _choices(request: Request, actions: Dict[Pattern, Operator]) -> Dict[Need, Instance]:
     """Return the suppliers of the nodes where no name is bound."""
-    found: Dict[Need, Instance] = {}
+    needs = {pattern: Need(pattern, ()) for pattern in actions}
     made: Dict[Operator, Instance] = {}
-    waiting = [request.goal]
-    for pattern in waiting:  # grows meanwhile
-        action = actions[pattern]
-        instance = made.get(action)
-        if instance is None:
-            needs = tuple([Need(each, ()) for each in action.inputs])
-            instance = made[action] = Instance(action, (), request.floor(action), needs)
-            waiting += action.needs
-        found[Need(pattern, ())] = instance
-    return found
+    for action in actions.values():
+        if action not in made:
+            inputs = tuple([needs[each] for each in action.inputs])
+            made[action] = Instance(action, (), request.floor(action), inputs)
+    return {need: made[actions[pattern]] for pattern, need in needs.items()}
 
 
 def _charges(
@@ -218,12 +215,12 @@ def _charges(
     suppliers: List[Set[str]] = []
     for pattern in bounds.users:
         facts = [head for head, _ in request.facts(pattern)]
-        actions = {*request.makers(pattern), *[head.action for head in facts]} - request.live
+        makers = [action for action, _ in request.offers(pattern)]
+        actions = {*makers, *[head.action for head in facts]} - request.live
         for action in actions:
             for head in action.heads:
                 tags.setdefault(action.label, set()).update(read_tags(head.texts))
-        labels = {action.label for action in actions}
-        suppliers.append(labels.union([head.source.label for head in facts]))
+        suppliers.append({*[e.label for e in actions], *[head.label for head in facts]})
 
     def meant(wanted: Iterable[str]) -> FrozenSet[str]:
         concepts = frozenset(map(names.canonical, wanted))
@@ -253,36 +250,33 @@ class _Writer:
     def __init__(self, request: Request, draft: Draft) -> None:
         self._request = request
         self._chosen = draft.chosen
-        self._bindings: Dict[Tuple[Operator, Theta], Bindings] = {}
+        self._bindings: Dict[Instance, Bindings] = {}
         #: When nodelets have their inputs, in microseconds.
-        self._begun: Dict[Tuple[Operator, Theta], int] = {}
+        self._begun: Dict[Instance, int] = {}
 
     def source(self, node: Need) -> Tuple[Source, Tuple[str, ...], int]:
         """Return the supplier of a node, its tags, and its latency in microseconds."""
         chosen = self._chosen[node]
-        key = chosen.action.slow or chosen.action, chosen.theta
         head = self._request.source(chosen.action, chosen.theta, node)
-        source = head.source
-        bindings = self._bindings.get(key)
-        if bindings and not isinstance(source, Live):
-            source = source._replace(bindings=bindings)
-        return source, head.texts, self._begun.get(key, 0) + head.latency
+        bindings = self._bindings.get(chosen, ())
+        source = head.live or New(head.action.label, head.port, bindings)
+        return source, head.texts, self._begun.get(chosen, 0) + head.latency
 
     def step(self, instance: Instance, part: problem.Action) -> PlanStep:
         """Return the step of an instance."""
         action = instance.action
-        key = action.slow or action, instance.theta
         sources = [self.source(node) for node in instance.needs]
-        self._begun[key] = max([latency for _, _, latency in sources], default=0)
-        inputs = tuple([(port.name, each[0]) for port, each in zip(action.ports, sources)])
+        self._begun[instance] = max([latency for _, _, latency in sources], default=0)
+        inputs = tuple([(port, source) for port, (source, _, _) in zip(action.ports, sources)])
         if not action.has_bindings:
             return PlanStep(part, inputs)
         joined = dict(zip(action.variables, instance.theta))
         bindings: Dict[str, str] = {}
-        for port, (source, texts, _) in zip(action.ports, sources):
-            bindings = {**self.way(source, texts, read_tags(port.tags), joined), **bindings}
-        self._bindings[key] = tuple(sorted(bindings.items()))
-        return PlanStep(part, inputs, self._bindings[key])
+        for port, (source, texts, _) in enumerate(sources):
+            way = self.way(source, texts, read_tags(action.tags(port)), joined)
+            bindings = {**way, **bindings}
+        self._bindings[instance] = tuple(sorted(bindings.items()))
+        return PlanStep(part, inputs, self._bindings[instance])
 
     def way(
         self,
@@ -310,7 +304,7 @@ def _written(request: Request, improved: Improved) -> Plan:
     charges: List[Charge] = []
     freed: Set[Operator] = set()
     for instance in improved.draft.order:
-        action = instance.action.slow or instance.action
+        action = instance.action.base
         if action in request.live:
             if action.cost:
                 charges.append(Charge(action.label, action.cost))
@@ -342,3 +336,7 @@ def _written(request: Request, improved: Improved) -> Plan:
 
 def _latency(request: Request, draft: Draft) -> float:
     return _written(request, Improved(draft, 0)).latency
+
+
+def _is_late(request: Request, draft: Draft) -> bool:
+    return request.limit is not None and not request.demand.is_soon(_latency(request, draft))

@@ -26,13 +26,10 @@ from dyknow.manager.specifications.tags import (
 
 
 class Demand(NamedTuple):
-    """The demand of an in-port, or a client, on one stream.
+    """The demand of an in-port, or a client, on one stream, which has to have all the tags.
 
-    Attributes:
-        tags: all of them.
-        datatype: ROS type; empty for any.
-        min_rate: Hz; streams that state a lower rate do not meet the demand. 0 for any.
-        max_age: seconds; plans whose stated latency is higher do not meet it. 0 for any.
+    The type is empty for any, the rate (Hz) and the age (s) are 0 for any. Streams that state a
+    lower rate, and plans whose stated latency is higher, do not meet it.
     """
 
     tags: FrozenSet[Term]
@@ -41,7 +38,6 @@ class Demand(NamedTuple):
     max_age: float = 0.0
 
     def __str__(self) -> str:
-        """Write the demand for people."""
         rate = f"at least {self.min_rate:g} Hz" if self.min_rate else ""
         age = f"at most {self.max_age:g} s old" if self.max_age else ""
         return write_demand(map(str, self.tags), self.datatype, rate, age)
@@ -59,11 +55,9 @@ class Live(NamedTuple):
     """A stream that exists: it costs nothing.
 
     Attributes:
-        topic: global name.
         port: out-port that publishes it, empty for topics of ordinary nodes.
         nodelet: its publisher, empty for topics of ordinary nodes.
         label: the transformation behind it.
-        datatype: ROS type.
         rate: Hz that its out-port states, or its feeders state; 0 if they state none.
         latency: seconds that its nodelet and all that feeds it state.
     """
@@ -82,13 +76,7 @@ TaggedStream = Tuple[Live, Tuple[Term, ...]]
 
 
 class New(NamedTuple):
-    """An out-port of a nodelet that is to be made of a transformation.
-
-    Attributes:
-        label: the transformation.
-        port: its out-port.
-        bindings: of all variables of the transformation, which distinguish its nodelets.
-    """
+    """An out-port of a nodelet to make; bindings of all variables distinguish its nodelets."""
 
     label: str
     port: str
@@ -101,10 +89,8 @@ Source = Union[Live, New]
 class Action(NamedTuple):
     """A transformation as the planner sees it.
 
-    Attributes:
-        label: its name.
-        cost: of a nodelet of it; 0 if there is one that can be connected elsewhere.
-        charge: its charge besides the cost, since the client would rather have other parts.
+    The cost is 0 if a nodelet can be connected elsewhere; a charge is added to it if the client
+    would rather have other parts.
     """
 
     label: str
@@ -120,13 +106,7 @@ class Charge(NamedTuple):
 
 
 class PlanStep(NamedTuple):
-    """A nodelet to be made of a transformation, and where its inputs come from.
-
-    Attributes:
-        action: the new nodelet.
-        inputs: in-ports, each with its supplier.
-        bindings: of all variables of the transformation.
-    """
+    """A nodelet to make: its in-ports with their suppliers, and bindings of all variables."""
 
     action: Action
     inputs: Tuple[Tuple[str, Source], ...]
@@ -137,7 +117,6 @@ class Plan(NamedTuple):
     """How to get a stream.
 
     Attributes:
-        demand: the requested demand.
         goal: where it comes from.
         steps: the nodelets to make, suppliers before consumers.
         cost: sum over the steps and the charges.
@@ -161,7 +140,6 @@ class Plan(NamedTuple):
 
     @property
     def total(self) -> int:
-        """The costs of the steps, and all charges."""
         steps = sum([step.action.cost + step.action.charge for step in self.steps])
         return steps + sum([charge for _, charge in self.charges])
 
@@ -174,18 +152,12 @@ class Plan(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """A demand that something would supply, but for a cause.
-
-    Attributes:
-        demand: the unsupplied demand.
-        causes: the obstacles, as sentences.
-    """
+    """A demand that something would supply, but for causes, which are sentences."""
 
     demand: Demand
     causes: Tuple[str, ...]
 
     def __str__(self) -> str:
-        """Name the demand and its causes."""
         return f"{self.demand} cannot be used: {', and '.join(self.causes)}"
 
 
@@ -193,7 +165,6 @@ class NoPlan(NamedTuple):
     """Why there is none.
 
     Attributes:
-        demand: the requested demand.
         missing: demands that nothing supplies, sorted by their text.
         circular: whether nothing is missing, but everything that supplies it needs it first.
         latency: of the soonest plan, in s, if all are too late; else 0.
@@ -220,7 +191,6 @@ class NoPlan(NamedTuple):
         return "everything that supplies it needs it first"
 
     def __str__(self) -> str:
-        """Name the missing demands."""
         if self.missing:
             text = write_missing(str(self.demand), map(str, self.missing))
             return "; ".join([text, *map(str, self.obstacles)])
@@ -264,14 +234,9 @@ def ways_to_meet(
     ontology: Subsumption = NO_ONTOLOGY,
     bindings: Mapping[str, str] = NO_BINDINGS,
 ) -> Iterator[Dict[str, str]]:
-    """Yield the bindings of each way in which a stream meets a demand.
+    """Yield the bindings of each way in which a stream meets a demand, given some of them.
 
-    Args:
-        tags: of the stream; those with variables supply nothing.
-        datatype: of the stream.
-        demand: the requested demand.
-        ontology: subsumption of names.
-        bindings: values of bound variables.
+    Tags of the stream that have variables supply nothing.
     """
     if types_fit(datatype, demand.datatype):
         yield from unify_all(tags, sorted(demand.tags), ontology, bindings)

@@ -15,7 +15,7 @@ from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
 from dyknow.manager.planning.library import Head, Operator
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
-from dyknow.manager.planning.problem import Demand, Live, NoPlan, Obstacle
+from dyknow.manager.planning.problem import Demand, NoPlan, Obstacle
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import Term, read_tags, types_of
@@ -93,13 +93,13 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
             variable: _joined(each, types, request.names)
             for variable, each, types in zip(action.variables, bounds, action.types)
         }
-        shown, rest = _shown(read_tags(action.ports[port].tags), known_of, request.names)
+        shown, rest = _shown(read_tags(action.tags(port)), known_of, request.names)
         pattern = action.inputs[port]
         rate = 0.0 if pattern.slow is None else request.demand.min_rate
         return _Open(
             pattern,
             known,
-            Demand(frozenset(shown), action.ports[port].datatype, rate),
+            Demand(frozenset(shown), pattern.datatype, rate),
             tuple(rest),
         )
 
@@ -200,14 +200,14 @@ def _alike(request: Request, demand: _Open) -> List[_Alike]:
         lacking = min([each for each in ways if each is not None], key=len, default=None)
         if lacking is None:
             continue
-        label = head.source.label
+        label = head.label
         is_excluded = label in request.exclude
-        is_new = not isinstance(head.source, Live)
+        is_new = head.live is None
         checks = {
             _TYPE: bool(lacking),
             _EXCLUDED: is_excluded,
             _PAUSED: not is_excluded and is_new and label in request.paused,
-            _DATATYPE: not head.goes_with(pattern.datatype),
+            _DATATYPE: not head.has_type(pattern.datatype),
             _RATE: pattern.slow is not None and 0 < head.rate < request.demand.min_rate,
         }
         found.append(_Alike(head, lacking, {cause for cause, fails in checks.items() if fails}))
@@ -223,14 +223,12 @@ def _lacking(
         The names that lack some of these types; None if other names are demanded.
     """
     for supplied, demanded in pairs:
-        if len(supplied.args) != len(demanded.args):
-            return None
-        if not names.subsumes(demanded.functor, supplied.functor):
+        if len(supplied) != len(demanded):
             return None
     known = dict(zip(demand.pattern.wanted, demand.known))
     bound = {each: name for each, name in known.items() if isinstance(name, str)}
     own: Dict[int, str] = {}  # of the action
-    arguments = [args for one, other in pairs for args in zip(one.args, other.args)]
+    arguments = [args for one, other in pairs for args in zip(one, other)]
     for have, want in arguments * 2:  # at first not all that are the same are known
         name = own.get(have) if isinstance(have, int) else have
         if isinstance(want, str):
@@ -265,7 +263,7 @@ def _lacking(
 
 def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alike]) -> str:
     names, heads = request.names, [each.head for each in alike]
-    labels = sorted({head.source.label for head in heads})
+    labels = sorted({head.label for head in heads})
     if cause == _EXCLUDED:
         return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
     if cause == _PAUSED:

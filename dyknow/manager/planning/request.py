@@ -5,7 +5,7 @@
 
 Live streams are facts without a cost. A demand that has to be *fast* is a pattern of its own. An
 out-port that states no rate is as fast as all that feeds it: it belongs to a second, fast action
-whose in-ports demand fast streams.
+whose in-ports demand fast streams. Both are one nodelet, so a plan has one of them at most.
 """
 
 from __future__ import annotations
@@ -25,12 +25,10 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
-    Set,
     Tuple,
 )
 
 from dyknow.manager.planning.library import (
-    Buckets,
     Head,
     Offer,
     Operator,
@@ -46,12 +44,15 @@ from dyknow.manager.planning.patterns import (
     Pattern,
     Theta,
     atoms_of,
+    ground,
     pattern_of,
     solutions,
 )
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, Live, TaggedStream
-from dyknow.manager.specifications.tags import Bindings, Term
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, TaggedStream
+from dyknow.manager.specifications.tags import Bindings
 
+#: Makers that are looked up by the names that a search knows, not all at once.
+MANY = 300
 #: Out-ports that are looked at to explain why one demand is not met.
 _MOST_ALIKE = 5_000
 
@@ -91,18 +92,9 @@ class Request:
         feeders: Mapping[str, FrozenSet[str]] = NO_FEEDERS,
         wanted: Sequence[str] = (),
     ) -> None:
-        """Set it up.
+        """Set it up; the arguments are those of `Planner.plan`.
 
-        Args:
-            library: the actions.
-            demand: the requested demand.
-            streams: live streams.
-            exclude: labels that must not be used, live or new.
-            paused: labels of which no new nodelet is made.
-            free: nodelets that cost nothing: label and bindings that they keep.
-            charges: charges besides the costs, by label.
-            feeders: labels of a nodelet's feeders, by its name.
-            wanted: variables of the demand of which every name matters.
+        Every name counts that the wanted variables of the demand can stand for.
         """
         self.library = library
         self.names = names = library.names
@@ -123,44 +115,57 @@ class Request:
         }
         self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
         #: Least costs of actions where these differ from the stated ones.
-        self._floors: Dict[Operator, int] = {}
-        heads: List[Head] = []
-        for action in (*self.kept, *self.charges):
-            floor = 0 if action in self.kept else action.cost
-            self._floors[action] = floor + self.charges.get(action, 0)
-        for action, floor in self._floors.items():
-            if not action.inputs:
-                heads += [replace(head, cost=floor) for head in action.heads]
-        self.live: Set[Operator] = set()
+        self._floors = {
+            action: (0 if action in self.kept else action.cost) + self.charges.get(action, 0)
+            for action in (*self.kept, *self.charges)
+        }
         self._unusable = [each for each in streams if each[0].label in exclude]
         by_name: Dict[str, List[TaggedStream]] = {}
         for each in sorted(streams):
             if each[0].label not in exclude:
                 by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
+        self.live = set()
         for name, some in by_name.items():
             labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
-            action = _source(name, sum([charges.get(label, 0) for label in labels]))
-            action.heads.extend([self._live_head(action, *stream) for stream in some])
-            self.live.add(action)
-            heads += action.heads
-        self._local: Buckets = bucketed(heads)
+            self.live.add(self._source(name, sum([charges.get(e, 0) for e in labels]), some))
+        heads = [
+            replace(head, cost=floor)
+            for action, floor in self._floors.items()
+            if not action.inputs
+            for head in action.heads
+        ]
+        self._local = bucketed([*heads, *[head for each in self.live for head in each.heads]])
+
+    def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> Operator:
+        """Return the action of live streams, which needs nothing."""
+        action = Operator(name, cost, None, (), (), (), (), (), (), False, None)
+        found = []
+        for live, terms in streams:
+            tags = [term for term in terms if term.is_ground]
+            texts, atoms = tuple(map(str, tags)), atoms_of(tags, (), self.names)
+            latency = microseconds(live.latency)
+            head = Head(
+                action, cost, live.port, texts, atoms, live.datatype, live.rate, latency, live
+            )
+            found.append(head)
+        action.heads = tuple(found)
+        return action
 
     # Actions
 
     def floor(self, action: Operator) -> int:
         """Return the least cost of an action."""
-        return self._floors.get(action.slow or action, action.cost)
+        return self._floors.get(action.base, action.cost)
 
     def cost(self, action: Operator, theta: Theta) -> int:
         """Return the cost of an action under bindings, if it may use the nodelet that is free."""
-        base = action.slow or action
-        if self.is_free(base, theta):
-            return self._floors[base]
-        return action.cost + self.charges.get(base, 0)
+        if self.is_free(action, theta):
+            return self._floors[action.base]
+        return action.cost + self.charges.get(action.base, 0)
 
     def is_free(self, action: Operator, theta: Theta) -> bool:
         """Whether a nodelet that costs nothing could be this one."""
-        kept = self.kept.get(action)
+        kept = self.kept.get(action.base)
         if kept is None:
             return False
         bound = dict(zip(action.variables, theta))
@@ -170,31 +175,23 @@ class Request:
         """Return the out-port with which an instance supplies a node: of several the soonest."""
         if len(action.heads) == 1:
             return action.heads[0]
-        pattern = node.pattern
         found = []
         for head in action.heads:
-            if head.goes_with(pattern.datatype) and self._is_fast(pattern, action, head):
-                atoms = [atom.ground(theta) for atom in head.atoms]
-                if node.theta in solutions(atoms, pattern, self.names):
+            if head.has_type(node.pattern.datatype) and self._is_fast(node.pattern, action, head):
+                atoms = [ground(atom, theta) for atom in head.atoms]
+                if node.theta in solutions(atoms, node.pattern, self.names):
                     found.append(head)
         return min(found, key=lambda head: head.latency)
 
     # Demands
 
-    def makers(self, pattern: Pattern) -> Sequence[Operator]:
-        """Return the actions with in-ports that can supply a pattern, each once."""
-        if self.demand.min_rate:
-            return list(dict.fromkeys([action for action, _ in self.offers(pattern)]))
-        found = self.library.makers_of(pattern)
-        return [each for each in found if each not in self._barred] if self._barred else found
-
     def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Operator, Offer]]:
         """Yield how makers can supply a pattern; known names rule some of them out."""
-        slow, min_rate = pattern.slow or pattern, self.demand.min_rate
+        min_rate = self.demand.min_rate
         if any(known) and self.crowd(pattern) is not None:
-            found: Iterable[Offer] = self.library.look_up(slow, known)
+            found: Iterable[Offer] = self.library.look_up(pattern.slow or pattern, known)
         else:
-            found = self.library.offers(slow)
+            found = self.library.offers(pattern.slow or pattern)
         for offer in found:
             head = offer.head
             if head.action in self._barred:
@@ -206,8 +203,8 @@ class Request:
 
     def crowd(self, pattern: Pattern) -> Optional[int]:
         """Return what very many makers that may supply a pattern cost at least; None for few."""
-        found = self.library.crowd(pattern.slow or pattern)
-        return found if found is None else min([found, *self._floors.values()])
+        count, least = self.library.count_makers(pattern)
+        return min([least, *self._floors.values()]) if count > MANY else None
 
     def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Head, Theta]]:
         """Return the facts that supply a pattern, the cheapest first."""
@@ -232,9 +229,14 @@ class Request:
                 return found
         return next((head for head, _ in self.facts(pattern)), None)
 
-    def is_met(self, head: Head) -> bool:
-        """Whether a supplier is as good as any."""
-        return not head.cost and (self.limit is None or not head.latency)
+    def is_met(self, pattern: Pattern, head: Head) -> bool:
+        """Whether a fact that supplies a pattern is as good as any supplier."""
+        if self.limit is not None and head.latency:
+            return False
+        if not head.cost or pattern is not self.goal:
+            return not head.cost
+        _, least = self.library.count_makers(pattern)
+        return head.cost <= min([least, *self._floors.values()])
 
     def alike(self, pattern: Pattern) -> Iterator[Head]:
         """Yield out-ports that might supply a pattern with fewer constraints, excluded or not."""
@@ -247,9 +249,9 @@ class Request:
         )
         yield from itertools.islice(found, _MOST_ALIKE)
         for each in self._unusable:
-            yield self._live_head(_source(each[0].label, 0), *each)
+            yield from self._source(each[0].label, 0, [each]).heads
 
-    # Inside
+    # Rates
 
     def _faster(self, pattern: Pattern) -> Pattern:
         """Return the pattern of the same demand for a fast stream."""
@@ -263,9 +265,8 @@ class Request:
     def _faster_action(self, action: Operator) -> Operator:
         found = self._fast_actions.get(action)
         if found is None:
-            inputs, needs = (tuple(map(self._faster, e)) for e in (action.inputs, action.needs))
-            found = replace(action, inputs=inputs, needs=needs, slow=action)
-            self._fast_actions[action] = found
+            inputs = tuple(map(self._faster, action.inputs))
+            found = self._fast_actions[action] = replace(action, inputs=inputs, slow=action)
         return found
 
     def _is_fast(self, pattern: Pattern, action: Operator, head: Head) -> bool:
@@ -275,21 +276,3 @@ class Request:
         if head.rate:
             return head.rate >= self.demand.min_rate
         return action.slow is not None or not action.inputs
-
-    def _live_head(self, action: Operator, stream: Live, terms: Tuple[Term, ...]) -> Head:
-        ground = [term for term in terms if term.is_ground]
-        return Head(
-            action.cost,
-            stream,
-            action,
-            tuple(map(str, ground)),
-            atoms_of(ground, (), self.names),
-            stream.datatype,
-            stream.rate,
-            microseconds(stream.latency),
-        )
-
-
-def _source(name: str, cost: int) -> Operator:
-    """Return the action of live streams, which needs nothing."""
-    return Operator(name, cost, [], (), (), (), (), (), (), False, None)

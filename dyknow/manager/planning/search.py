@@ -18,12 +18,13 @@ the end of its cheapest tree.
 from __future__ import annotations
 
 import heapq
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.library import Head, Offer, Operator
-from dyknow.manager.planning.patterns import Known, Pattern, Theta, solutions
+from dyknow.manager.planning.patterns import Known, Limit, Pattern, Theta, ground, solutions
 from dyknow.manager.planning.request import Need, Request
 
 #: Steps of a budget that one entry of the search's queue takes.
@@ -32,28 +33,30 @@ _EFFORT = 200
 _REMEMBERED = 1_000
 
 
+@dataclass(eq=False)
 class Instance:
     """An action under bindings; a search has one of each.
 
     Attributes:
-        action: the bound action.
         theta: names of its variables.
-        cost: its cost.
         needs: the needs of its in-ports, in the order written.
     """
 
     __slots__ = ("action", "cost", "needs", "theta")
-
-    def __init__(self, action: Operator, theta: Theta, cost: int, needs: Tuple[Need, ...]) -> None:
-        self.action = action
-        self.theta = theta
-        self.cost = cost
-        self.needs = needs
+    action: Operator
+    theta: Theta
+    cost: int
+    needs: Tuple[Need, ...]
 
     @property
     def key(self) -> Tuple[Operator, Theta]:
         """Equal for equal instances of several searches."""
         return self.action, self.theta
+
+    @property
+    def nodelet(self) -> Tuple[Operator, Theta]:
+        """Equal for instances that are one nodelet."""
+        return self.action.base, self.theta
 
 
 class Subgoal:
@@ -65,7 +68,6 @@ class Subgoal:
         is_done: whether nothing more is to be found for it.
         answers: the nodes that were supplied, with their values.
         waiting: the joins that go on with each of them.
-        facts: its suppliers without needs.
         uses: the actions that may supply it, the cheapest last: least cost of a plan, label,
             place, action, and how.
     """
@@ -86,9 +88,6 @@ class _Use(NamedTuple):
     """An action that is to supply a subgoal.
 
     Attributes:
-        subgoal: the subgoal to supply.
-        action: which one.
-        offer: how.
         order: the in-ports in the order of the search.
         rest: for each place of that order, what the in-ports from there on cost at least.
     """
@@ -144,7 +143,6 @@ class Search:
         request: Request,
         bounds: Bounds,
         least: Dict[Pattern, int],
-        use_sum: bool = True,
         below: Optional[int] = None,
     ) -> None:
         """Begin with the goal.
@@ -153,13 +151,13 @@ class Search:
             request: the problem.
             bounds: the reach of the goal.
             least: least costs of the reached patterns; others cannot be supplied.
-            use_sum: use the sum over the inputs; else the maximum, which no plan is below.
-            below: collect all that a plan which costs less can have.
+            below: collect all that a plan which costs less can have. Costs are then the maximum
+                over the inputs, not the sum, and no plan costs less than that.
         """
         self._request = request
         self._names = request.names
         self._least = least
-        self._combine: Callable[[List[int]], int] = sum if use_sum else max
+        self._combine: Callable[[List[int]], int] = sum if below is None else max
         self._users = bounds.users
         self._below = below
         #: Least cost of a plan besides each pattern, and others; by default that is found.
@@ -183,14 +181,9 @@ class Search:
         self.goal = self._ask(request.goal, known, least.get(request.goal, 0))
 
     def run(self, steps: int, is_all: bool = False) -> int:
-        """Search.
+        """Search within a budget of steps; return those that are left.
 
-        Args:
-            steps: its budget.
-            is_all: go on when the goal is supplied.
-
-        Returns:
-            The steps that are left.
+        It ends when the goal is supplied, unless all that supplies it is wanted.
         """
         heap, goal = self._heap, self.goal
         is_all = is_all or self._below is not None
@@ -230,16 +223,10 @@ class Search:
     # Subgoals
 
     def _ask(self, pattern: Pattern, known: Known, key: int) -> Subgoal:
-        """Return a subgoal, which is begun if it is new.
-
-        Args:
-            pattern: the demand.
-            known: constraints on its names.
-            key: least cost of a plan that needs it.
-        """
-        found = self._subgoals.get((pattern, known))
-        if found is not None:
-            return found
+        """Return a subgoal, which is begun if it is new; no plan that needs it is below a cost."""
+        subgoal = self._subgoals.get((pattern, known))
+        if subgoal is not None:
+            return subgoal
         if self._above is not None:
             above = self._above.get(pattern, self._above_others)
         else:
@@ -258,18 +245,18 @@ class Search:
                 if subgoal.is_done:
                     return subgoal
         subgoal.facts = self._request.facts(pattern, known)
-        fact = next(subgoal.facts, None)
-        if fact is not None:
-            self._push_fact(subgoal, *fact)
-            if subgoal.is_bound and self._request.is_met(fact[0]):
-                return subgoal
-        self._list_uses(subgoal)
-        self._push_use(subgoal)
+        fact = self._push_fact(subgoal)
+        if fact is None or not subgoal.is_bound or not self._request.is_met(pattern, fact):
+            self._list_uses(subgoal)
+            self._push_use(subgoal)
         return subgoal
 
-    def _push_fact(self, subgoal: Subgoal, head: Head, theta: Theta) -> None:
-        key = subgoal.above + head.cost
-        self._push(key, subgoal, head.source[0], theta, self._take_fact, subgoal, head, theta)
+    def _push_fact(self, subgoal: Subgoal) -> Optional[Head]:
+        head, theta = next(subgoal.facts, (None, ()))
+        if head is not None:
+            key, label = subgoal.above + head.cost, head.action.label
+            self._push(key, subgoal, label, theta, self._take_fact, subgoal, head, theta)
+        return head
 
     def _take_fact(self, subgoal: Subgoal, head: Head, theta: Theta) -> None:
         if subgoal.is_done:
@@ -277,9 +264,7 @@ class Search:
         instance = self._instance(head.action, (), head.cost, ())
         self._supply(instance, subgoal, Need(subgoal.pattern, theta), head.cost)
         if not subgoal.is_done:
-            more = next(subgoal.facts, None)
-            if more is not None:
-                self._push_fact(subgoal, *more)
+            self._push_fact(subgoal)
 
     def _list_uses(self, subgoal: Subgoal) -> None:
         request, least, users, combine = (self._request, self._least, self._users, self._combine)
@@ -311,17 +296,13 @@ class Search:
             self._go_on(_Join(_Use(subgoal, action, offer, order, rest), bounds, 0, ()), key)
 
     def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Optional[Known]:
-        """Return the constraints on the variables of an action that supplies a subgoal.
-
-        Returns:
-            That, or None if the action cannot supply it.
-        """
+        """Return the constraints on an action's variables, or None if it cannot supply this."""
         names = self._names
         if offer.places is None and offer.head.is_ground:
             found = solutions(offer.head.atoms, pattern, names)
             if not any(names.agrees(theta, known) for theta in found):
                 return None
-        bounds = list(map(names.known, offer.types))
+        bounds = list(map(names.limit, offer.types))
         for place, each in zip(offer.places or (), known):
             if isinstance(place, int):
                 bounds[place] = names.both(bounds[place], each)
@@ -351,11 +332,11 @@ class Search:
         known = tuple([at for at, each in enumerate(bounds) if self._is_one(each)])
         return _ordered(action.shares, known)
 
-    def _is_one(self, known: Any) -> bool:
+    def _is_one(self, limit: Limit) -> bool:
         """Whether the constraint of a variable leaves one name at most."""
-        if isinstance(known, frozenset):
-            return len(self._names.below(known)) < 2
-        return known is not None
+        if isinstance(limit, frozenset):
+            return len(self._names.below(limit)) < 2
+        return limit is not None
 
     def _extend(self, join: _Join, node: Need, value: int) -> None:
         """Go on with a join when its next in-port is supplied."""
@@ -375,10 +356,9 @@ class Search:
 
     def _finish(self, join: _Join) -> None:
         """Let an action under bindings wait for its turns to supply nodes."""
-        request, subgoal = self._request, join.use.subgoal
-        _, action, offer, order, _ = join.use
+        subgoal, action, offer, order, _ = join.use
         theta: Theta = join.bounds  # type: ignore[assignment]
-        cost = request.cost(action, theta)
+        cost = self._request.cost(action, theta)
         nodes = tuple([node for _, node in sorted(zip(order, join.nodes), key=lambda e: e[0])])
         instance = self._instance(action, theta, cost, nodes)
         value = join.value + cost
@@ -386,7 +366,7 @@ class Search:
         if offer.places is not None:
             found = [tuple([e if isinstance(e, str) else theta[e] for e in offer.places])]
         else:
-            atoms = [atom.ground(theta) for atom in offer.head.atoms]
+            atoms = [ground(atom, theta) for atom in offer.head.atoms]
             found = solutions(atoms, subgoal.pattern, self._names)
         for each in found:
             node = Need(subgoal.pattern, each)

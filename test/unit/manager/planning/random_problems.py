@@ -11,12 +11,12 @@ from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 import pytest
 from unit.manager.planning.brute_force import Problem
 
-from dyknow.manager.planning import library
+from dyknow.manager.planning import request
 from dyknow.manager.planning.problem import Demand, Live
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
-_MANY = library.MANY
+_MANY = request.MANY
 _FUNCTORS = {"A": 1, "B": 1, "C": 2, "D": 1, "E": 0, "F": 2}
 
 
@@ -168,7 +168,7 @@ def random_problem(seed: int) -> Problem:
 
 def look_up_by_name(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """Look makers up by known names in half of the problems, however few makers there are."""
-    monkeypatch.setattr(library, "MANY", 0 if seed // 2 % 2 else _MANY)
+    monkeypatch.setattr(request, "MANY", 0 if seed // 2 % 2 else _MANY)
 
 
 def with_limits(problem: Problem, seed: int) -> Problem:

@@ -148,6 +148,12 @@ def test_a_plan_that_was_wrong_once(seed: int) -> None:
     assert answer.cost == least_cost(problem)
 
 
+def test_a_nodelet_that_would_feed_itself_makes_no_plan() -> None:
+    problem = with_limits(random_problem(439), 439)
+    assert least_cost(problem) is None
+    assert isinstance(solve(problem), NoPlan)
+
+
 @pytest.mark.parametrize("seed", [4678, 17328, 28605])
 def test_ties_do_not_depend_on_the_order_in_which_demands_were_met(seed: int) -> None:
     problem = random_problem(seed)

@@ -49,7 +49,7 @@ def looked_at(index: OperatorIndex, tag: str) -> int:
     search = Search(request, bounds, bounds.least()[0])
     left = search.run(_MANY_STEPS)
     assert search.goal.answers
-    return len(bounds) + (_MANY_STEPS - left) // 200
+    return bounds.size + (_MANY_STEPS - left) // 200
 
 
 @pytest.mark.parametrize("needs_power", [False, True])
