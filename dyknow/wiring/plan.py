@@ -11,6 +11,7 @@ from typing import (
     Collection,
     Dict,
     FrozenSet,
+    Iterator,
     List,
     Mapping,
     Optional,
@@ -19,7 +20,7 @@ from typing import (
     Tuple,
 )
 
-from dyknow.datatypes import types_fit
+from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import FixedTopics, InvalidParameters
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
@@ -28,8 +29,8 @@ from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.wiring.wiring import Wiring
 
-#: Returns the values that the parameter server has for parameters of a nodelet, by name.
 Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
+"""Returns the values that the parameter server has for parameters of a nodelet, by name."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class LoadPlan:
     Attributes:
         added: transformations that the library does not have.
         replaced: transformations that the library has otherwise: the present ones.
-        replacing: what these are replaced with.
+        replacing: the file's transformations, one for each of these.
         same: labels of those that it has just so.
         spawned: nodelets to make that are not there, readers before writers.
         remade: running nodelets that are to be made again, since they were made otherwise.
@@ -122,90 +123,39 @@ def plan_load(
     Args:
         wiring: the wanted state.
         snapshot: the present state, with its transformations.
-        managers: Nodelet managers that are up.
-        is_own_manager: Tells a nodelet manager that the DyKnow manager starts when it is needed.
+        managers: nodelet managers that are up.
+        is_own_manager: tells a nodelet manager that the DyKnow manager starts when it is needed.
         replace: replace transformations that differ in the library, and make nodelets again that
             were made otherwise.
-        any_manager: Let the manager choose where the wanted nodelet manager is not up.
+        any_manager: let the manager choose where the wanted nodelet manager is not up.
         stored: returns the parameters of nodelets; None if they are unknown.
     """
     plan = LoadPlan()
     plan.former = {each.label: each for each in snapshot.transformations}
-    plan.blueprints = {
-        **plan.former,
-        **{each.label: each for each in wiring.transformations},
-    }
+    plan.blueprints = {**plan.former, **{each.label: each for each in wiring.transformations}}
     _plan_transformations(plan, wiring, replace)
     for nodelet in wiring.nodelets:
+        problems: List[str] = []
         blueprint = plan.blueprints.get(nodelet.label)
         if blueprint is None:
-            plan.problems.append(
-                f"nodelet '{nodelet.name}': neither the file nor the library has its "
-                f"transformation '{nodelet.label}'"
+            problems.append(
+                f"neither the file nor the library has its transformation '{nodelet.label}'"
             )
-            continue
-        present = snapshot.nodelet(nodelet.name)
-        _check_blueprint(plan, nodelet, blueprint, present is not None)
-        if present is None:
-            plan.spawned.append(nodelet)
-        elif not _plan_present(plan, nodelet, present, replace, stored):
-            continue
-        if nodelet.manager and nodelet.manager not in managers:
-            if any_manager or is_own_manager(nodelet.manager):
-                plan.any_manager.add(nodelet.name)
-            else:
-                plan.problems.append(
-                    f"nodelet '{nodelet.name}': its nodelet manager '{nodelet.manager}' is not "
-                    "running; start it, or let the manager choose with --any-manager"
-                )
-        elif nodelet.manager and nodelet.isolated:
-            plan.problems.append(
-                f"nodelet '{nodelet.name}': isolated, and in nodelet manager '{nodelet.manager}'; "
-                "expected a process of its own or a named one, not both"
-            )
-    _check_topics(plan, wiring)
+        else:
+            present = snapshot.nodelet(nodelet.name)
+            problems += _problems_of_blueprint(nodelet, blueprint, present is not None)
+            if present is None:
+                plan.spawned.append(nodelet)
+            if present is None or _is_remade(plan, nodelet, present, replace, stored):
+                may_choose = any_manager or is_own_manager(nodelet.manager)
+                if nodelet.manager and nodelet.manager not in managers and may_choose:
+                    plan.any_manager.add(nodelet.name)
+                else:
+                    problems += _problems_of_place(nodelet, managers)
+        plan.problems += [f"nodelet '{nodelet.name}': {problem}" for problem in problems]
+    plan.problems += _problems_of_topics(plan, wiring)
     plan.spawned = readers_first(plan.spawned, plan.blueprints)
     return plan
-
-
-def readers_first(
-    nodelets: List[SpawnRequest], blueprints: Mapping[str, Transformation]
-) -> List[SpawnRequest]:
-    """Order nodelets so that a stream's readers are there before it begins, as far as possible."""
-    ordered = sorted(nodelets, key=lambda nodelet: nodelet.name)
-    reading: Dict[str, List[SpawnRequest]] = {}
-    for nodelet in ordered:
-        for topic in _topics(nodelet, blueprints, "in"):
-            reading.setdefault(topic, []).append(nodelet)
-    done: Dict[str, SpawnRequest] = {}
-    entered: Set[str] = set()
-    # Depth first, with a stack of its own: chains may be longer than Python's recursion allows.
-    stack = [(nodelet, False) for nodelet in reversed(ordered)]
-    while stack:
-        nodelet, readers_are_done = stack.pop()
-        if readers_are_done:
-            done.setdefault(nodelet.name, nodelet)
-        elif nodelet.name not in entered:
-            entered.add(nodelet.name)
-            stack.append((nodelet, True))
-            readers = [
-                reader
-                for topic in _topics(nodelet, blueprints, "out")
-                for reader in reading.get(topic, ())
-            ]
-            stack.extend((reader, False) for reader in reversed(readers))
-    return list(done.values())
-
-
-def _topics(
-    nodelet: SpawnRequest, blueprints: Mapping[str, Transformation], direction: str
-) -> List[str]:
-    connections = nodelet.config
-    return [
-        connections[port.name]
-        for port in blueprints[nodelet.label].ports
-        if port.direction == direction and port.name in connections
-    ]
 
 
 def _plan_transformations(plan: LoadPlan, wiring: Wiring, replace: bool) -> None:
@@ -225,7 +175,33 @@ def _plan_transformations(plan: LoadPlan, wiring: Wiring, replace: bool) -> None
                 )
 
 
-def _plan_present(
+def _problems_of_blueprint(
+    nodelet: SpawnRequest, blueprint: Transformation, is_present: bool
+) -> Iterator[str]:
+    if blueprint.node and not is_present:
+        yield "it is a node that others start, and does not run"
+    elif blueprint.type == TOPIC:
+        yield f"transformation '{nodelet.label}' is an existing topic, not a nodelet"
+    try:
+        completed(blueprint, nodelet.parameters)
+    except InvalidParameters as error:
+        yield str(error)
+
+
+def _problems_of_place(nodelet: SpawnRequest, managers: Collection[str]) -> Iterator[str]:
+    if nodelet.manager and nodelet.manager not in managers:
+        yield (
+            f"its nodelet manager '{nodelet.manager}' is not running; start it, or let the "
+            "manager choose with --any-manager"
+        )
+    elif nodelet.manager and nodelet.isolated:
+        yield (
+            f"isolated, and in nodelet manager '{nodelet.manager}'; expected a process of its own "
+            "or a named one, not both"
+        )
+
+
+def _is_remade(
     plan: LoadPlan,
     nodelet: SpawnRequest,
     present: NodeletStatus,
@@ -305,25 +281,7 @@ def _otherwise_made(
     return tuple(found)
 
 
-def _check_blueprint(
-    plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transformation, is_present: bool
-) -> None:
-    if blueprint.node and not is_present:
-        plan.problems.append(
-            f"nodelet '{nodelet.name}': it is a node that others start, and does not run"
-        )
-    elif blueprint.type == TOPIC:
-        plan.problems.append(
-            f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
-            "not a nodelet"
-        )
-    try:
-        completed(blueprint, nodelet.parameters)
-    except InvalidParameters as error:
-        plan.problems.append(f"nodelet '{nodelet.name}': {error}")
-
-
-def _check_topics(plan: LoadPlan, wiring: Wiring) -> None:
+def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
     """Find topics to which ports of different types are to be connected."""
     first: Dict[str, Tuple[str, str]] = {}
     for nodelet in wiring.nodelets:
@@ -331,11 +289,49 @@ def _check_topics(plan: LoadPlan, wiring: Wiring) -> None:
         types = {port.name: port.datatype for port in blueprint.ports} if blueprint else {}
         for port, topic in nodelet.config.items():
             datatype = types.get(port, "")
-            if not datatype or datatype == "*":
+            if datatype in ANY:
                 continue
             place = f"{nodelet.name}:{port}"
             other, present = first.setdefault(topic, (place, datatype))
             if not types_fit(present, datatype):
-                plan.problems.append(
-                    f"topic '{topic}': '{place}' has type {datatype}, '{other}' has {present}"
-                )
+                yield f"topic '{topic}': '{place}' has type {datatype}, '{other}' has {present}"
+
+
+def readers_first(
+    nodelets: List[SpawnRequest], blueprints: Mapping[str, Transformation]
+) -> List[SpawnRequest]:
+    """Order nodelets so that a stream's readers are there before it begins, as far as possible."""
+    ordered = sorted(nodelets, key=lambda nodelet: nodelet.name)
+    reading: Dict[str, List[SpawnRequest]] = {}
+    for nodelet in ordered:
+        for topic in _topics(nodelet, blueprints, "in"):
+            reading.setdefault(topic, []).append(nodelet)
+    done: Dict[str, SpawnRequest] = {}
+    entered: Set[str] = set()
+    # Depth first, with a stack of its own: chains may be longer than Python's recursion allows.
+    stack = [(nodelet, False) for nodelet in reversed(ordered)]
+    while stack:
+        nodelet, readers_are_done = stack.pop()
+        if readers_are_done:
+            done.setdefault(nodelet.name, nodelet)
+        elif nodelet.name not in entered:
+            entered.add(nodelet.name)
+            stack.append((nodelet, True))
+            readers = [
+                reader
+                for topic in _topics(nodelet, blueprints, "out")
+                for reader in reading.get(topic, ())
+            ]
+            stack.extend((reader, False) for reader in reversed(readers))
+    return list(done.values())
+
+
+def _topics(
+    nodelet: SpawnRequest, blueprints: Mapping[str, Transformation], direction: str
+) -> List[str]:
+    connections = nodelet.config
+    return [
+        connections[port.name]
+        for port in blueprints[nodelet.label].ports
+        if port.direction == direction and port.name in connections
+    ]

@@ -9,6 +9,7 @@ A name such as `rate` overrides the transformation's parameter, or adds one. A v
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 from dyknow.errors import InvalidParameters
@@ -45,10 +46,19 @@ def undeclared(transformation: Optional[Transformation], given: Iterable[Paramet
     ]
 
 
-def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
-    """Return the given parameters that fill the placeholders of a nodelet's parameters."""
-    used = sorted(filling_variables(transformation))
-    return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
+def _terms(transformation: Transformation) -> List[Term]:
+    return [term for port in transformation.ports for term in read_tags(port.tags)]
+
+
+def variables(transformation: Transformation) -> Set[str]:
+    """Return the variables in the tags of a transformation."""
+    return {variable for term in _terms(transformation) for variable in term.variables}
+
+
+def shares_variables(transformation: Transformation) -> bool:
+    """Whether a variable stands in several tags of a transformation."""
+    used = [variable for term in _terms(transformation) for variable in term.variables]
+    return len(set(used)) < len(used)
 
 
 def filling_variables(transformation: Transformation) -> Set[str]:
@@ -57,13 +67,17 @@ def filling_variables(transformation: Transformation) -> Set[str]:
     return {variable for text in texts for variable in variables_of(text)}
 
 
+def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
+    """Return the given parameters that fill the placeholders of a nodelet's parameters."""
+    used = sorted(filling_variables(transformation))
+    return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
+
+
 def exposed_variables(transformation: Transformation) -> Set[str]:
     """Return the variables that tell nodelets apart: those of out-ports and parameters."""
-    found = filling_variables(transformation)
-    for port in transformation.ports:
-        if port.direction == OUT:
-            found.update(each for term in read_tags(port.tags) for each in term.variables)
-    return found
+    outs = [port for port in transformation.ports if port.direction == OUT]
+    found = {each for port in outs for term in read_tags(port.tags) for each in term.variables}
+    return found | filling_variables(transformation)
 
 
 def completed(
@@ -85,22 +99,18 @@ def completed(
         InvalidParameters: they cannot be used; all problems are named.
     """
     declared = {each.name: each.type for each in transformation.parameters}
-    types = {name: type_ for name, type_, _ in given}
-    problems = [
-        f"{name} is given more than once"
-        for name in types
-        if sum(each.name == name for each in given) > 1
-    ]
+    counts = Counter(name for name, _, _ in given)
+    problems = [f"{name} is given more than once" for name, count in counts.items() if count > 1]
     known, concepts = variables(transformation), types_of(_terms(transformation))
     done = []
     for name, type_, text in sorted(given):
         if name[:1] == "?":
             problems += _problems_of_variable(name, type_, text, known)
             if ontology is not None:
-                above = ontology.names_above(text)
+                missing = concepts.get(name, frozenset()) - ontology.names_above(text)
                 problems += [
                     f"{shorten(name)} is given '{shorten(text)}', which is no {concept}"
-                    for concept in sorted(concepts.get(name, frozenset()) - above)
+                    for concept in sorted(missing)
                 ]
             done.append(Parameter(name, "string", text))
             continue
@@ -109,10 +119,10 @@ def completed(
             problems.append(f"'{shorten(name)}' is no name of a parameter; expected one like rate")
         problems += _problems_of_value(name, type_, text)
         done.append(Parameter(name, type_, text))
-    if not problems:
-        set_on_load(transformation, done)
-        return tuple(done)
-    raise InvalidParameters(transformation.label, problems)
+    if problems:
+        raise InvalidParameters(transformation.label, problems)
+    set_on_load(transformation, done)
+    return tuple(done)
 
 
 def set_on_load(
@@ -128,51 +138,30 @@ def set_on_load(
         InvalidParameters: placeholders stay unfilled, or a value is not of its type.
     """
     bindings = bindings_of(given)
-    overridden = {each.name: each for each in given if each.name[:1] != "?"}
+    overriding = [each for each in given if each.name[:1] != "?"]
+    overridden = names_of(overriding)
     problems: List[str] = []
-    result: Dict[str, Parameter] = {}
-    for parameter in transformation.parameters:
-        if parameter.name in overridden:
+    result: List[Parameter] = []
+    for name, type_, text in transformation.parameters:
+        if name in overridden:
             continue
-        text = _filled(parameter, bindings, problems)
-        if text is not None:
-            problems += _problems_of_value(parameter.name, parameter.type, text)
-            result[parameter.name] = parameter._replace(text=text)
-    result.update(overridden)
+        try:
+            unbound = [each for each in variables_of(text) if each not in bindings]
+        except ValueError as error:
+            problems.append(f"the parameter '{name}' has {error}")
+            continue
+        problems += [
+            f"nothing says what {each} in the parameter '{name}' stands for; give it, as in "
+            f"--param '{each}=NAME'"
+            for each in unbound
+        ]
+        if not unbound:
+            filled = fill(text, bindings)
+            problems += _problems_of_value(name, type_, filled)
+            result.append(Parameter(name, type_, filled))
     if problems:
         raise InvalidParameters(transformation.label, problems)
-    return tuple(result.values())
-
-
-def _filled(
-    parameter: Parameter, bindings: Mapping[str, str], problems: List[str]
-) -> Optional[str]:
-    try:
-        unbound = [each for each in variables_of(parameter.text) if each not in bindings]
-    except ValueError as error:
-        problems.append(f"the parameter '{parameter.name}' has {error}")
-        return None
-    problems += [
-        f"nothing says what {each} in the parameter '{parameter.name}' stands for; give it, as in "
-        f"--param '{each}=NAME'"
-        for each in unbound
-    ]
-    return None if unbound else fill(parameter.text, bindings)
-
-
-def variables(transformation: Transformation) -> Set[str]:
-    """Return the variables in the tags of a transformation."""
-    return {variable for term in _terms(transformation) for variable in term.variables}
-
-
-def shares_variables(transformation: Transformation) -> bool:
-    """Whether a variable stands in several tags of a transformation."""
-    used = [variable for term in _terms(transformation) for variable in term.variables]
-    return len(set(used)) < len(used)
-
-
-def _terms(transformation: Transformation) -> List[Term]:
-    return [term for port in transformation.ports for term in read_tags(port.tags)]
+    return (*result, *overriding)
 
 
 def _problems_of_variable(name: str, type_: str, text: str, known: Set[str]) -> Iterable[str]:

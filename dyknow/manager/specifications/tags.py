@@ -92,11 +92,9 @@ class NoOntology:
     """Without an ontology a name subsumes only itself."""
 
     def names_above(self, name: str) -> frozenset[str]:
-        """The name alone."""
         return frozenset((name,))
 
     def canonical(self, name: str) -> str:
-        """The name."""
         return name
 
 

@@ -131,11 +131,6 @@ def test_every_problem_is_told_with_its_line() -> None:
     assert "the nodelet '/b' is there already, in line 10" in text
 
 
-def test_a_wiring_may_be_empty() -> None:
-    assert read_wiring(b'<wiring version="1"/>', "w.xml") == Wiring()
-    assert read_wiring(Wiring().to_xml().encode(), "w.xml") == Wiring()
-
-
 def test_a_wiring_of_too_many_nodelets_is_read_no_further() -> None:
     asked = []
 

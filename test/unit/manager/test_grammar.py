@@ -18,7 +18,6 @@ from dyknow.manager.specifications.xml_reader import XmlReader
 
 SCHEMA = Path(specification.__file__).with_name("transformations.rng")
 SCHEMA_OF_LIBXML2 = etree.RelaxNG(etree.parse(str(SCHEMA)))
-RNG = "{http://relaxng.org/ns/structure/1.0}"
 
 
 NAMES = st.sampled_from(
@@ -94,48 +93,3 @@ def test_the_reader_and_libxml2_agree_on_a_damaged_specification(transformation,
     text = etree.tostring(tree)
 
     assert reader_accepts(text) == SCHEMA_OF_LIBXML2.validate(etree.fromstring(text))
-
-
-def elements_of(rule):
-    """An element and those below it, by name: its attributes with their values, its children."""
-    found = {
-        rule.name: (
-            {name: attribute.values for name, attribute in rule.attributes.items()},
-            {child.name for child in rule.children},
-        )
-    }
-    for child in rule.children:
-        found.update(elements_of(child))
-    return found
-
-
-def elements_of_schema():
-    """The same, as the schema has it."""
-    schema = etree.parse(str(SCHEMA))
-    defined = {each.get("name"): each for each in schema.iter(f"{RNG}define")}
-
-    def inside(pattern, wanted):
-        """Patterns of a kind in an element, not in those below it."""
-        for part in pattern:
-            if part.tag == f"{RNG}ref":
-                yield from inside(defined[part.get("name")], wanted)
-            elif part.tag == RNG + wanted:
-                yield part
-            elif part.tag not in (f"{RNG}element", f"{RNG}attribute"):
-                yield from inside(part, wanted)
-
-    return {
-        element.get("name"): (
-            {
-                attribute.get("name"): tuple(v.text for v in attribute.iter(f"{RNG}value"))
-                for attribute in inside(element, "attribute")
-            },
-            {child.get("name") for child in inside(element, "element")},
-        )
-        for element in schema.iter(f"{RNG}element")
-    }
-
-
-def test_the_rules_name_what_the_schema_names():
-    assert elements_of(TRANSFORMATIONS) == elements_of_schema()
-    assert TRANSFORMATIONS.children == (TRANSFORMATION,)

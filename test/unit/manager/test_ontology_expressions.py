@@ -18,7 +18,6 @@ from property_tests import examples
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications import ontology_statements
 from dyknow.manager.specifications.ontology import Ontology, load_ontology
-from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
 
 BASE = "http://example.org/#"
 PREFIXES = f"""
@@ -115,17 +114,6 @@ def test_an_intersection_has_the_individuals_that_are_in_all_parts(ontology) -> 
     assert [each for each in ("a", "ab", "b", "c") if found.is_subsumed(each, "C")] == ["ab", "c"]
 
 
-def test_individuals_of_a_restriction_are_in_what_it_implies(ontology) -> None:
-    found = ontology(
-        "_:r a owl:Restriction ; owl:onProperty :p ; owl:hasValue :v ."
-        ":C owl:equivalentClass [ owl:intersectionOf ( :A _:r ) ] ."
-        ":x a :A, _:r . :y a :A . :z a [ owl:intersectionOf ( :A :B ) ] ."
-    )
-
-    assert found.individuals(BASE + "C") == ("x",)
-    assert found.individuals(BASE + "B") == ("z",)
-
-
 def test_one_of_makes_its_members_individuals(ontology) -> None:
     found = ontology(
         ':Colour owl:equivalentClass [ owl:oneOf ( :red :green ) ] . :red rdfs:label "rot" .'
@@ -212,22 +200,6 @@ def test_deep_and_wide_expressions_take_no_time(tmp_path: Path) -> None:
     assert found.is_subsumed("I", "U")
     assert not found.is_subsumed("U", "P1")
     assert time.process_time() - started < 60.0
-
-
-def test_there_is_an_end_to_what_unions_have_in_common() -> None:
-    def unions() -> Hierarchy:
-        found = Hierarchy()
-        for n in reversed(range(50)):
-            found.add_union(f"u{n + 1}", [f"u{n}", f"a{n}"])
-            found.add_subclass(f"a{n}", "top")
-        found.add_subclass("u0", "top")
-        return found
-
-    complete, partial = unions(), unions()
-    assert complete.complete_unions(visits=1_000_000)
-    assert "top" in complete.above(["u50"])
-    assert not partial.complete_unions(visits=100)
-    assert partial.above(["u50"]) <= complete.above(["u50"])
 
 
 def test_too_many_unions_are_told(ontology, monkeypatch: pytest.MonkeyPatch) -> None:

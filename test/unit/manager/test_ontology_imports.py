@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 from pathlib import Path
 from typing import Any, Dict, List
@@ -110,22 +109,6 @@ def test_the_longest_prefix_counts(tmp_path: Path) -> None:
 
     with pytest.raises(OntologyFileError, match=r"/parts/gone/d\.ttl: cannot be read: No such"):
         load(tmp_path, files)
-
-
-def test_imports_of_imports_use_the_catalogue_beside_them(tmp_path: Path) -> None:
-    found = load(
-        tmp_path,
-        {
-            CATALOGUE: catalogue(uri("http://o.org/a", "sub/a.ttl")),
-            "main.ttl": ontology("main", "http://o.org/a", text=":main rdfs:subClassOf :a ."),
-            f"sub/{CATALOGUE}": catalogue(uri("http://o.org/b", "b.ttl")),
-            "sub/a.ttl": ontology("a", "http://o.org/b", text=":a rdfs:subClassOf :b ."),
-            "sub/b.ttl": ontology("b"),
-        },
-    )
-
-    assert found.is_subsumed("main", "b")
-    assert found.warnings == ()
 
 
 def test_catalogues_that_are_named_are_asked_first(tmp_path: Path) -> None:
@@ -301,20 +284,6 @@ def test_an_old_catalogue_has_a_document_type(tmp_path: Path) -> None:
     }
 
     assert classes(load(tmp_path, files), "a", "b") == ["a"]
-
-
-def test_catalogues_in_a_circle_of_links_end(tmp_path: Path) -> None:
-    text = catalogue(f'<nextCatalog catalog="loop/{CATALOGUE}"/>')
-    os.symlink(tmp_path, tmp_path / "loop")
-
-    found = load(tmp_path, {CATALOGUE: text, "main.ttl": ontology("main", "http://o.org/a")})
-
-    assert len(found.warnings) == 1
-
-
-def test_a_catalogue_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(OntologyFileError, match=r"/none\.xml: cannot be read: No such file"):
-        load_ontology([], catalogues=[str(tmp_path / "none.xml")])
 
 
 def test_a_catalogue_that_is_too_large_is_refused(tmp_path: Path) -> None:

@@ -68,12 +68,6 @@ def test_the_term_is_the_label_in_the_preferred_language(
         assert found.is_subsumed(label, "C")
 
 
-def test_the_language_is_english_unless_another_is_asked_for(ontology) -> None:
-    text = ':C a owl:Class . :x a :C ; rdfs:label "kamera"@sv, "camera"@en .'
-
-    assert ontology(text).individuals(BASE + "C") == ("camera",)
-
-
 @pytest.mark.parametrize("language", ["", "English please", "en_GB", "en-", "a" * 9])
 def test_a_language_that_is_none(ontology, language: str) -> None:
     with pytest.raises(OntologyError, match="is no language; expected a code such as en or en-GB"):
@@ -149,13 +143,6 @@ class TestCanonical:
         assert found.canonical("Cam") == found.canonical(BASE + "C") == BASE + "C"
         assert found.canonical("x") == "x"
 
-    def test_what_is_unknown_stays_as_it_is(self, ontology) -> None:
-        found = ontology(':p a owl:ObjectProperty ; rdfs:label "has part" .')
-
-        for name in ("", "unheard_of", "has part", BASE + "p"):
-            assert found.canonical(name) == name
-            assert found.names_above(name) == {name}
-
     def test_equivalent_classes_are_two(self, ontology) -> None:
         found = ontology(":C owl:equivalentClass :D .")
 
@@ -186,12 +173,6 @@ class TestSharedNames:
         assert shown[0].startswith(f"o0.ttl: the {what} <{BASE}a> and <{BASE}b> in ")
         assert shown[0].endswith("o1.ttl share the label 'cam'")
         assert str(caught.value).endswith("; expected a label of its own for each")
-
-    def test_many_equal_labels_are_counted(self, ontology) -> None:
-        with pytest.raises(LabelsError, match="; 2 more such pairs; expected") as caught:
-            ontology("".join(f':a{n} a owl:Class ; rdfs:label "a" .' for n in range(13)))
-
-        assert len(caught.value.reasons) == 12
 
     def test_equivalent_classes_may_have_the_same_label(self, ontology) -> None:
         found = ontology(
@@ -248,17 +229,6 @@ class TestSharedNames:
         assert messages(found) == [
             f"'ball' names the class <{BASE}Ball> and the individual <{BASE}b>"
         ]
-
-    def test_a_uri_may_be_class_and_individual(self, ontology) -> None:
-        found = ontology(
-            ':Nao a owl:Class, :Model ; rdfs:label "Nao" . :Model rdfs:label "Model" .'
-            ':n a :Nao ; rdfs:label "n" .'
-        )
-
-        assert found.warnings == ()
-        assert found.is_subsumed("Nao", "Model")
-        assert found.is_subsumed("n", "Nao")
-        assert not found.is_subsumed("n", "Model")
 
 
 def test_classes_that_share_a_label_in_another_language_alone_are_named_by_their_uris(

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from dyknow.manager.specifications.ontology import Ontology, load_ontology
-from dyknow.manager.specifications.specification import parse
 
 PREFIXES = """\
 @prefix owl: <http://www.w3.org/2002/07/owl#> .
@@ -167,51 +166,6 @@ def test_a_vocabulary_of_robot_parts(folder) -> None:
 
 
 # A household robot: imports by package, individuals of a map with restrictions as types
-
-KNOWLEDGE = """
-@prefix k: <http://t.org/kb.owl#> .
-<http://t.org/kb.owl> a owl:Ontology .
-k:SpatialThing a owl:Class . k:FurniturePiece rdfs:subClassOf k:SpatialThing .
-k:Refrigerator rdfs:subClassOf k:FurniturePiece ,
-  [ a owl:Restriction ; owl:onProperty k:storagePlaceFor ; owl:hasValue k:Perishable ] .
-k:Cupboard rdfs:subClassOf k:FurniturePiece .
-k:Container owl:equivalentClass [ owl:unionOf ( k:Refrigerator k:Cupboard ) ] .
-k:Side owl:equivalentClass [ a owl:Class ; owl:oneOf ( k:left k:right ) ] .
-"""
-MAP = """
-@prefix k: <http://t.org/kb.owl#> .
-@prefix m: <http://t.org/map.owl#> .
-<http://t.org/map.owl> a owl:Ontology ; owl:imports <package://household/owl/kb.ttl> .
-m:fridge_1 a k:Refrigerator , owl:NamedIndividual ,
-  [ a owl:Restriction ; owl:onProperty k:depth ; owl:hasValue "0.6"^^xsd:double ] .
-m:cupboard_2 a k:Cupboard ; k:depth "0.4"^^xsd:double .
-"""
-
-
-def test_a_map_of_a_household(folder) -> None:
-    files = folder(
-        kb=KNOWLEDGE,
-        map=MAP,
-        catalogue='<catalog xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">'
-        '<rewriteURI uriStartString="package://household/owl/" rewritePrefix="./"/></catalog>',
-    )
-    found = load_ontology([str(files / "map.ttl")])
-
-    assert found.individuals("http://t.org/kb.owl#Container") == ("cupboard_2", "fridge_1")
-    assert found.individuals("http://t.org/kb.owl#Side") == ("left", "right")
-    assert found.is_subsumed("fridge_1", "SpatialThing")
-    read = parse(
-        "<transformation><label>open(${X})</label><source>p/Open</source>"
-        '<args><arg label="X">http://t.org/kb.owl#Container</arg></args></transformation>',
-        ontology=found,
-    )
-    assert [each.label for each in read.transformations] == ["open(cupboard_2)", "open(fridge_1)"]
-    assert [each.file[-7:] for each in found.warnings] == [
-        "map.ttl",
-        "map.ttl",
-        "/kb.ttl",
-        "/kb.ttl",
-    ]
 
 
 # Pizzas: definitions by restrictions, values in a partition, labels in two languages

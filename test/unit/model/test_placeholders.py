@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.manager.specifications.specification import parse
-from dyknow.model.placeholders import Placeholder, cut, fill, join, variables_of
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.model.placeholders import Placeholder, cut, fill, join
 
 NAMES: Dict[str, str] = {"?x": "cam1", "?long name": "${?x}"}
 PLAIN = st.text(st.sampled_from("${}?xX"), max_size=6)
@@ -42,27 +41,12 @@ def test_a_placeholder_that_does_not_end_is_an_error() -> None:
         cut("a ${?x")
 
 
-def test_variables_are_named_once_in_the_order_written() -> None:
-    assert variables_of("${?y}${?x}$${?z}${?y}") == ("?y", "?x")
-
-
 @given(PIECES)
 def test_what_is_joined_is_cut_into_the_same(pieces: List[Union[str, Placeholder]]) -> None:
     text = join(pieces)
     assert join(cut(text)) == text
     meant = [NAMES[each.variable] if isinstance(each, Placeholder) else each for each in pieces]
     assert fill(text, NAMES) == "".join(meant)
-
-
-@given(PIECES)
-def test_a_text_survives_the_way_through_xml(pieces: List[Union[str, Placeholder]]) -> None:
-    made = Transformation(
-        "a",
-        "p/A",
-        parameters=(Parameter("p", "string", join(pieces)),),
-        ports=(Port("in", "in", "", ("Image(?x)", "Pose(?long name)")),),
-    )
-    assert parse(made.to_xml()).transformations == (made,)
 
 
 @given(st.lists(st.one_of(PLAIN.map(lambda text: text.replace(";", "")), st.none()), max_size=4))
