@@ -277,11 +277,7 @@ class SimulatedManagerClient(BaseManagerClient):
     @contextlib.contextmanager
     def _request(self, method: str, subject: str = "") -> Iterator[None]:
         """Answer as a manager of the ROS graph does."""
-        self.calls.append((method, subject))
-        if self.delay:
-            time.sleep(self.delay)
-        if not self.is_up:
-            raise HostError(f"service {self.manager}/{method} is not there")
+        self._note(method, subject)
         with self._turn:
             try:
                 yield
@@ -289,6 +285,13 @@ class SimulatedManagerClient(BaseManagerClient):
                 raise
             except DyKnowError as error:
                 raise Refused(str(error)) from error
+
+    def _note(self, method: str, subject: str) -> None:
+        self.calls.append((method, subject))
+        if self.delay:
+            time.sleep(self.delay)
+        if not self.is_up:
+            raise HostError(f"service {self.manager}/{method} is not there")
 
     def _ports(self, nodelet: str) -> Tuple[PortState, ...]:
         self._check_runs(nodelet)
