@@ -78,7 +78,6 @@ class Backoff:
             self.forgive(name)
 
     def forgive(self, name: str) -> None:
-        """Forget the failures of a name."""
         with self._state_lock:
             self._failures.pop(name, None)
 
@@ -88,7 +87,6 @@ class Backoff:
             return self._remaining(name)
 
     def allows(self, name: str) -> bool:
-        """Whether the pause of a name is over."""
         return self.remaining(name) <= 0.0
 
     @property

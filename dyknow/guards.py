@@ -47,20 +47,12 @@ class Guards:
     nodelets: int = 2000
 
     def check_writable(self, what: str) -> None:
-        """Refuse ``what`` in read-only mode.
-
-        Raises:
-            Denied: the mode is read-only.
-        """
+        """Refuse ``what`` in read-only mode."""
         if self.read_only:
             raise Denied(what, "DyKnow runs read-only (parameter read_only)")
 
     def check_topic(self, topic: str) -> None:
-        """Refuse a topic of the deny list, and one that is not on an allow list.
-
-        Raises:
-            Denied: it must not be connected.
-        """
+        """Refuse a topic of the deny list, and one that is not on an allow list."""
         for pattern in self.denied_topics:
             if fnmatch.fnmatchcase(topic, pattern):
                 raise Denied(
@@ -70,15 +62,7 @@ class Guards:
             _check_allowed(f"topic '{topic}'", topic, self.allowed_topics, "allowed_topics")
 
     def check_program(self, program: str, is_own: bool = False) -> None:
-        """Refuse a program, or a script, that must not be started.
-
-        Args:
-            program: ``package/executable``.
-            is_own: whether a specification file of the manager itself names it.
-
-        Raises:
-            Denied: it must not be started.
-        """
+        """Refuse a program; ``is_own``: a specification file of the manager itself names it."""
         what = f"program '{program}'"
         _check_allowed(what, program, self.allowed_programs, "allowed_programs")
         if not (self.remote_programs or is_own):
@@ -89,11 +73,7 @@ class Guards:
             )
 
     def check_sizes(self, strings: Iterable[str], entries: int = 0) -> None:
-        """Refuse strings and arrays beyond the limits.
-
-        Raises:
-            LimitExceeded: a string or an array is too long.
-        """
+        """Refuse strings and arrays beyond the limits."""
         if entries > self.array_length:
             raise LimitExceeded("entries in an array", entries, self.array_length)
         for text in strings:

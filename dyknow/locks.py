@@ -68,22 +68,14 @@ class LockViolation(AssertionError):
 
 
 def turn_lock(name: str) -> threading.Lock:
-    """Make a lock that is held over remote calls, disk writes and bounded waits.
-
-    Args:
-        name: one of ``TURNS``.
-    """
+    """Make a lock, of ``TURNS``, that is held over remote calls, disk writes and waits."""
     if name not in TURNS:
         raise ValueError(f"'{name}' is not in the order of turns")
     return threading.Lock() if _checker is None else _checked(_checker, name)
 
 
 def state_lock(name: str) -> threading.Lock:
-    """Make a lock for memory.
-
-    Args:
-        name: of ``STATE_LOCKS`` if other locks are taken under it, else any, for messages.
-    """
+    """Make a lock for memory, of ``STATE_LOCKS`` if other locks are taken under it."""
     return threading.Lock() if _checker is None else _checked(_checker, name)
 
 
@@ -117,11 +109,7 @@ def flag_lock() -> threading.Lock:
 
 
 def assert_no_state_lock(what: str) -> None:
-    """Assert, in debug mode, that the thread may call out now.
-
-    Args:
-        what: the call that is about to be made, for the report.
-    """
+    """Assert, in debug mode, that the thread may make the call ``what`` now."""
     if _checker is not None:
         _checker.check_calling_out(what)
 
@@ -139,7 +127,6 @@ class Checker:
 
     @property
     def held(self) -> List[CheckedLock]:
-        """Locks that this thread holds, in the order in which it took them."""
         locks: Optional[List[CheckedLock]] = getattr(self._threads, "locks", None)
         if locks is None:
             locks = self._threads.locks = []
@@ -186,7 +173,6 @@ class CheckedLock:
         return f"{'state lock' if self.is_state else 'turn'} '{self.name}'"
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        """Take the lock, as that of ``threading``."""
         self._checker.check_taking(self)
         taken: bool = self._lock.acquire(blocking, timeout)
         if taken:
@@ -195,12 +181,10 @@ class CheckedLock:
         return taken
 
     def release(self) -> None:
-        """Give the lock back."""
         self._holder.remove(self)
         self._lock.release()
 
     def locked(self) -> bool:
-        """Whether a thread holds it; not for reentrant ones."""
         return bool(self._lock.locked())
 
     def __enter__(self) -> bool:

@@ -20,13 +20,7 @@ _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 
 
 def check(name: str, what: str = "name") -> str:
-    """Return ``name``, in its usual form, if it is a legal graph name.
-
-    As in rospy, ``~/x`` means ``~x``, and a slash at the end is ignored.
-
-    Raises:
-        InvalidName: it is empty, holds a character that ROS does not allow, or a double slash.
-    """
+    """Return a legal graph name in its usual form: as in rospy, ``~/x`` is ``~x``."""
     legal = isinstance(name, str) and _LEGAL.match(name) and "//" not in name
     if not legal or name in ("~", "/", "~/"):
         raise InvalidName(name, what)
@@ -44,28 +38,12 @@ def parent(name: str) -> str:
 
 
 def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
-    """Make ``name`` global without remapping it.
-
-    Args:
-        name: what the user wrote; empty stands for the namespace itself.
-        namespace: where relative names begin.
-        private: what a leading ``~`` stands for.
-        what: the kind of name, for the error message.
-
-    Raises:
-        InvalidName: ``name`` is not a graph name.
-    """
+    """Make ``name`` global without remapping it; empty stands for the namespace itself."""
     return complete(check(name, what), namespace, private) if name else namespace
 
 
 def complete(name: str, namespace: str, private: str) -> str:
-    """Make a name global without checking its characters, as rospy does for parameters.
-
-    Args:
-        name: what the user wrote; empty stands for the namespace itself.
-        namespace: where relative names begin.
-        private: what a leading ``~`` stands for.
-    """
+    """Make a name global without checking its characters, as rospy does for parameters."""
     if not name:
         return namespace
     if name.startswith("~"):

@@ -11,11 +11,12 @@ about to end returns no list. Every other end of a nodelet is a death, and repai
 from __future__ import annotations
 
 import contextlib
+import enum
 import logging
 import time
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Iterable, List, Optional, Set, Tuple
+from typing import AbstractSet, Callable, Iterable, Optional, Set, Tuple
 
 from dyknow import names
 from dyknow.backoff import Backoff
@@ -54,6 +55,21 @@ def at_once(key: str, work: Callable[[], object]) -> None:
     work()
 
 
+class Fate(enum.Enum):
+    """What a report of the host says of a nodelet.
+
+    UNSEEN: until its host was looked for, it is as it was. UNLISTED: its process runs on without
+    it. UNLOADED: its process crashed while it was unloaded on request.
+    """
+
+    RUNS = enum.auto()
+    UNSEEN = enum.auto()
+    SILENT = enum.auto()
+    UNLISTED = enum.auto()
+    UNLOADED = enum.auto()
+    DIED = enum.auto()
+
+
 class Observer:
     """Compares the graph with the reports of the host."""
 
@@ -78,7 +94,6 @@ class Observer:
         self._backoff = Backoff(clock, _FIRST_PAUSE)
         self._run = run
         self._state_lock = state_lock("nodelets to query")
-        self._dead: Set[str] = set()  # found by the present look
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         self._to_ask: Set[str] = set()  # nodelets whose ports the next look queries
         self._keeper = keeper
@@ -122,22 +137,25 @@ class Observer:
                     self._accuse(crash)
             self._accused = report.crashes.keys()
             doubtful = [
-                record
-                for record in records
+                (record, fate)
+                for record, fate in ((each, _fate(each, report)) for each in records)
                 if record.name in changed
                 or self._description(record) != record.transformation
-                or not _as_it_was(record, report)
+                or (fate, record.state) != (Fate.RUNS, State.RUNNING)
+                or record.incarnation != report.processes[record.manager].incarnation
             ]
             self._lose(doubtful, report)
-            for record in doubtful:
-                self._check(record, report, changed)
+            dead = [
+                record.name
+                for record, fate in doubtful
+                if self._follow(record, fate, report, changed)
+            ]
             known = {record.name for record in self._graph.all()}
             self.note(changed & known - {record.name for record in records})
             for manager in sorted(report.nodelets):
                 for name in sorted(report.nodelets[manager] - known):
                     if not self._graph.is_busy(name):
                         self._adopt_unknown(name, report.processes[manager])
-            dead, self._dead = sorted(self._dead), set()
         for name in dead:
             if self._backoff.allows(name):
                 self._run(f"bringing back {name}", partial(self._bring_back, name))
@@ -158,22 +176,17 @@ class Observer:
             f" while it ran code of {at_work}" if at_work else "",
         )
 
-    def _lose(self, doubtful: List[Record], report: HostReport) -> None:
+    def _lose(self, doubtful: Iterable[Tuple[Record, Fate]], report: HostReport) -> None:
         """Mark the nodelets that are lost with their nodelet manager.
 
         All in one step: a claim that uses several of them sees one loss.
         """
         lost = []
         with contextlib.ExitStack() as held:
-            for record in doubtful:
-                try:
-                    current = held.enter_context(self._graph.changing(record.name))
-                except Busy:
-                    continue  # another operation works on it; the next look sees the outcome
-                if current is None or not _is_same_life(current, record):
-                    continue
-                trouble = self._trouble(current, report)
-                if not trouble or current.state not in (State.RUNNING, State.LOST):
+            for record, fate in doubtful:
+                current = self._reserve(record, held)
+                trouble = self._trouble(current, fate, report) if current is not None else ""
+                if not trouble or current is None:
                     continue
                 why = "; ".join(filter(None, (trouble, current.suspicion)))
                 if current.state is State.RUNNING:
@@ -182,70 +195,73 @@ class Observer:
                 lost.append(replace(current, state=State.LOST, detail=why))
             self._graph.put(*lost)
 
-    def _trouble(self, record: Record, report: HostReport) -> str:
+    def _reserve(self, record: Record, held: contextlib.ExitStack) -> Optional[Record]:
+        """Reserve a nodelet; None if it is busy, or was restored or replaced meanwhile.
+
+        The next look sees the outcome of the operation.
+        """
+        try:
+            current = held.enter_context(self._graph.changing(record.name))
+        except Busy:
+            return None
+        life = (record.manager, record.incarnation)
+        return current if current and (current.manager, current.incarnation) == life else None
+
+    def _trouble(self, record: Record, fate: Fate, report: HostReport) -> str:
         """Say why a nodelet is lost with its nodelet manager; empty if it is not."""
-        state = report.processes.get(record.manager)
-        if record.transformation is None or record.unwanted or (state and state.unseen):
-            return ""  # until its host was looked for, it is as it was
-        if _has_died(record, report):
-            if _was_being_unloaded(record, report) or not record.is_spawned:
-                return ""
+        if record.transformation is None or record.unwanted:
+            return ""
+        if record.state not in (State.RUNNING, State.LOST):
+            return ""
+        if fate is Fate.DIED and record.is_spawned:
             crash = report.crashes.get(record.incarnation)
             cause = f" ({crash.cause})" if crash is not None else ""
             return f"{'it' if record.kind.is_node else 'its nodelet manager'} has died{cause}"
-        if record.manager in report.nodelets or self._host.may_publish(record.manager):
+        if fate is not Fate.SILENT or self._host.may_publish(record.manager):
             return ""
         what = "it" if record.kind.is_node else f"nodelet manager {record.manager}"
-        cure = f": {state.cure}" if state is not None and state.cure else ""
-        return f"{what} does not answer{cure}"
+        cure = report.processes[record.manager].cure
+        return f"{what} does not answer{f': {cure}' if cure else ''}"
 
-    def _check(self, record: Record, report: HostReport, changed: Set[str]) -> None:
-        try:
-            with self._graph.changing(record.name) as current:
-                if current is None or not _is_same_life(current, record):
-                    self.note({record.name} & changed)
-                    return
-                self._compare(current, report, changed)
-        except Busy:
-            self.note({record.name} & changed)
-            return  # another operation works on it; the next look sees the outcome
-
-    def _compare(self, record: Record, report: HostReport, changed: Set[str]) -> None:
-        state = report.processes.get(record.manager)
-        listed = report.nodelets.get(record.manager)
-        alive = state is not None and listed is not None
-        if alive and listed and record.name in listed and not record.unwanted:
-            self._follow(record, state, record.name in changed)
-        elif state is not None and state.unseen:
-            return  # until its host was looked for, it is as it was
-        elif record.transformation is None or (
-            not record.is_spawned and _has_died(record, report)
-        ):
-            self._graph.remove(record.name)
-        elif record.unwanted:
-            if alive or state is None or not state.away:
-                self._dead.add(record.name)
-        elif alive and state is not None and state.incarnation == record.incarnation:
-            if not self._is_unlisted(record):
-                return
-            if record.state is State.RUNNING:
+    def _follow(
+        self, record: Record, fate: Fate, report: HostReport, changed: AbstractSet[str]
+    ) -> bool:
+        """Update a record to match; returns whether work on the nodelet is left."""
+        with contextlib.ExitStack() as held:
+            current = self._reserve(record, held)
+            if current is None:
+                self.note({record.name} & changed)
+                return False
+            state = report.processes.get(record.manager)
+            if fate is Fate.RUNS and state is not None and not current.unwanted:
+                self._update(current, state, record.name in changed)
+            elif fate is Fate.UNSEEN:
+                return False
+            elif current.transformation is None or (
+                not current.is_spawned and fate in (Fate.DIED, Fate.UNLOADED)
+            ):
+                self._graph.remove(record.name)
+            elif current.unwanted:
+                return not (fate is Fate.SILENT and state is not None and state.away)
+            elif fate is Fate.UNLISTED and self._is_unlisted(current):
+                if current.state is not State.RUNNING:
+                    return True  # it failed, or the manager was killed while it brought it back
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
-                self._lifecycle.forget(record)
-            else:  # it failed, or the manager was killed while it was bringing it back
-                self._dead.add(record.name)
-        elif _has_died(record, report):
-            if _was_being_unloaded(record, report):
+                self._lifecycle.forget(current)
+            elif fate is Fate.UNLOADED:
                 _log.info("%s was being unloaded when its process died", record.name)
-                self._lifecycle.forget(record)
-            elif record.state is not State.RUNNING:  # else another operation has just worked on it
-                self._dead.add(record.name)
+                self._lifecycle.forget(current)
+            elif fate is Fate.DIED:  # if it runs, another operation has just worked on it
+                return current.state is not State.RUNNING
+            return False
 
-    def _follow(self, record: Record, state: ProcessState | None, closely: bool) -> None:
-        incarnation = state.incarnation if state is not None else record.incarnation
+    def _update(self, record: Record, state: ProcessState, closely: bool) -> None:
+        """Update the record of a nodelet that runs; its ports are queried if it is new."""
         description = self._description(record)
-        is_new = description != record.transformation
-        came_back = (
-            is_new or record.state is not State.RUNNING or record.incarnation != incarnation
+        is_known = (
+            description == record.transformation
+            and record.state is State.RUNNING
+            and record.incarnation == state.incarnation
         )
         if record.state is State.STARTING and not self._complete(record):
             return
@@ -254,11 +270,11 @@ class Observer:
             transformation=description,
             state=State.RUNNING,
             detail=record.detail if record.state is State.RUNNING else record.suspicion,
-            incarnation=incarnation,
-            heard=record.heard if record.incarnation == incarnation else NOTHING_HEARD,
-            host=state.host if state is not None else record.host,
+            incarnation=state.incarnation,
+            heard=record.heard if record.incarnation == state.incarnation else NOTHING_HEARD,
+            host=state.host,
         )
-        if (closely or came_back) and not record.is_fixed:
+        if (closely or not is_known) and not record.is_fixed:
             try:
                 record = with_ports(record, self._ports(record))
             except HostError as error:
@@ -266,14 +282,10 @@ class Observer:
                 if closely or record.transformation is not None:  # it has a proxy
                     self.note([record.name])
             else:
-                detail = "; ".join(
-                    filter(None, (self._host.detail(record.name), record.suspicion))
-                )
-                record = replace(record, detail=detail)
-                record = replace(record, topics=topics_of(record))
-        if (
-            not record.ports and not record.is_described
-        ):  # it has no proxy, so it is taken to be as it should be
+                details = (self._host.detail(record.name), record.suspicion)
+                detail = "; ".join(filter(None, details))
+                record = replace(record, detail=detail, topics=topics_of(record))
+        if not record.ports and not record.is_described:  # without a proxy: as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
 
@@ -381,35 +393,18 @@ class Observer:
         return state is not None and state.incarnation == record.incarnation
 
 
-def _is_same_life(current: Record, record: Record) -> bool:
-    """Whether a nodelet was neither restored nor replaced since its record was read."""
-    return (current.manager, current.incarnation) == (record.manager, record.incarnation)
-
-
-def _has_died(record: Record, report: HostReport) -> bool:
-    """Whether the process that ran a nodelet has ended, as far as is known."""
+def _fate(record: Record, report: HostReport) -> Fate:
     state = report.processes.get(record.manager)
-    if state is None or (state.own and not state.alive):
-        return True
-    return (
-        record.manager in report.nodelets
-        and record.name not in report.nodelets[record.manager]
-        and state.incarnation != record.incarnation
+    listed = report.nodelets.get(record.manager)
+    if state is not None and listed is not None and record.name in listed:
+        return Fate.RUNS
+    if state is not None and state.unseen:
+        return Fate.UNSEEN
+    is_restarted = (
+        listed is not None and state is not None and state.incarnation != record.incarnation
     )
-
-
-def _was_being_unloaded(record: Record, report: HostReport) -> bool:
-    """Whether a nodelet's process crashed while the nodelet was unloaded on request."""
-    crash = report.crashes.get(record.incarnation)
-    return crash is not None and names.mark(record.name) in crash.unloading
-
-
-def _as_it_was(record: Record, report: HostReport) -> bool:
-    """Whether a nodelet runs on in the process that was seen last: nothing is to be done."""
-    state = report.processes.get(record.manager)
-    return (
-        state is not None
-        and record.state is State.RUNNING
-        and record.incarnation == state.incarnation
-        and record.name in report.nodelets.get(record.manager, ())
-    )
+    if state is None or (state.own and not state.alive) or is_restarted:
+        crash = report.crashes.get(record.incarnation)
+        is_unloaded = crash is not None and names.mark(record.name) in crash.unloading
+        return Fate.UNLOADED if is_unloaded else Fate.DIED
+    return Fate.SILENT if listed is None else Fate.UNLISTED

@@ -225,7 +225,6 @@ class ManagerNode(Closable):
         self._loop.wake(_RECONCILE)
 
     def _hear(self, manager: str, nodelet: str, detail: str) -> None:
-        """Hear of a change of a nodelet."""
         self._host.note_detail(manager, nodelet, detail)
         self.manager.observer.note([nodelet])
         self._loop.wake(_OBSERVE)
@@ -306,7 +305,6 @@ class ManagerNode(Closable):
 
 
 def _name_of(argv: Sequence[str]) -> str:
-    """Global name that the node will have."""
     mappings = rosgraph.names.load_mappings(argv)
     namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
     return names.join(str(namespace), str(mappings.get("__name", _NAME)))
@@ -338,11 +336,7 @@ def _ontology(settings: ManagerSettings) -> Ontology | None:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run the node until it has to end; returns the exit code.
-
-    Args:
-        argv: the command line, program name first.
-    """
+    """Run the node until it has to end; returns the exit code."""
     name = _name_of(argv)
     tenure = Tenure(name, kept=os.environ.pop(VARIABLE, ""))
     if not tenure.is_resumed and _is_running(name):

@@ -73,11 +73,7 @@ class ManagerSettings:
 
     @classmethod
     def read(cls) -> ManagerSettings:
-        """Read the node's private parameters.
-
-        Raises:
-            DyKnowError: a parameter has an unusable value.
-        """
+        """Read the node's private parameters; BadParameter if one has an unusable value."""
         node = rospy.get_name()
         _warn_of_unknown()
         return cls(

@@ -86,14 +86,7 @@ class Tenure:
         kept: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare; ``take`` comes before the node registers.
-
-        Args:
-            name: global name of the manager's node.
-            master: the ROS master; by default that of the environment.
-            kept: entry of a process that starts again, from ``VARIABLE``.
-            clock: steady time, in seconds.
-        """
+        """Prepare; ``take`` comes before the node registers. ``kept`` is from ``VARIABLE``."""
         self.name = name
         self._master = master or Master(name, timeout=PERIOD)
         self._clock = clock
@@ -106,7 +99,6 @@ class Tenure:
 
     @property
     def variables(self) -> Mapping[str, str]:
-        """Environment for a process that starts again."""
         return {VARIABLE: " ".join(map(str, self.entry))} if self.entry is not None else {}
 
     def take(self) -> None:
@@ -144,14 +136,7 @@ class Tenure:
         leave: Callable[[], None],
         come_back: Callable[[], None],
     ) -> None:
-        """Look periodically.
-
-        Args:
-            loop: makes the rounds, of the key ``KEY``.
-            uri: address of this node.
-            leave: called if another manager goes on in the name.
-            come_back: called if this one has to register again.
-        """
+        """Look periodically, as ``KEY`` of the loop, and call ``leave`` or ``come_back``."""
         self._uri = uri
 
         def look() -> Optional[float]:
