@@ -87,12 +87,9 @@ class GuardParameters:
         return together(map(from_parameter, self._read().values()))
 
     def check_caller(self, caller: str, what: str) -> None:
-        """Refuse a change in read-only mode, unless a read-only DyKnow manager makes it.
+        """Raise Denied in read-only mode, unless a read-only DyKnow manager makes the change.
 
         Such a manager refuses the requests of users, and still restores nodelets that died.
-
-        Raises:
-            Denied: the mode is read-only.
         """
         guards = self._read()
         own = from_parameter(guards.get(_key_of(caller)))
@@ -100,11 +97,7 @@ class GuardParameters:
             together(map(from_parameter, guards.values())).check_writable(what)
 
     def check_program(self, caller: str, program: str) -> None:
-        """Refuse to start a script; a DyKnow manager has checked its own guards.
-
-        Raises:
-            Denied: it must not be started, or is named by its path.
-        """
+        """Raise Denied for a script; a DyKnow manager has checked its own guards."""
         if program.startswith("/"):
             raise Denied(f"script '{program}'", "expected PACKAGE/SCRIPT, not a path")
         own = _key_of(caller)
@@ -112,13 +105,10 @@ class GuardParameters:
         together(others).check_program(program)
 
     def check_protection(self, caller: str, name: str) -> None:
-        """Refuse to unload a nodelet that another DyKnow manager than the caller protects.
+        """Raise ProtectedFromUnloading if another DyKnow manager than the caller protects it.
 
         The parameter server itself is queried: its notification may still be on the way when a
         protection has been acknowledged.
-
-        Raises:
-            ProtectedFromUnloading: one does.
         """
         own = _key_of(caller)
         try:

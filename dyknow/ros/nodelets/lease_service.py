@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import xmlrpc.client
 from typing import Any, Callable
 
 import rosgraph.network
@@ -36,11 +37,6 @@ PERIOD = 0.2
 PATIENCE = 0.4
 #: Seconds between two queries of the master for our name, and for its answer.
 NAME_PERIOD = 1.0
-
-_QUESTION = (
-    "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param><value>"
-    "<string>{}</string></value></param></params></methodCall>"
-)
 
 
 class LeaseService(Closable):
@@ -92,7 +88,7 @@ def probe(uri: str) -> Sight:
 
 
 def _query(connection: socket.socket, host: str) -> Sight:
-    body = _QUESTION.format(rospy.get_name())
+    body = xmlrpc.client.dumps((rospy.get_name(),), "getPid")
     head = f"POST /RPC2 HTTP/1.0\r\nHost: {host}\r\nContent-Type: text/xml\r\n"
     connection.settimeout(PATIENCE)
     try:
@@ -103,14 +99,9 @@ def _query(connection: socket.socket, host: str) -> Sight:
 
 
 def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
-    """Query the master from time to time, in a thread of its own, which node has a name.
+    """Call ``end`` once, with the reason, when the master has another address of a node's name.
 
-    A master that is away, or knows no node of that name, changes nothing.
-
-    Args:
-        name: of this node.
-        uri: its address.
-        end: called once with the reason when the master has another address.
+    A thread of its own polls the master. One that is away, or knows no such node, changes nothing.
     """
     master = Master(name, timeout=NAME_PERIOD)
 

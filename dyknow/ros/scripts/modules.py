@@ -31,13 +31,9 @@ _COPIED = process_view.COPIED | {rospy_view.COPIED}
 def script_importer(
     sandbox: Sandbox, script: str, given: str, init_node: Callable[..., None]
 ) -> Importer:
-    """Make the importer of a script.
+    """Make the importer of a script, whose siblings can be imported.
 
-    Args:
-        sandbox: runs the script.
-        script: its file; its siblings can be imported.
-        given: the path that it was called by, in a devel space that of a relay.
-        init_node: is called as ``rospy.init_node``.
+    ``given`` is the path that it was called by, in a devel space that of a relay.
     """
     folders = [os.path.dirname(script), os.path.dirname(os.path.abspath(given))]
 
@@ -61,13 +57,8 @@ def script_importer(
 def importer_with_libraries(context: Context, module: str, package: Package) -> Optional[Importer]:
     """Return modules of a nodelet's own if they use libraries of rospy, else None.
 
-    The nodelet's own modules see rospy as it is. The libraries that they import (actionlib, tf2,
-    message_filters and the like) act in its name, on topics that are not ports.
-
-    Args:
-        context: the nodelet.
-        module: the module of its class.
-        package: the package of that module.
+    Its package and the module of its class see rospy as it is. The libraries that they import
+    (actionlib, tf2, message_filters and the like) act in its name, on topics that are not ports.
     """
     used = reached_from(module, package.files)
     if not DEPENDENTS.imported_by(used) - package.tops:

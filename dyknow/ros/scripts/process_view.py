@@ -51,12 +51,7 @@ def process_views(sandbox: Sandbox) -> Views:
 
 
 def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
-    """Return factories of the further views of a script, by name.
-
-    Args:
-        sandbox: of the script.
-        importer: returns the importer of its modules.
-    """
+    """Return factories of the further views of a script, by name."""
     views: Views = {"sys": lambda: _sys(sandbox, importer())}
     if not sandbox.is_alone:
         views.update(_refusing(sandbox))

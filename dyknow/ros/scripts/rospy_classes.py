@@ -33,12 +33,7 @@ _LEAST = 0.001
 def wait_for(
     sandbox: Sandbox, condition: Callable[[float], bool], timeout: Any, what: str
 ) -> None:
-    """Wait for something as rospy does.
-
-    Raises:
-        ROSException: it took too long.
-        ROSInterruptException: the sandbox is to end.
-    """
+    """Wait for something, with rospy's exceptions."""
     seconds = timeout.to_sec() if isinstance(timeout, genpy.Duration) else timeout
     if not sandbox.wait_for(lambda left: sandbox.closing.is_set() or condition(left), seconds):
         raise rospy.ROSException(f"timeout exceeded while waiting for {what}")

@@ -45,10 +45,7 @@ def rospy_views(
 ) -> Dict[str, Callable[[], Module]]:
     """Return factories of the views of rospy and its submodules, by name.
 
-    Args:
-        sandbox: of the code.
-        init_node: is called as ``rospy.init_node``.
-        timer: returns the sandbox's copy of ``rospy.timer``.
+    ``timer`` returns the sandbox's copy of ``rospy.timer``.
     """
     members = _members(sandbox, init_node)
 

@@ -18,8 +18,8 @@ ordinary publishers as a copy, since those may change a message after publishing
 subscribers find in ``_connection_header`` what rospy would have put there. It differs from topic
 to topic, so they get a message object of their own, whose fields are shared.
 
-Who owns what: ``IntraProcess`` owns one ``LocalTopic`` for each topic that the bus publishes on,
-from the first publication until rospy's publisher of that topic is gone.
+``IntraProcess`` owns one ``OrdinaryHandles`` for each topic that the bus publishes on, from the
+first publication until rospy's publisher of that topic is gone.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class IntraProcessTransport(Transport):
             self._closed()
 
 
-class LocalTopic:
+class OrdinaryHandles:
     """Ordinary rospy handles of this process on one topic of the bus.
 
     Args:
@@ -298,18 +298,18 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         self._executor = executor
         self._master = Master(rospy.get_name())
         self._lock = state_lock("topics taken over")
-        self._topics: Dict[str, LocalTopic] = {}
+        self._topics: Dict[str, OrdinaryHandles] = {}
         self._uri: str = rospy.core.get_node_uri()
         handler = rospy.impl.tcpros.get_tcpros_handler()
         self._connect_outside = handler.create_transport
         handler.create_transport = self._create_transport
         rospy.impl.registration.get_registration_listeners().add_listener(self)
 
-    def publishing(self, topic: str) -> LocalTopic:
+    def publishing(self, topic: str) -> OrdinaryHandles:
         """Take over a topic, before rospy's publisher is made."""
         with self._lock:
             if topic not in self._topics:
-                self._topics[topic] = LocalTopic(
+                self._topics[topic] = OrdinaryHandles(
                     topic, self._uri, self._address_of, self._executor
                 )
             return self._topics[topic]
@@ -319,11 +319,11 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         if rospy.impl.registration.get_topic_manager().get_publisher_impl(topic) is not None:
             return
         with self._lock:
-            local = self._topics.get(topic)
-            if local is None or local.registrations:
+            handles = self._topics.get(topic)
+            if handles is None or handles.registrations:
                 return
             del self._topics[topic]
-        local.unlink()
+        handles.unlink()
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
         if reg_type == rospy.impl.registration.Registration.PUB:
@@ -345,10 +345,10 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
 
     def _link(self, topic: str) -> Tuple[int, str, int]:
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
-        local = self._topics.get(topic)
-        if subscriber is None or local is None:
+        handles = self._topics.get(topic)
+        if subscriber is None or handles is None:
             return 0, f"no subscriber of {topic}", 0
-        local.link(subscriber)
+        handles.link(subscriber)
         return 1, "intraprocess", 0
 
 

@@ -73,51 +73,51 @@ class RospyPublisher(OutsidePublisher):
         #: The last message that was passed to rospy, while rospy latches.
         self.sent: Any = None
         self._intraprocess = intraprocess
-        self._local = intraprocess.publishing(topic)
-        self._local.registrations.add(self)
+        self._ordinary = intraprocess.publishing(topic)
+        self._ordinary.registrations.add(self)
         try:
             self._publisher = rospy.Publisher(
                 topic, datatype, latch=latch, queue_size=queue_size, **options
             )
         except BaseException:
-            self._local.registrations.discard(self)
+            self._ordinary.registrations.discard(self)
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
-        self._local.adopt(self._implementation)
+        self._ordinary.adopt(self._implementation)
         self._notified = registrar.subscribers(topic) or frozenset()
-        self._local.refresh()
+        self._ordinary.refresh()
 
     def _connections(self) -> Tuple[Any, ...]:
         return tuple(self._implementation.connections or ())
 
     def peers(self) -> Tuple[Any, ...]:
         outside = self._connections()
-        return (HERE, *outside) if self._local.foreign else outside
+        return (HERE, *outside) if self._ordinary.foreign else outside
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
-        self._local.deliver(message)
-        if self._implementation.connections or self._local.backlog.open:
+        self._ordinary.deliver(message)
+        if self._implementation.connections or self._ordinary.backlog.open:
             self._send(message)
 
     def publish_to(self, peer: Any, message: Any) -> None:
         if peer is HERE:
-            self._local.deliver(message)
+            self._ordinary.deliver(message)
         elif peer in self._connections():
             self._send(message, peer)
 
     def latch(self, message: Any) -> None:
-        self._local.latch(self, message)
-        self._local.deliver(message)
+        self._ordinary.latch(self, message)
+        self._ordinary.deliver(message)
         self._send(message)
 
     def wait(self, seconds: float) -> None:
         """Wait for the connections of the subscribers that the master notified."""
         deadline = time.monotonic() + seconds
         if self._notified:
-            self._local.expect(self._notified, self._implementation.queue_size)
-        while self._local.backlog.waiting() and time.monotonic() < deadline:
+            self._ordinary.expect(self._notified, self._implementation.queue_size)
+        while self._ordinary.backlog.waiting() and time.monotonic() < deadline:
             time.sleep(_STEP)
 
     def drain(self, seconds: float) -> bool:
@@ -129,7 +129,7 @@ class RospyPublisher(OutsidePublisher):
         deadline = time.monotonic() + seconds
         while not self._closed and (
             self.in_flight
-            or self._local.backlog.waiting()
+            or self._ordinary.backlog.waiting()
             or not all(map(_is_idle, self._connections()))
         ):
             if time.monotonic() >= deadline:
@@ -141,8 +141,8 @@ class RospyPublisher(OutsidePublisher):
         if self._closed:
             return
         self._closed = True
-        self._local.registrations.discard(self)
-        successor = self._local.unlatch(self)
+        self._ordinary.registrations.discard(self)
+        successor = self._ordinary.unlatch(self)
         if self.sent is not None and self._implementation.latch is self.sent:
             self._implementation.latch = successor
         self._publisher.unregister()
@@ -160,11 +160,11 @@ class RospyPublisher(OutsidePublisher):
         implementation.acquire()
         latched = implementation.latch
         try:
-            self._local.outwards(message, peer)
+            self._ordinary.outwards(message, peer)
             if peer is not None:
                 implementation.latch = latched
             elif not implementation.is_latch:  # a later subscriber gets the last one anyway
-                self._local.backlog.keep(message)
+                self._ordinary.backlog.keep(message)
         except Exception as error:
             if self._closed:
                 return
