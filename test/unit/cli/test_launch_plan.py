@@ -65,15 +65,22 @@ def selected(planner, only="", except_=""):
     )
 
 
-def test_programs_and_shell_scripts_get_the_library(planner):
-    expected = Treatment("/robot/it", "pkg/relay", "", How.LIBRARY, "", REWIRABLE)
-    assert treat(planner, namespace="/robot/") == expected
-    assert treat(planner, "shell").how is How.LIBRARY
-
-
-def test_python_scripts_get_the_script_host(planner):
-    expected = Treatment("/it", "pkg/script", "", How.SCRIPT_HOST, "", REWIRABLE)
-    assert treat(planner, "script") == expected
+@pytest.mark.parametrize(
+    ("what", "how"),
+    [
+        ({}, How.LIBRARY),
+        ({"type_": "shell"}, How.LIBRARY),
+        ({"type_": "script"}, How.SCRIPT_HOST),
+        *(
+            ({"type_": "nodelet", "package": "nodelet", "args": args}, How.LIBRARY)
+            for args in ("manager", "standalone a/b", "--no-bond standalone a/b", "")
+        ),
+    ],
+)
+def test_programs_get_the_library_and_python_scripts_their_host(planner, what, how):
+    treatment = treat(planner, namespace="/robot/", **what)
+    program = f"{what.get('package', 'pkg')}/{what.get('type_', 'relay')}"
+    assert treatment == Treatment("/robot/it", program, "", how, "", REWIRABLE)
 
 
 def test_without_the_library_programs_are_left_alone(planner, monkeypatch, tmp_path):
@@ -116,11 +123,6 @@ def test_what_is_left_alone_keeps_its_prefix(planner, what, why):
     answer = treat(planner, **what)
     assert (answer.how, answer.why) == (How.AS_IT_IS, why)
     assert answer.prefix == what.get("launch_prefix", "")
-
-
-@pytest.mark.parametrize("args", ["manager", "standalone a/b", "--no-bond standalone a/b", ""])
-def test_nodelet_managers_are_rewirable(planner, args):
-    assert treat(planner, "nodelet", "nodelet", args=args).how is How.LIBRARY
 
 
 def test_an_environment_that_has_dyknow_is_fine(planner, tmp_path):
