@@ -113,7 +113,6 @@ def test_a_session_that_cannot_be_opened_leaves_nothing(
 
 ACTIVE = StreamStatus("c", "me", "A", "/a", "std_msgs/Header", ClaimState.ACTIVE, "", (), 0.0)
 DEGRADED = replace(ACTIVE, state=ClaimState.DEGRADED, detail="a part is in doubt")
-RELEASED = replace(ACTIVE, state=ClaimState.RELEASED)
 
 
 @pytest.fixture
@@ -140,18 +139,7 @@ def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) ->
     assert stream.state is ClaimState.ACTIVE
 
 
-def test_a_late_event_does_not_revive_what_was_released(
-    stream: AcquiredStream, events: List[StreamEvent]
-) -> None:
-    stream.release()
-    stream.on_event(event(DEGRADED))
-    stream.on_status(DEGRADED, stream.events)
-    stream.on_lost("unknown")
-    assert stream.state is ClaimState.RELEASED
-    assert [each.after.state for each in events] == [ClaimState.RELEASED]
-
-
-def test_a_callback_that_releases_gets_that_event_afterwards(
+def test_a_callback_may_release_and_late_events_revive_nothing(
     stream: AcquiredStream, events: List[StreamEvent]
 ) -> None:
     def release(news: StreamEvent) -> None:
@@ -160,4 +148,8 @@ def test_a_callback_that_releases_gets_that_event_afterwards(
 
     stream._notifications.listener = release
     stream.on_event(event(DEGRADED))
+    stream.on_event(event(DEGRADED))
+    stream.on_status(DEGRADED, stream.events)
+    stream.on_lost("unknown")
+    assert stream.state is ClaimState.RELEASED
     assert [each.after.state for each in events] == [ClaimState.DEGRADED, ClaimState.RELEASED]

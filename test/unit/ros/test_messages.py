@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from io import BytesIO
-from typing import Any, Callable
+from typing import Any
 
 import pytest
 import rospy
@@ -19,14 +19,7 @@ from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
 from dyknow.errors import Result, StreamRefused
-from dyknow.model.graph import (
-    Model,
-    NodeletKind,
-    NodeletStatus,
-    PortState,
-    SpawnRequest,
-    State,
-)
+from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -89,50 +82,26 @@ def sent(message: Any, message_class: Any = None) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("value", "to_message", "from_message"),
+    ("kind", "value"),
     [
-        (PORT, messages.port_message, messages.port_from),
-        (RELAY, messages.transformation_message, messages.transformation_from),
-        (THEIRS, messages.transformation_message, messages.transformation_from),
-        (
-            NodeletStatistics(1.5, 2, 3, (COUNTED,)),
-            messages.statistics_message,
-            messages.statistics_from,
-        ),
-        (
-            NodeletStatistics(1.5, 2, None, (UNKNOWN,)),
-            messages.statistics_message,
-            messages.statistics_from,
-        ),
-        (STREAM, messages.stream_message, messages.stream_from),
-        (StreamEvent(1.5, None, STREAM, "new"), messages.event_message, messages.event_from),
-        (
-            StreamEvent(1.5, replace(STREAM, topic=""), STREAM, "moved"),
-            messages.event_message,
-            messages.event_from,
-        ),
-        (
-            REQUEST,
-            lambda request: messages.acquire_message(request, dry_run=True),
-            messages.acquire_from,
-        ),
-        (ACQUIRED, messages.acquisition_message, messages.acquisition_from),
-        (
-            replace(ACQUIRED, message="", warnings=()),
-            messages.acquisition_message,
-            messages.acquisition_from,
-        ),
-        (
-            Replanned(("/n",), ("/o", "/p"), 1.5, "a plan", "as before"),
-            messages.replanned_message,
-            messages.replanned_from,
-        ),
+        ("port", PORT),
+        ("transformation", RELAY),
+        ("transformation", THEIRS),
+        ("statistics", NodeletStatistics(1.5, 2, 3, (COUNTED,))),
+        ("statistics", NodeletStatistics(1.5, 2, None, (UNKNOWN,))),
+        ("stream", STREAM),
+        ("event", StreamEvent(1.5, None, STREAM, "new")),
+        ("event", StreamEvent(1.5, replace(STREAM, topic=""), STREAM, "moved")),
+        ("acquire", REQUEST),
+        ("acquisition", ACQUIRED),
+        ("acquisition", replace(ACQUIRED, message="", warnings=())),
+        ("replanned", Replanned(("/n",), ("/o", "/p"), 1.5, "a plan", "as before")),
     ],
 )
-def test_a_value_arrives_unchanged(
-    value: Any, to_message: Callable[[Any], Any], from_message: Callable[[Any], Any]
-) -> None:
-    assert from_message(sent(to_message(value))) == value
+def test_a_value_arrives_unchanged(kind: str, value: Any) -> None:
+    further = [True] if kind == "acquire" else []
+    message = getattr(messages, f"{kind}_message")(value, *further)
+    assert getattr(messages, f"{kind}_from")(sent(message)) == value
 
 
 def test_fields_that_the_values_do_not_have() -> None:

@@ -39,8 +39,11 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("limits")
-def test_topics_hold_no_descriptor() -> None:
+def test_topics_hold_no_descriptor_and_the_limit_is_raised() -> None:
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
     descriptors.spare()
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(hard, descriptors.MOST), hard)
     before = used()
     topics = [rospy.topics._SubscriberImpl(f"/t{number}", Header) for number in range(20)]
     assert used() == before
@@ -48,19 +51,10 @@ def test_topics_hold_no_descriptor() -> None:
 
 
 @pytest.mark.usefixtures("limits")
-def test_the_limit_is_raised_to_what_is_allowed() -> None:
-    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
-    descriptors.spare()
-    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(hard, descriptors.MOST), hard)
-
-
-@pytest.mark.usefixtures("limits")
 def test_more_work_is_refused_before_descriptors_run_out() -> None:
     descriptors.check_left()
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    limit = used() + 20
-    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (used() + 20, hard))
     descriptors.check_left()
     with socket.socket(), socket.socket():
         resource.setrlimit(resource.RLIMIT_NOFILE, (used() + 1, hard))
@@ -73,25 +67,15 @@ def test_a_connection_whose_other_end_is_gone_is_found() -> None:
     here, there = socket.socketpair()
     other, stays = socket.socketpair()
     with here, other, stays:
-        poller.add_fd(here.fileno())
-        poller.add_fd(other.fileno())
+        for descriptor in (here.fileno(), other.fileno(), -1):
+            poller.add_fd(descriptor)
         assert list(poller.error_iter()) == []
         there.close()
         assert list(poller.error_iter()) == [here.fileno()]
         poller.remove_fd(here.fileno())
         poller.remove_fd(here.fileno())
+        other.close()  # closed here: it is forgotten
         assert list(poller.error_iter()) == []
-
-
-def test_a_connection_that_was_closed_here_is_forgotten() -> None:
-    poller = descriptors.Poller()
-    here, there = socket.socketpair()
-    poller.add_fd(here.fileno())
-    poller.add_fd(-1)
-    here.close()
-    assert list(poller.error_iter()) == []
-    there.close()
-    assert list(poller.error_iter()) == []
 
 
 @pytest.fixture
@@ -109,44 +93,36 @@ def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer)
     assert struct.unpack_from("<I", information, _QUEUE_AT)[0] == descriptors.QUEUE
 
 
-def test_the_server_outlives_a_lack_of_descriptors() -> None:
-    class Exhausted:
-        """A socket whose process has no descriptor left until one is closed."""
+class Exhausted:
+    """A socket whose process has no descriptor left, as often as its outcomes say."""
 
-        def __init__(self) -> None:
-            self.outcomes: list[Any] = []
+    def __init__(self, *outcomes: Any) -> None:
+        self.outcomes = list(outcomes)
 
-        def accept(self) -> str:
-            outcome = self.outcomes.pop(0)
-            if isinstance(outcome, int):
-                raise OSError(outcome, os.strerror(outcome))
-            return str(outcome)
+    def accept(self) -> str:
+        outcome = self.outcomes.pop(0)
+        if isinstance(outcome, int):
+            raise OSError(outcome, os.strerror(outcome))
+        return str(outcome)
 
-        def getsockname(self) -> str:
-            return "here"
+    def getsockname(self) -> str:
+        return "here"
 
-    exhausted = Exhausted()
-    patient = descriptors.PatientSocket(exhausted)  # type: ignore[arg-type]
+
+def test_the_server_outlives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    exhausted: Any = Exhausted("a", errno.EMFILE, "b", errno.EINVAL, errno.EMFILE)
+    patient = descriptors.PatientSocket(exhausted)
     assert patient.getsockname() == "here"
-    exhausted.outcomes = ["a", errno.EMFILE, "b", errno.EINVAL]
     assert [patient.accept(), patient.accept()] == ["a", "b"]
     with pytest.raises(OSError, match="Invalid argument"):
         patient.accept()
-
-
-def test_a_peer_that_connects_when_no_descriptor_is_left_waits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Full:
-        def accept(self) -> None:
-            raise OSError(errno.EMFILE, "full")
 
     def refuse(*unused: object) -> int:
         raise OSError(errno.EMFILE, "full")
 
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(socket.timeout):
-        descriptors.PatientSocket(Full()).accept()  # type: ignore[arg-type]
+    with pytest.raises(socket.timeout):  # without a spare one the peer waits
+        descriptors.PatientSocket(exhausted).accept()
 
 
 CODE = """

@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from clocks import eventually
 
 from dyknow.errors import StoreError
 from dyknow.model.graph import NodeletKind
@@ -73,22 +74,19 @@ def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
     return found
 
 
-def test_the_end_of_a_child_is_noticed(tmp_path: Path) -> None:
+def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path: Path) -> None:
     found = start(tmp_path)
-    assert found.alive
+    found.signal(signal.SIGSTOP)
+    assert found.alive, "a stopped process is"
     assert not found.wait(0.05)
-    found.signal(signal.SIGKILL)
-    assert found.wait(5.0)
+    found.signal(signal.SIGSEGV)
+    found.signal(signal.SIGCONT)
+    assert found.wait_for_rest() == -signal.SIGSEGV
     assert not found.alive
     found.signal(signal.SIGKILL)  # no process is there to get it
-
-
-def test_how_a_child_ended_is_known(tmp_path: Path) -> None:
-    found = start(tmp_path)
-    found.signal(signal.SIGSEGV)
-    assert found.wait_for_rest() == -signal.SIGSEGV
-    assert os_process.start(EXITS, str(tmp_path / "o"), str(tmp_path)).wait_for_rest() == 3
+    assert found.wait(5.0)
     assert found.wait_for_rest() is None  # it was told already, or is no child
+    assert os_process.start(EXITS, str(tmp_path / "o"), str(tmp_path)).wait_for_rest() == 3
 
 
 @pytest.mark.parametrize("stubborn", [False, True])
@@ -112,17 +110,19 @@ def test_a_forked_process_has_signals_of_its_own() -> None:
     assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
-def test_the_end_of_a_process_of_others_is_noticed(tmp_path: Path) -> None:
-    child = subprocess.Popen(SLEEP, stdout=subprocess.DEVNULL)
-    try:
+@pytest.mark.parametrize("has_pidfd", [True, False])
+def test_the_end_of_another_process_is_noticed(
+    has_pidfd: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_pidfd:
+        monkeypatch.setattr(os_process, "_pidfd", lambda pid: None)
+    with subprocess.Popen(SLEEP, stdout=subprocess.DEVNULL) as child:
         found = ProcessId.of(child.pid)
         assert found is not None
         assert not ProcessId(found.pid, found.started + 1).alive
+        assert not found.wait(0.05)
         threading.Timer(0.1, child.kill).start()
         assert found.wait(5.0)
-    finally:
-        child.kill()
-        child.wait()
 
 
 @pytest.mark.parametrize("command", [SLEEP, STUBBORN])
@@ -130,14 +130,6 @@ def test_end_asks_and_then_forces(tmp_path: Path, command: tuple[str, ...]) -> N
     found = start(tmp_path, command)
     found.end(0.2)
     assert not found.alive
-
-
-def test_a_stopped_process_is_alive(tmp_path: Path) -> None:
-    found = start(tmp_path)
-    found.signal(signal.SIGSTOP)
-    assert found.alive
-    assert not found.wait(0.05)
-    found.end(0.05)
 
 
 def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
@@ -160,16 +152,6 @@ def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
         other.end(1.0)
 
 
-def test_one_owner_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(owner_module, "_CONTENTION", 0.05)
-    path = str(tmp_path / "folder" / "lock")
-    owner = OwnerLock(path)
-    with pytest.raises(StoreError, match="another manager"):
-        OwnerLock(path)
-    owner.release()
-    OwnerLock(path).release()
-
-
 def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
     path = str(tmp_path / "lock")
     owner = OwnerLock(path)
@@ -189,29 +171,29 @@ def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process holds it
 
 
-def test_one_that_waits_and_is_stopped_does_not_keep_a_new_owner_away(tmp_path: Path) -> None:
-    path = str(tmp_path / "lock")
+def test_there_is_one_owner_also_while_a_stopped_process_keeps_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(owner_module, "_CONTENTION", 0.05)
+    path = str(tmp_path / "folder" / "lock")
+    wait_until_orphaned(path, 0.01)  # a file that is not there has no owner
     OwnerLock(path).release()
     with open(path) as waiting:
         fcntl.flock(waiting, fcntl.LOCK_SH)  # as it is between the owner's end and its noticing
         owner = OwnerLock(path)
-        with pytest.raises(StoreError):
+        with pytest.raises(StoreError, match="another manager"):
             OwnerLock(path)
-    with open(path) as other:  # it gave way: now the owner has the lock
-        for _ in range(500):
-            try:
-                fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                break
-            fcntl.flock(other, fcntl.LOCK_UN)
-            time.sleep(0.01)
-        else:
-            raise AssertionError("the owner did not take the lock")
+    eventually(lambda: not _is_free(path))  # it gave way: now the owner has the lock
     owner.release()
 
 
-def test_a_file_that_is_gone_has_no_owner(tmp_path: Path) -> None:
-    wait_until_orphaned(str(tmp_path / "nothing"), 0.01)
+def _is_free(path: str) -> bool:
+    with open(path) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
 
 
 def test_output_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
