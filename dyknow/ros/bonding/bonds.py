@@ -89,9 +89,7 @@ class Bonds:
     def add(self, bond_id: str, on_broken: OnBroken) -> None:
         """Start a bond; the sister may be there already or come within the connect timeout.
 
-        Args:
-            bond_id: the id that both ends share.
-            on_broken: called once, when the sister dies, falls silent or never comes.
+        ``on_broken`` is called once, when the sister dies, falls silent or never comes.
 
         Raises:
             DuplicateBond: there is a bond with this id.
@@ -107,10 +105,7 @@ class Bonds:
         self._perform(effects)
 
     def remove(self, bond_id: str) -> None:
-        """Break a bond on purpose: the sister is notified, `on_broken` is not called.
-
-        Nothing happens if the bond does not exist: it may just have broken by itself.
-        """
+        """Break a bond on purpose, if it exists: the sister is notified, `on_broken` is not."""
         with self._changed:
             effects = self._table.remove(bond_id, self._clock())
             self._changed.notify()

@@ -32,10 +32,8 @@ class ClaimBonds:
     ) -> None:
         """Make it without bonds.
 
-        Args:
-            claims: returns the claims of this moment.
-            expire: ends a claim, given its id and a reason.
-            running: time for which this process has run (s).
+        ``claims`` returns the present claims, ``expire`` ends one, given its id and a reason, and
+        ``running`` is the time for which this process has run (s).
         """
         self._claims = claims
         self._expire = expire

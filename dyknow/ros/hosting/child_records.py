@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Dict, Iterable, List, Optional
 
 from dyknow.model.graph import NodeletKind
@@ -26,8 +26,6 @@ class ChildRecord:
     """One nodelet manager, or a node.
 
     Attributes:
-        name: global node name.
-        kind: kind of its nodelets, or of the node.
         isolated_for: its only nodelet, a node itself; empty for shared ones.
         process: the process; None before its start, and if it ended with a reboot.
     """
@@ -39,11 +37,7 @@ class ChildRecord:
 
 
 def read(path: str) -> List[ChildRecord]:
-    """Read the records, also those of processes that have ended; none if there is no file.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
+    """Read the records, also of ended processes; raises ``ValueError`` for a damaged file."""
     try:
         with open(path) as file:
             entries = json.load(file)
@@ -74,8 +68,7 @@ def write(path: str, records: Iterable[ChildRecord]) -> None:
             "name": each.name,
             "kind": each.kind.value,
             "isolated_for": each.isolated_for,
-            "pid": each.process.pid if each.process is not None else 0,
-            "started": each.process.started if each.process is not None else 0,
+            **asdict(each.process or ProcessId(0, 0)),
             "boot": boot,
         }
         for each in records

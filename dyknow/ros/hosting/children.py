@@ -56,14 +56,7 @@ class Children:
     def __init__(
         self, context: PeerContext, launcher: Launcher, namespace: str, path: str
     ) -> None:
-        """Prepare; there are no children yet.
-
-        Args:
-            context: shared by all peers.
-            launcher: starts the children.
-            namespace: that of the DyKnow manager, and of its shared children.
-            path: file of the records.
-        """
+        """Prepare; ``namespace`` is that of shared children, ``path`` the file of the records."""
         self._context = context
         self._launcher = launcher
         self._namespace = namespace
@@ -119,12 +112,7 @@ class Children:
     def ensure(self, kind: NodeletKind, isolated_for: str) -> str:
         """Return the name of a child that is up, starting one if there is none that answers.
 
-        Args:
-            kind: kind of nodelets that it must be able to host.
-            isolated_for: its only nodelet; empty for a shared one.
-
-        Raises:
-            HostError: it does not come up.
+        Raises ``HostError`` if it does not come up. A shared one has an empty ``isolated_for``.
         """
         deadline = time.monotonic() + START_TIMEOUT
         hosts = self._hosts(kind, isolated_for)
@@ -153,10 +141,9 @@ class Children:
     def start_node(
         self, kind: NodeletKind, name: str, command: Tuple[str, ...], timeout: float
     ) -> None:
-        """Start a node, and wait ``timeout`` seconds for its ports. It is not started again.
+        """Start a node, and wait ``timeout`` seconds for its ports; it is not started again.
 
-        Raises:
-            HostError: it did not come up, and was ended.
+        Raises ``HostError`` if it did not come up, after ending it.
         """
         record = ChildRecord(name, kind, name)
         child = self._add(Child(self._context, record, command=command, start_timeout=timeout))

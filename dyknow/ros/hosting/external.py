@@ -85,13 +85,9 @@ class External(NodeletPeer):
         is_node: bool = False,
         on_gone: Callable[[External], None] = lambda gone: None,
     ) -> None:
-        """Prepare; ``start`` begins to look for it.
+        """Prepare; ``start`` begins to look for a nodelet manager, or a re-wirable node.
 
-        Args:
-            context: what all peers share.
-            name: its global name.
-            is_node: whether a re-wirable node is meant, not a nodelet manager.
-            on_gone: called when a node has been gone for so long that it is not looked for.
+        ``on_gone`` is called when a node has been gone for so long that it is not looked for.
         """
         super().__init__(context, name)
         self.is_node = is_node
@@ -126,12 +122,7 @@ class External(NodeletPeer):
         return (state.responsive or state.away) and super().may_publish
 
     def check(self) -> None:
-        """Refuse to query one that does not answer.
-
-        Raises:
-            HostTimeout: it did not answer the last time.
-            HostError: it is not there.
-        """
+        """Raise ``HostTimeout`` if it did not answer the last time, ``HostError`` if it ended."""
         self._refuse_if_missed(self.presence)
 
     def list(self, incarnation: str = "") -> List[str]:
@@ -155,10 +146,7 @@ class External(NodeletPeer):
             return nodelets
 
     def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
-        """Probe it once more, if it was not found the last time, and wait for the outcome.
-
-        One that does not answer is not waited for.
-        """
+        """Probe it once more if it was not found the last time, and wait for the outcome."""
         state = self.state
         if state.unseen or not (state.responsive or state.away):
             self._worker.wait_for(self._worker.wake(), timeout)
@@ -316,13 +304,7 @@ class Externals:
         managers: Iterable[str] = (),
         is_child: Callable[[str], bool] = lambda name: False,
     ) -> None:
-        """Prepare.
-
-        Args:
-            context: what all peers share.
-            managers: names of the nodelet managers.
-            is_child: whether a node of that name is a child of ours, and not external.
-        """
+        """Prepare; a node for which ``is_child`` is true is a child of ours, and not external."""
         self._context = context
         self._is_child = is_child
         self._state_lock = state_lock("external processes")

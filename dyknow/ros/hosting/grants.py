@@ -21,7 +21,7 @@ from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import ProcessState
-from dyknow.periodic import STEADY, Clock, PeriodicWorker
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.lease_service import SERVICE
 from dyknow.ros.wire.master import Master
@@ -51,7 +51,6 @@ class PeerContext:
         on_change: called when a process is up or has ended, or a lease has run out.
         running: time for which this process has run (s): a manager that was stopped asks again
             before it judges.
-        clock: steady time, for the guards.
         producers: by topic of a claim, the nodelet that publishes there; empty for none.
         protected: by process, the nodelets that only this manager may unload.
     """
@@ -61,7 +60,6 @@ class PeerContext:
     uri: str = ""
     on_change: Callable[[], object] = lambda: None
     running: Callable[[], float] = time.monotonic
-    clock: Clock = STEADY
     producers: Mapping[str, str] = field(default_factory=dict)
     protected: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -192,7 +190,7 @@ class Guarding:
         """Hand them over, unless the process has them; a failure is logged, and tried again."""
         if not state.alive or not state.rewirable:
             return
-        now = self._context.clock.now()
+        now = self._context.running()
         protected = tuple(sorted(self._context.protected.get(self._name, ())))
         is_known = self._done == (state.incarnation, protected)
         if is_known and now - self._seen < GUARDS_PERIOD:

@@ -71,13 +71,9 @@ class RosHost(Host):
         registrar: Registrar,
         external: Sequence[str] = (),
     ) -> None:
-        """Prepare; ``start`` looks for the external nodelet managers.
+        """Prepare; ``start`` looks for the ``external`` nodelet managers.
 
-        Args:
-            context: what all peers share.
-            children: processes that we start.
-            registrar: registers the topics of this process.
-            external: global names of external nodelet managers.
+        ``registrar`` registers the topics of this process.
         """
         self._context = context
         self._master = context.master
@@ -208,11 +204,7 @@ class RosHost(Host):
             raise HostError(text) from error
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload, unless the load was refused; a node that we started is ended.
-
-        Raises:
-            HostError: it is a node in a process of its own, which is not ours to end.
-        """
+        """Unload, unless the load was refused; a node is ended if it is ours."""
         peer = self._known(manager)
         state = peer.state
         if state.kind.is_node:

@@ -37,10 +37,9 @@ class NodeletTypes:
         self._kinds: Mapping[str, NodeletKind] = {}
 
     def kind_of(self, source: str) -> NodeletKind:
-        """Return the kind of a type; one that is declared in both languages is Python.
+        """Return the kind of a type; raises ``HostError`` if no package declares it.
 
-        Raises:
-            HostError: no package declares it.
+        One that is declared in both languages is Python.
         """
         declared = self._declared({source})
         if source not in declared:
@@ -91,11 +90,7 @@ def _read(file: Path) -> Iterator[str]:
 def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterator[Problem]:
     """List the nodelet types, programs and message types that this machine does not have.
 
-    Each of them is reported once, at the first transformation that needs it.
-
-    Args:
-        file: named in the problems.
-        transformations: compared with the installed packages.
+    Each is reported once, at the first transformation that needs it; problems name ``file``.
     """
     made = [each for each in transformations if each.type != TOPIC and not each.is_described]
     missing = NodeletTypes().undeclared(each.source for each in made if each.type != NODE)

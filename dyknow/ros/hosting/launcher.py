@@ -63,16 +63,13 @@ class Launcher:
         orphan_timeout: float,
         parameters: Mapping[str, Any],
     ) -> None:
-        """Make the folders for logs and for files of the children.
+        """Make the folders for logs and files; raises ``HostError`` if they cannot be written.
 
         Args:
-            master: the ROS master; its caller is the owner of the children.
+            master: its caller is the owner of the children.
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
             parameters: further private parameters of each child.
-
-        Raises:
-            HostError: a folder cannot be written.
         """
         self._master = master
         self._owner = owner
@@ -94,11 +91,8 @@ class Launcher:
     def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> Tuple[ProcessId, LogTail]:
         """Start a nodelet manager, or a node with a ``command``.
 
-        Its registration replaces that of a dead predecessor at the master.
-
-        Raises:
-            OSError: the program cannot be started.
-            HostError: the program is not installed.
+        Its registration replaces that of a dead predecessor at the master. Raises ``OSError`` or
+        ``HostError`` if it cannot be started.
         """
         kind, name = child.kind, child.name
         for key, value in self._parameters_of(kind, name).items():

@@ -68,12 +68,8 @@ class NodeletPeer(ABC):
     def list(self, incarnation: str = "") -> List[str]:
         """Return the names of its nodelets, sorted.
 
-        Args:
-            incarnation: the process that is meant; empty for any.
-
-        Raises:
-            HostTimeout: it does not answer, or did not the last time.
-            HostError: it is not there, or is another process.
+        Raises ``HostTimeout`` if it does not answer, or did not the last time, and ``HostError``
+        if it is not there, or is not the ``incarnation`` that is meant (empty for any).
         """
 
     @property
@@ -115,12 +111,7 @@ class ListClient:
         self.answers = True
 
     def list(self, timeout: float = LIST_TIMEOUT) -> List[str]:
-        """Return the names of its nodelets, sorted.
-
-        Raises:
-            PeerTimeout: no answer in time.
-            HostError: it is not there, or another process has its name.
-        """
+        """Return the names of its nodelets, sorted; raises `PeerTimeout` or ``HostError``."""
         try:
             answer = self._client.call(timeout, *([[self._node]] if self._node else ()))
         except PeerTimeout:

@@ -154,10 +154,9 @@ def boot() -> str:
 
 
 def started_with(variable: str) -> List[Tuple[ProcessId, str, List[str]]]:
-    """Find processes that ``start`` started with a variable in their environment.
+    """Find processes that ``start`` started with a variable, the oldest first.
 
-    Returns:
-        For each the value and its command line, the oldest process first.
+    Returns for each the variable's value and the command line.
     """
     found = []
     key = variable.encode() + b"="

@@ -74,11 +74,7 @@ def _packages() -> Any:
 
 
 def find_script(name: str) -> str:
-    """Return the path of a script that is named ``PKG/SCRIPT``, or by its path.
-
-    Raises:
-        CannotRun: there is none, or it is not a script in Python.
-    """
+    """Return the path of a script in Python that is named ``PKG/SCRIPT``, or by its path."""
     package, slash, executable = name.partition("/")
     if not slash:
         raise CannotRun(f"'{name}' names no script: expected PACKAGE/SCRIPT or a path")
@@ -116,11 +112,7 @@ def interpreter(path: str) -> Optional[List[str]]:
 
 
 def first_line(path: str) -> str:
-    """Return the first line of a file, as much of it as the system reads.
-
-    Raises:
-        CannotRun: the file cannot be read.
-    """
+    """Return the first line of a file, as much of it as the system reads."""
     try:
         with open(path, "rb") as file:
             return file.readline(200).decode("latin-1")

@@ -45,11 +45,7 @@ class EventReader:
         self.close = reader.close
 
     def next(self, timeout: float) -> Optional[StreamEvent]:
-        """Return the next event, or None if none comes in time.
-
-        Raises:
-            ManagerUnreachable: the manager is gone.
-        """
+        """Return the next event, or None; raises `ManagerUnreachable` if the manager is gone."""
         try:
             message = self._reader.read(timeout)
         except OSError as error:

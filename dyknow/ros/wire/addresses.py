@@ -67,12 +67,7 @@ class Addresses:
         self._searches: Dict[str, Future[Tuple[str, ...]]] = {}
 
     def of(self, host: str, timeout: float) -> Tuple[str, ...]:
-        """Return the addresses of a host; an address is returned as it is.
-
-        Raises:
-            socket.timeout: they are not known in time.
-            OSError: it has none.
-        """
+        """Return the addresses of a host; raises ``OSError``, ``socket.timeout`` if late."""
         if _is_address(host):
             return (host,)
         with self._state_lock:
@@ -114,12 +109,7 @@ ADDRESSES = Addresses()
 
 
 def connect(host: str, port: int, timeout: float) -> socket.socket:
-    """Connect to a host; the search for its address counts.
-
-    Raises:
-        socket.timeout: not in time.
-        OSError: there is no such host, or it refuses.
-    """
+    """Connect to a host, its look-up included; raises ``OSError``, ``socket.timeout`` if late."""
     deadline = time.monotonic() + timeout
     failure: Optional[OSError] = None
     for address in ADDRESSES.of(host, timeout):

@@ -40,13 +40,9 @@ _LEAST_WAIT = 0.001
 
 
 def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
-    """Make a blocking call in another thread, and wait for its result.
+    """Make a blocking call in another thread; its result is dropped if it is late.
 
-    A call that is late goes on in the background, and its result is dropped.
-
-    Raises:
-        PeerTimeout: ``what`` did not end in time.
-        Exception: any exception of the call.
+    Raises `PeerTimeout` then, else any exception of the call.
     """
     assert_no_state_lock(f"calling {what}")
     future = future_of(f"call {what}", call)
@@ -78,11 +74,7 @@ class TcprosConnection:
         self._received = bytearray()
 
     def shake_hands(self, what: str, fields: Dict[str, str], deadline: float) -> None:
-        """Exchange headers, and close the connection if that fails.
-
-        Raises:
-            ConnectionRefused: the header of the other side has an error.
-        """
+        """Exchange headers; raises `ConnectionRefused`, and closes the connection on any error."""
         try:
             self._limit(deadline)
             rosgraph.network.write_ros_handshake_header(self._socket, fields)

@@ -44,8 +44,7 @@ class TopicReader:
         Raises:
             LookupError: the node is unknown, or does not publish the topic.
             ConnectionRefused: the node's message type is another one.
-            PeerTimeout: it does not answer in time.
-            OSError: the connection broke.
+            PeerTimeout, OSError: it does not answer in time, or the connection broke.
         """
         what = f"topic {topic} of {publisher}"
         self._class = message_class
@@ -78,8 +77,7 @@ class TopicReader:
     def read(self, timeout: float, last_only: bool = False) -> Optional[Any]:
         """Return the next message, or the last that has come; None if there is none in time.
 
-        Raises:
-            OSError: the connection broke; the publisher may be gone.
+        Raises ``OSError`` when the connection breaks; the publisher may be gone.
         """
         frame = self._frame(time.monotonic() + timeout)
         later = frame if last_only else None
@@ -136,10 +134,7 @@ class TopicFollower:
         in_background(self._what, self._run)
 
     def reconnect(self) -> None:
-        """Leave the present connection, made or in the making.
-
-        The next is to the node that has the name now.
-        """
+        """Leave the connection, made or in the making, for one to the node of that name now."""
         self._is_left.set()
         reader = self._reader
         if reader is not None:

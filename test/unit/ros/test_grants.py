@@ -146,7 +146,7 @@ class Guarded:
         self.clock = HandClock()
         self.master = Parameters()
         self.values = self.master.values
-        self.context = PeerContext(self.master, guards, clock=self.clock)
+        self.context = PeerContext(self.master, guards, running=self.clock)
         self.guarding = Guarding(self.context, "/far")
 
     def hand_over(self, **change: Any) -> None:
