@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import functools
 import logging
-import threading
 import time
 import unittest
+from concurrent.futures import Future
 from typing import Any, Collection, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
 
 import rospy
@@ -21,6 +22,7 @@ from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Handler, Middleware
 from dyknow.nodelet.pubsub import Publisher
 from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.periodic import in_background
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.testing.middleware import (
     HarnessNode,
@@ -205,16 +207,17 @@ class NodeletHarness(Harness):
         handler = self._services.handlers.get(_global(service))
         if handler is None:
             raise rospy.ServiceException(f"service [{service}] unavailable")
-        answer = _Call(handler, request)
+        answer: Future[Any] = Future()
+        in_background("service call", functools.partial(_answer, handler, request, answer))
         deadline = time.monotonic() + _PATIENCE
-        while not answer.done.wait(_GLANCE):
+        while not answer.done():
+            time.sleep(_GLANCE)
             self._executor.drain()
             if time.monotonic() > deadline:
                 raise rospy.ServiceException(f"service [{service}] has not answered")
-        if answer.error is not None:
+        if answer.exception() is not None:
             self._raised = self._count_errors()  # the test knows it by this error
-            raise answer.error
-        return answer.response
+        return answer.result()
 
     # Time
 
@@ -272,23 +275,11 @@ class NodeletTestCase(unittest.TestCase):
         self.addCleanup(self.harness.close)
 
 
-class _Call:
-    """One call of a service, on a thread of its own: its handler runs in the test's."""
-
-    def __init__(self, handler: Handler, request: Any) -> None:
-        self.done = threading.Event()
-        self.response: Any = None
-        self.error: Optional[Exception] = None
-        self._handler = handler
-        self._request = request
-        threading.Thread(target=self._run, name="service call", daemon=True).start()
-
-    def _run(self) -> None:
-        try:
-            self.response = self._handler(self._request)
-        except Exception as error:  # the boundary of the thread; raised again where it was called
-            self.error = error
-        self.done.set()
+def _answer(handler: Handler, request: Any, answer: Future[Any]) -> None:
+    try:
+        answer.set_result(handler(request))
+    except Exception as error:  # the boundary of the thread; raised again where it was called
+        answer.set_exception(error)
 
 
 class _FailureLog(logging.Handler):
@@ -301,16 +292,13 @@ class _FailureLog(logging.Handler):
         self._logger.addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep an error."""
         self._texts.append(record.getMessage())
 
     def take(self) -> List[str]:
-        """Return the errors since the last call."""
         texts, self._texts = self._texts, []
         return texts
 
     def close(self) -> None:
-        """Keep nothing any more."""
         self._logger.removeHandler(self)
         super().close()
 
@@ -320,10 +308,9 @@ def _global(name: str) -> str:
 
 
 def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> Dict[str, str]:
-    """Return the remappings, of global names, that connect ports of a nodelet at its load.
+    """Return the remappings that connect ports of a nodelet at its load.
 
-    A port's name resolves in the handle that declares it, which is not known yet: each is remapped
-    in the namespace that the nodelet stands in and in its own.
+    The handle that declares a port is not known yet, so its name is remapped in both namespaces.
     """
     return {
         names.resolve(port, namespace, nodelet): names.resolve(topic, "/", nodelet)
