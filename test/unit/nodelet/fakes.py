@@ -84,9 +84,10 @@ class RecordingTransport(LocalTransport):
         if topic in self.refused:
             raise self.refused[topic]
         self.on_register(topic)
-        self.made.append(register(topic, *args))
-        self.on_made(self.made[-1])
-        return self.made[-1]
+        registration = register(topic, *args)
+        self.made.append(registration)
+        self.on_made(registration)
+        return registration
 
 
 class World:
