@@ -114,14 +114,6 @@ class WindowTest(ManagerCase):
         manager.start()
         until(lambda: window.monitor.is_linked, "the window finds the next manager")
 
-    def test_a_refusal_is_a_line_in_the_words_of_the_manager(self) -> None:
-        self.started()
-        window = self.window()
-        until(lambda: window.monitor.library, "the library is there")
-        window.monitor.do(spawn(SpawnRequest("fails", "/never")))
-        words = "create /never: cannot spawn '/never'"
-        until(lambda: words in window.line.text, words)
-
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
         manager = self.started()
         manager.client.spawn("counter", "/count")

