@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 import unittest
 
 import graph  # first: it makes the test package known
@@ -41,28 +42,35 @@ class LeakTest(unittest.TestCase):
             self.last = self.holdings()
             return all(now <= then + SPARE for now, then in zip(self.last, before))
 
-        try:
-            eventually(back, 10.0, what)
-        except AssertionError:
-            self.fail(f"{what}: {self.last} descriptors and threads, {before} before")
+        eventually(
+            back, 10.0, what, lambda: f"{self.last} descriptors and threads, {before} before"
+        )
+
+    def rewires(self, warm, rounds, *topics):
+        """Move both ports of /n between pairs of topics, over one connection."""
+        change = rospy.ServiceProxy("/n/set_config", SetConfig, persistent=True)
+        self.addCleanup(change.close)
+        pairs = itertools.cycle(topics)
+
+        def rewire():
+            source, target = next(pairs)
+            self.assertTrue(change([PortConfig("in", source), PortConfig("out", target)]).success)
+
+        self.leaves_nothing(rewire, warm, rounds)
+
+    def leaves_nothing(self, action, warm, rounds):
+        for _ in range(warm):
+            action()
+        before, registered = self.holdings(), graph.registrations("/manager")
+        for _ in range(rounds):
+            action()
+        eventually(lambda: graph.registrations("/manager") == registered, 5.0, "registrations")
+        self.assert_back(before, f"after {rounds} rounds")
 
     def test_rewirings_inside(self):
         self.manager.load("Talker", "/talker", {"/out": "/a"})
         self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
-        change = rospy.ServiceProxy("/n/set_config", SetConfig, persistent=True)
-
-        def rewire(times):
-            for number in range(times):
-                pairs = (("/a", "/b"), ("/c", "/d"))[number % 2]
-                config = [PortConfig("in", pairs[0]), PortConfig("out", pairs[1])]
-                self.assertTrue(change(config).success)
-
-        rewire(20)
-        before, registered = self.holdings(), graph.registrations("/manager")
-        rewire(INSIDE)
-        eventually(lambda: graph.registrations("/manager") == registered, 5.0, "registrations")
-        self.assert_back(before, f"after {INSIDE} re-wirings")
-        change.close()
+        self.rewires(20, INSIDE, ("/a", "/b"), ("/c", "/d"))
 
     def test_rewirings_across_processes(self):
         peers = [Ended(*PEER, "talk", "200", "/a", "/c"), Ended(*PEER, "listen", "/b", "/d")]
@@ -70,41 +78,24 @@ class LeakTest(unittest.TestCase):
             self.addCleanup(peer.__exit__)
         self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
         peers[1].wait_for("/b ")
-        change = rospy.ServiceProxy("/n/set_config", SetConfig, persistent=True)
-
-        def rewire(times):
-            for number in range(times):
-                pairs = (("/c", "/d"), ("/a", "/b"))[number % 2]
-                config = [PortConfig("in", pairs[0]), PortConfig("out", pairs[1])]
-                self.assertTrue(change(config).success)
-
-        rewire(10)
-        before, registered = self.holdings(), graph.registrations("/manager")
-        rewire(ACROSS)
-        eventually(lambda: graph.registrations("/manager") == registered, 5.0, "registrations")
-        self.assert_back(before, f"after {ACROSS} re-wirings")
-        change.close()
+        self.rewires(10, ACROSS, ("/c", "/d"), ("/a", "/b"))
 
     def test_loads_and_unloads(self):
         listener = rospy.Subscriber("/b", Header, lambda message: None)
         speaker = rospy.Publisher("/a", Header, queue_size=1)
         self.addCleanup(listener.unregister)
         self.addCleanup(speaker.unregister)
+        topics = {"/in": "/a", "/out": "/b"}
 
-        def load_and_unload(times):
-            for _ in range(times):
-                self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
-                self.manager.load("Strand", "/strand", concurrent=True)
-                call("/strand", "start_timer", 0.01)
-                self.manager.unload_all()
-                with self.assertRaises(rospy.ServiceException):
-                    self.manager.load("FailsInInit", "/n", {"/in": "/a", "/out": "/b"})
+        def load_and_unload():
+            self.manager.load("Relay", "/n", topics)
+            self.manager.load("Metronome", "/metronome")
+            call("/metronome", "start", 0.01)
+            self.manager.unload_all()
+            with self.assertRaises(rospy.ServiceException):
+                self.manager.load("FailsInInit", "/n", topics)
 
-        load_and_unload(5)
-        before, registered = self.holdings(), graph.registrations("/manager")
-        load_and_unload(LOADS)
-        eventually(lambda: graph.registrations("/manager") == registered, 5.0, "registrations")
-        self.assert_back(before, f"after {LOADS} loads and unloads")
+        self.leaves_nothing(load_and_unload, 5, LOADS)
 
 
 if __name__ == "__main__":

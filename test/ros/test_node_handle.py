@@ -2,56 +2,41 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""rospy's API, through the NodeHandles of nodelets in a real manager."""
+"""rospy's API and the libraries built on it, in nodelets of a real manager; shipped nodelets.
+
+`unit/nodelet/test_handles.py` has what needs no ROS master.
+"""
 
 from __future__ import annotations
 
-import statistics
+import queue
 import threading
 
+import dynamic_reconfigure.client
 import graph  # first: it makes the test package known
 import rospy
 import rostest
-from dyknow_test.puppet import Echo
-from graph import NodeletManagerCase, call
+import tf2_ros
+from actionlib.msg import TestActionGoal, TestGoal
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from graph import NodeletManagerCase, call, comes
 from processes import BUSY, eventually
 from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 
-class HandleTest(NodeletManagerCase):
-    def speak(self, topic):
-        """A publisher that is connected to the manager."""
-        publisher = rospy.Publisher(topic, Header, queue_size=1000)
-        self.addCleanup(publisher.unregister)
-        eventually(lambda: publisher.get_num_connections() == 1, 5.0, f"connected to {topic}")
-        return publisher
-
-
-class ParameterTest(HandleTest):
+class ParameterTest(NodeletManagerCase):
     def setUp(self):
         self.manager.load("Features", "/robot/n", answer=42)
 
-    def test_private_ones_are_the_nodelets(self):
-        self.assertEqual(call("/robot/n", "get_param", "~answer"), 42)
-        call("/robot/n", "set_param", "~own", [1, 2])
-        self.assertEqual(rospy.get_param("/robot/n/own"), [1, 2])
-        call("/robot/n", "set_param", "shared", "x")
-        self.assertEqual(rospy.get_param("/robot/shared"), "x")
-        call("/robot/n", "set_param", "/top", 1.5)
-        self.assertEqual(rospy.get_param("/top"), 1.5)
-        self.assertTrue(call("/robot/n", "has_param", "~own"))
-        call("/robot/n", "delete_param", "~own")
-        self.assertFalse(call("/robot/n", "has_param", "~own"))
-        self.assertFalse(rospy.has_param("/manager/own"))
-
-    def test_arguments_by_keyword(self):
-        answer = call("/robot/n", "params_by_keyword", "~own")
-        self.assertEqual(answer, ["none", 3, True, "/robot/n/own", False])
-
-    def test_names_of_any_characters(self):
-        """Such as the paper's `config-path`; rospy takes them, so they are in use."""
+    def test_names_resolve_from_the_nodelet(self):
+        """Names of any characters are in use, such as the paper's `config-path`."""
         for name, key in (
+            ("~own", "/robot/n/own"),
+            ("shared", "/robot/shared"),
+            ("/top", "/top"),
             ("~config-path", "/robot/n/config-path"),
             ("a b/c.d", "/robot/a b/c.d"),
             ("/1st/x/", "/1st/x"),
@@ -60,79 +45,45 @@ class ParameterTest(HandleTest):
             with self.subTest(name):
                 rospy.set_param(key, "set outside")
                 self.assertEqual(call("/robot/n", "get_param", name), "set outside")
-                call("/robot/n", "set_param", name, "set inside")
-                self.assertEqual(rospy.get_param(key), "set inside")
+                call("/robot/n", "set_param", name, [1, 2])
+                self.assertEqual(rospy.get_param(key), [1, 2])
                 self.assertTrue(call("/robot/n", "has_param", name))
                 found = call("/robot/n", "search_param", name.strip("~/"))
                 self.assertEqual(found, rospy.resolve_name(key))
                 call("/robot/n", "delete_param", name)
                 self.assertFalse(rospy.has_param(key))
 
-    def test_missing_ones(self):
-        self.assertEqual(call("/robot/n", "get_param", "~missing", "default"), "default")
-        self.assertIn("KeyError", call("/robot/n", "missing_param", "~missing"))
-
     def test_search_goes_upwards_from_the_nodelet(self):
-        rospy.set_param("/level", "top")
-        self.assertEqual(call("/robot/n", "search_param", "level"), "/level")
-        rospy.set_param("/robot/level", "robot")
-        self.assertEqual(call("/robot/n", "search_param", "level"), "/robot/level")
-        rospy.set_param("/robot/n/level", "own")
-        self.assertEqual(call("/robot/n", "search_param", "level"), "/robot/n/level")
+        for key in ("/level", "/robot/level", "/robot/n/level"):
+            rospy.set_param(key, "x")
+            self.assertEqual(call("/robot/n", "search_param", "level"), key)
         self.assertIsNone(call("/robot/n", "search_param", "nowhere"))
 
-    def test_parameters_outlive_the_nodelet(self):
+    def test_they_outlive_the_nodelet(self):
         call("/robot/n", "set_param", "~own", 1)
         self.manager.unload("/robot/n")
-        self.assertEqual(rospy.get_param("/robot/n/answer"), 42)
-        self.assertEqual(rospy.get_param("/robot/n/own"), 1)
+        self.assertEqual(rospy.get_param("/robot/n"), {"answer": 42, "own": 1})
         rospy.delete_param("/robot/n")
 
 
-class MessageTest(HandleTest):
+class WaitTest(NodeletManagerCase):
     def setUp(self):
         self.manager.load("Features", "/n", {"/in": "/wired"})
 
-    def wait_and_publish(self, method, name, topic):
-        publisher = rospy.Publisher(topic, Header, queue_size=10, latch=True)
-        self.addCleanup(publisher.unregister)
-        publisher.publish(Header(seq=31))
-        self.assertEqual(call("/n", method, name, 5.0), 31)
-        self.assertEqual(graph.nodes_on(topic)[1], set())
+    def test_for_messages(self):
+        for method, name, topic in (
+            ("wait_for_message", "in", "/wired"),
+            ("wait_for_message_on_topic", "topic", "/topic"),
+        ):
+            publisher = rospy.Publisher(topic, Header, queue_size=10, latch=True)
+            self.addCleanup(publisher.unregister)
+            publisher.publish(Header(seq=31))
+            self.assertEqual(call("/n", method, name, 5.0 * BUSY), 31)
+            self.assertEqual(graph.nodes_on(topic)[1], set())
 
-    def test_wait_for_message_at_a_port(self):
-        self.wait_and_publish("wait_for_message", "in", "/wired")
-
-    def test_wait_for_message_on_a_topic(self):
-        self.wait_and_publish("wait_for_message_on_topic", "topic", "/topic")
-
-    def test_wait_for_message_in_vain(self):
-        answer = call("/n", "wait_for_message", "in", 0.2)
-        self.assertIn("ROSException", answer)
-        self.assertIn("0.2 s", answer)
-
-    def test_an_unload_ends_the_wait(self):
-        answers = []
-        thread = threading.Thread(
-            target=lambda: answers.append(call("/n", "wait_for_message", "in", 60.0))
-        )
-        thread.start()
-        eventually(lambda: graph.nodes_on("/wired")[1], 5.0, "it waits")
-        self.manager.unload("/n")
-        thread.join(5.0 * BUSY)
-        self.assertFalse(thread.is_alive())
-        self.assertIn("unloaded", str(answers))
-
-
-class ServiceTest(HandleTest):
-    def test_one_nodelets_proxy_asks_the_others_service(self):
-        self.manager.load("Features", "/n")
-        self.manager.load("Strand", "/robot/server")
-        self.assertEqual(call("/n", "echo_by_proxy", "robot/server/service", 5), 5)
-        self.assertIn("timeout", call("/n", "missing_service", "/nowhere"))
-
-    def test_an_unload_ends_the_wait_for_a_service(self):
-        self.manager.load("Features", "/n")
+    def test_for_services(self):
+        self.manager.load("Fragile", "/robot/server")
+        self.assertEqual(call("/n", "echo_by_proxy", "robot/server/obey", 5), 5)
         answers = []
         thread = threading.Thread(
             target=lambda: answers.append(call("/n", "wait_for_service", "/nowhere"))
@@ -143,113 +94,8 @@ class ServiceTest(HandleTest):
         thread.join(5.0 * BUSY)
         self.assertEqual(answers, ["service '/nowhere': nodelet /n was unloaded"])
 
-    def test_a_service_ends_with_its_nodelet(self):
-        self.manager.load("Strand", "/server")
-        self.assertIn("/server/service", graph.services_of("/manager"))
-        self.manager.unload("/server")
-        self.assertNotIn("/server/service", graph.services_of("/manager"))
 
-
-class StrandTest(HandleTest):
-    def stir(self, calls=25):
-        """Have both subscribers, the timer and the service called, many at a time."""
-        for publisher in (self.speak("/a"), self.speak("/b")):
-            for number in range(200):
-                publisher.publish(Header(seq=number))
-        call("/n", "start_timer", 0.002)
-        self.callers = [threading.Thread(target=self.ask, args=(calls,)) for _ in range(3)]
-        for caller in self.callers:
-            caller.start()
-
-    @staticmethod
-    def ask(calls):
-        service = rospy.ServiceProxy("/n/service", Echo)
-        for number in range(calls):
-            service(Header(seq=number))
-
-    def wait_for_all(self):
-        for caller in self.callers:
-            caller.join(20.0 * BUSY)
-            self.assertFalse(caller.is_alive())
-        eventually(
-            lambda: {**call("/n", "counts"), "timer": 0}
-            == {"a": 200, "b": 200, "service": 75, "timer": 0}
-            and call("/n", "counts")["timer"] > 20,
-            10.0,
-            "everything was called",
-        )
-        call("/n", "stop_timer")
-        self.assertEqual(call("/n", "numbers", "a"), list(range(200)))
-        self.assertEqual(call("/n", "numbers", "b"), list(range(200)))
-
-    def test_callbacks_of_a_nodelet_never_overlap(self):
-        self.manager.load("Strand", "/n")
-        call("/n", "hold")
-        self.stir()
-        eventually(lambda: call("/n", "now_inside") == 1, 5.0, "one is held inside")
-        call("/n", "let_go")
-        for number in range(20):
-            graph.set_config("/n", **{"in": f"/somewhere{number % 2}"})
-        self.wait_for_all()
-        self.assertEqual(call("/n", "most_inside"), 1)
-
-    def test_those_of_a_concurrent_handle_do_and_each_topic_keeps_its_order(self):
-        self.manager.load("Strand", "/n", concurrent=True)
-        call("/n", "hold")
-        self.stir()
-        eventually(lambda: call("/n", "now_inside") >= 4, 5.0, "several are held inside")
-        call("/n", "let_go")
-        self.wait_for_all()
-
-
-class TimerTest(HandleTest):
-    def setUp(self):
-        self.manager.load("Metronome", "/n")
-
-    def test_its_period_and_its_events(self):
-        call("/n", "start", 0.05)
-        eventually(lambda: call("/n", "count") >= 20, 5.0, "twenty calls")
-        events = call("/n", "events")
-        call("/n", "stop")
-        self.assertGreater((events[19][1] - events[0][1]) / 19, 0.04)
-        self.assertIsNone(events[0][2])
-        for before, (_, _, last, duration) in zip(events, events[1:]):
-            self.assertEqual(last, before[1])
-            self.assertGreaterEqual(duration, 0.0)
-        due = [event[0] for event in events]
-        pauses = [later - earlier for earlier, later in zip(due, due[1:])]
-        self.assertAlmostEqual(statistics.median(pauses), 0.05, delta=0.01)
-
-    def test_one_shot(self):
-        call("/n", "start_once", 0.02)
-        call("/n", "start", 0.02)
-        eventually(lambda: call("/n", "count") >= 10, 5.0, "ten calls of the other")
-        self.assertEqual(call("/n", "count_shots"), 1)
-
-    def test_it_ends_with_its_nodelet_or_before(self):
-        call("/n", "start", 0.01)
-        eventually(lambda: call("/n", "count") > 3, 5.0, "it ticks")
-        call("/n", "stop")
-        count = call("/n", "count")
-        call("/n", "start_once", 0.1)
-        eventually(lambda: call("/n", "count_shots") == 1, 5.0, "time has passed")
-        self.assertLessEqual(call("/n", "count"), count + 1)  # one may have run just then
-        call("/n", "start", 0.01)
-        self.manager.unload("/n")
-        self.manager.load("Metronome", "/other")
-        call("/other", "start_once", 0.1)
-        eventually(lambda: call("/other", "count_shots") == 1, 5.0, "time has passed")
-        self.assertNotIn("Traceback", self.manager.output)
-
-    def test_rate_and_sleep(self):
-        self.manager.load("Features", "/features")
-        took = call("/features", "rate", 50.0, 10)
-        self.assertGreater(took, 0.15)
-        self.assertLess(took, 0.2 * BUSY)
-        self.assertGreaterEqual(call("/features", "sleep", 0.05), 0.05)
-
-
-class LogTest(HandleTest):
+class LogTest(NodeletManagerCase):
     def test_throttle_and_once_count_for_each_place_in_the_code(self):
         lines = []
         subscriber = rospy.Subscriber("/rosout", Log, lines.append)
@@ -277,18 +123,176 @@ class LogTest(HandleTest):
         self.assertIn("plainly logged", self.manager.output)
 
 
-class LifeTest(HandleTest):
-    def test_hooks_are_called_at_the_unload(self):
-        self.manager.load("Features", "/n")
-        call("/n", "log_at_the_end")
-        self.manager.unload("/n")
-        eventually(lambda: "/n: the hook is called" in self.manager.output, 2.0, "it is called")
-        self.assertEqual(self.manager.output.count("/n: the hook is called"), 1)
+class ShippedTest(NodeletManagerCase):
+    def test_a_chain_for_an_ordinary_node(self):
+        """What a Source counts in frame_id survives rospy's own numbers."""
+        messages, log = queue.Queue(), queue.Queue()
+        for topic, datatype, found in (("/relayed", Image, messages), ("/rosout", Log, log)):
+            self.addCleanup(rospy.Subscriber(topic, datatype, found.put).unregister)
+        image = {"datatype": "sensor_msgs/Image"}
+        self.manager.load("dyknow/Sink", "/sink", {"/in": "/relayed"}, period=0.5, **image)
+        self.manager.load("dyknow/Relay", "/relay", {"/in": "/raw", "/out": "/relayed"}, **image)
+        self.manager.load("dyknow/Source", "/source", {"/out": "/raw"}, rate=50, **image)
+        arrived = [messages.get(timeout=5.0 * BUSY) for _ in range(30)]
+        counts = [int(each.header.frame_id) for each in arrived]
+        self.assertEqual(counts, list(range(counts[0], counts[0] + 30)))
+        line = ""
+        while not line.startswith("/sink: ") or "latency" not in line:
+            line = log.get(timeout=5.0 * BUSY).msg
+        self.assertRegex(line, r"\d+ messages, \d+\.\d Hz, latency \d+\.\d{3} ms on average")
 
-    def test_what_a_nodelet_must_not_do_is_explained(self):
-        self.manager.load("Features", "/n")
-        for name in ("init_node", "spin", "nothing_of_this_kind"):
-            self.assertRegex(call("/n", "refused", name), f"no '{name}': .+")
+
+class FilterTest(NodeletManagerCase):
+    def test_a_time_synchroniser_on_ports(self):
+        self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
+        publishers = {}
+        for topic in ("/a", "/b", "/c"):
+            publishers[topic] = rospy.Publisher(topic, Image, queue_size=10)
+            self.addCleanup(publishers[topic].unregister)
+
+        def publish(topic, stamp):
+            image = Image(height=stamp)
+            image.header.stamp = rospy.Time(stamp)
+            publishers[topic].publish(image)
+
+        for topic in ("/a", "/b"):
+            eventually(publishers[topic].get_num_connections, 5.0, "connected")
+        for topic, stamp in (("/a", 1), ("/a", 2), ("/b", 2), ("/b", 3), ("/a", 3)):
+            publish(topic, stamp)
+        eventually(lambda: sorted(call("/n", "received")) == [[2, 2], [3, 3]], 5.0, "two pairs")
+        graph.set_config("/n", right="/c")
+        publish("/a", 4)
+        publish("/c", 4)
+        eventually(lambda: call("/n", "received")[-1] == [4, 4], 5.0, "across the re-wiring")
+
+
+class TransformTest(NodeletManagerCase):
+    def setUp(self):
+        for name in ("/one", "/two"):
+            self.manager.load("Frames", name)
+
+    def sent(self, sender, x, *receivers):
+        """A transform reaches the receivers."""
+        call(sender, "send", "map", "robot", x)
+        for name in receivers:
+            eventually(
+                lambda name=name: call(name, "look_up", "map", "robot", 1.0) == x,
+                5.0,
+                f"{name} hears {sender}",
+            )
+
+    def test_between_nodelets_of_one_manager(self):
+        """Ordinary broadcasters and listeners share the topics with what the bus publishes."""
+        self.manager.load("FramesByBus", "/bus")
+        for sender, x in (("/bus", 1.0), ("/one", 2.0), ("/bus", 3.0)):
+            self.sent(sender, x, "/one", "/two", "/bus")
+        for sender, child in (("/bus", "camera"), ("/one", "hand")):
+            call(sender, "send_static", "robot", child, 4.0)
+        self.manager.load("Frames", "/late")
+        for name in ("/two", "/late"):
+            for child in ("camera", "hand"):
+                self.assertEqual(call(name, "look_up", "robot", child, 5.0 * BUSY), 4.0)
+
+    def test_across_processes(self):
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        self.addCleanup(listener.unregister)
+        eventually(
+            lambda: "/manager" in graph.nodes_on("/tf")[0]
+            and listener.tf_sub.get_num_connections() > 0,
+            5.0,
+            "connected",
+        )
+
+        def heard():
+            call("/one", "send", "map", "robot", 7.0)
+            return buffer.can_transform("map", "robot", rospy.Time(0))
+
+        eventually(heard, 5.0, "from the nodelet")
+        broadcaster = tf2_ros.TransformBroadcaster()
+        self.addCleanup(broadcaster.pub_tf.unregister)
+        transform = TransformStamped()
+        transform.header.frame_id, transform.child_frame_id = "robot", "hand"
+        transform.transform.rotation.w = 1.0
+        transform.transform.translation.x = 2.0
+
+        def answered():
+            transform.header.stamp = rospy.Time.now()
+            broadcaster.sendTransform(transform)
+            return call("/two", "look_up", "robot", "hand", 0.2) == 2.0
+
+        eventually(answered, 5.0, "to the nodelet")
+
+    def test_an_unloaded_listener_leaves_the_others(self):
+        self.manager.unload("/one")
+        self.manager.load("Frames", "/one")
+        self.sent("/two", 1.0, "/one")
+        self.manager.unload("/one")
+        self.sent("/two", 2.0, "/two")
+
+
+class DiagnosticsTest(NodeletManagerCase):
+    def test_an_updater(self):
+        self.manager.load("Diagnosed", "/n")
+
+        def warm(array):
+            return [each for each in array.status if each.message == "a little warm"]
+
+        (status,) = warm(comes("/diagnostics", DiagnosticArray, warm))
+        self.assertEqual(status.hardware_id, "/n")
+        self.assertEqual(status.values[0].value, "71")
+
+
+class ReconfigureTest(NodeletManagerCase):
+    def test_a_server_in_the_nodelets_namespace(self):
+        rospy.set_param("/robot/n/gain", 2.5)
+        self.manager.load("Reconfigurable", "/robot/n")
+        self.assertEqual(call("/robot/n", "seen"), [[2.5, 3]])
+        client = dynamic_reconfigure.client.Client("/robot/n", timeout=5.0)
+        self.addCleanup(client.close)
+        self.assertEqual(client.update_configuration({"size": 7, "gain": 100.0})["gain"], 10.0)
+        self.assertEqual(call("/robot/n", "seen")[-1], [10.0, 7])
+        self.assertEqual(rospy.get_param("/robot/n/size"), 7)
+        client.close()
+        # The topics that the nodelet shut down itself are gone, and can be advertised again.
+        self.manager.unload("/robot/n")
+        self.assertFalse(graph.nodes_on("/robot/n/parameter_updates")[0])
+        self.manager.load("Reconfigurable", "/robot/n")
+        self.assertEqual(call("/robot/n", "seen"), [[10.0, 7]])
+
+
+class CarelessTest(NodeletManagerCase):
+    """Things that nodelets leave to DyKnow to take back."""
+
+    def test_libraries_act_in_the_name_of_their_nodelet(self):
+        self.manager.load("Careless", "/robot/one")
+        self.manager.load("Careless", "/robot/two")
+        self.assertEqual(call("/robot/two", "ask", "/robot/one/count", 41), 42)
+        self.assertEqual(call("/robot/one", "ask", "/robot/one/count", 1), 2)
+        offered = graph.services_of("/manager")
+        for name in ("/robot/one", "/robot/two"):
+            self.assertIn(f"{name}/set_parameters", offered)
+        self.assertEqual(rospy.get_param("/robot/two/size"), 3)
+
+    def test_they_are_gone_with_it_and_come_back_without_a_word(self):
+        before = graph.registrations("/manager")
+        goals = rospy.Publisher("/n/count/goal", TestActionGoal, queue_size=10)
+        self.addCleanup(goals.unregister)
+        for number in range(3):
+            self.manager.load("Careless", "/n")
+            eventually(goals.get_num_connections, 5.0, "connected")
+            goals.publish(TestActionGoal(goal=TestGoal(number)))
+            eventually(lambda n=number: rospy.get_param("/counted", -1) == n, 5.0, "executed")
+            self.manager.unload("/n")
+            eventually(
+                lambda: graph.registrations("/manager") == before,
+                5.0,
+                "nothing is left",
+                lambda: graph.registrations("/manager"),
+            )
+            eventually(lambda: not goals.get_num_connections(), 5.0, "disconnected")
+        for word in ("WARN", "ERROR", "Traceback"):
+            self.assertNotIn(word, self.manager.output)
 
 
 if __name__ == "__main__":
