@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import itertools
 import json
 import os
-import queue
 import signal
 import sys
 import unittest
@@ -32,13 +30,10 @@ from dyknow_msgs.msg import PortConfig  # noqa: E402
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
-from processes import BUSY, NODELET, Running, TellingCase, eventually  # noqa: E402
+from processes import NODELET, Running, TellingCase, eventually  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
-
-#: Seconds that a launched process and its first messages may take.
-TIMEOUT = 5.0 * BUSY
 
 
 class Ended(Running):
@@ -162,30 +157,15 @@ class NodeletManagerCase(TellingCase):
 
     @classmethod
     def start_manager(cls) -> ManagerServices:
-        if NodeletManagerCase._of_module is None:
-            NodeletManagerCase._of_module = Manager(cls.manager_name)
-            unittest.addModuleCleanup(NodeletManagerCase._of_module.__exit__)
-        return NodeletManagerCase._of_module
+        manager = NodeletManagerCase._of_module
+        if manager is None or manager.has_ended:
+            manager = NodeletManagerCase._of_module = Manager(cls.manager_name)
+            unittest.addModuleCleanup(manager.__exit__)
+        return manager
 
     def tearDown(self) -> None:
         self.manager.unload_all()
         self.manager.forget_output()
-
-
-class LaunchedManagerCase(NodeletManagerCase):
-    """Tests in the nodelet manager of the launch file."""
-
-    numbers = itertools.count()
-
-    @classmethod
-    def start_manager(cls) -> ManagerServices:
-        manager = ManagerServices("/manager")
-        manager.wait_until_up()
-        return manager
-
-    def take(self, messages: queue.Queue, count: int) -> list[Any]:
-        """The next messages that come to a queue."""
-        return [messages.get(timeout=TIMEOUT) for _ in range(count)]
 
 
 class Talker:
@@ -225,26 +205,24 @@ def hears(topic: str, text: str, is_whole: bool = False) -> None:
 
 
 def let_the_bond_form(topic: str) -> None:
-    """Wait until both ends of a topic's only bond have sent two messages.
+    """Wait until both ends of a topic's only living bond have sent two messages.
 
     Then each has heard the other, and learns of its end at once. One that was not connected yet
     would not hear the other part, and wait for the connect timeout.
     """
-    heard: collections.Counter[str] = collections.Counter()
-    watch = rospy.Subscriber(topic, Status, lambda status: heard.update([status.instance_id]))
-    eventually(
-        lambda: len(heard) == 2 and min(heard.values()) >= 2,
-        8.0,
-        f"both ends are heard on {topic}",
-        lambda: heard,
-    )
+    heard: collections.Counter[tuple[str, str]] = collections.Counter()
+
+    def note(status: Status) -> None:
+        if status.active:  # an earlier bond's ends may still be parting
+            heard[status.id, status.instance_id] += 1
+
+    def has_formed() -> bool:
+        ends = collections.Counter(bond for (bond, _), count in [*heard.items()] if count > 1)
+        return 2 in ends.values()
+
+    watch = rospy.Subscriber(topic, Status, note)
+    eventually(has_formed, 8.0, f"both ends are heard on {topic}", lambda: heard)
     watch.unregister()
-
-
-def service(name: str, service_class: Any) -> Any:
-    """A service, once it is there."""
-    rospy.wait_for_service(name, TIMEOUT)
-    return rospy.ServiceProxy(name, service_class)
 
 
 def call(nodelet: str, method: str, *args: Any) -> Any:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -104,9 +105,17 @@ class Running:
 
     def wait_for(self, text: str, timeout: float = 20.0) -> None:
         """Wait until the process has printed a text."""
-        what = f"{self.command} says '{text}'"
-        eventually(lambda: self.has_ended or text in self.output, timeout, what, self._said)
-        assert text in self.output, f"not true: {what}\n{self._said()}"
+        self.wait_for_match(re.escape(text), timeout)
+
+    def wait_for_match(self, pattern: str | re.Pattern[str], timeout: float = 20.0) -> None:
+        """Wait until the process has printed something that a regular expression matches."""
+        what = f"{self.command} says '{pattern}'"
+
+        def said() -> bool:
+            return re.search(pattern, self.output) is not None
+
+        eventually(lambda: self.has_ended or said(), timeout, what, self._said)
+        assert said(), f"not true: {what}\n{self._said()}"
 
     def stop(self, number: int = signal.SIGINT) -> None:
         self._process.send_signal(number)

@@ -6,16 +6,16 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 import sys
 
 import numpy as np
 import rospy
 import rostest
-from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetStatistics, SetConfig
-from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
-from graph import TIMEOUT, LaunchedManagerCase, service
+from geometry_msgs.msg import PointStamped
+from graph import NodeletManagerCase, get_statistics, set_config
+from processes import BUSY
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
 from dyknow_demo.soccer.planes import planes_of
@@ -28,7 +28,9 @@ CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}
 LARGE_ERROR = 0.3
 
 
-class SoccerTest(LaunchedManagerCase):
+class SoccerTest(NodeletManagerCase):
+    numbers = itertools.count()
+
     def setUp(self):
         self.space = f"/test_{next(self.numbers)}"
         self.world = SoccerWorld(SEED)
@@ -51,6 +53,9 @@ class SoccerTest(LaunchedManagerCase):
         )
         self.addCleanup(subscriber.unregister)
         return messages
+
+    def take(self, messages, count):
+        return [messages.get(timeout=5.0 * BUSY) for _ in range(count)]
 
     def load_chain(self, camera, owner, goal):
         """Load the chain from a camera's images to field positions; returns its nodelets."""
@@ -108,16 +113,6 @@ class SoccerTest(LaunchedManagerCase):
         self.assertLess(np.percentile(errors, 90), LARGE_ERROR)
         self.assertEqual(stamps, sorted(set(stamps)))
 
-    def test_by_the_ceiling_camera_with_the_same_nodelets(self):
-        positions = self.listen("position", PointStamped)
-        balls = self.listen("ceiling_camera/ball", PoseWithCovarianceStamped)
-        self.load_chain("ceiling", "ceiling_camera", "position")
-        self.load_ceiling()
-        self.assert_true(self.take(positions, 20), "ceiling camera")
-        _, ball = balls.get(timeout=TIMEOUT)
-        self.assertEqual(ball.header.frame_id, "ceiling_camera")
-        self.assertGreater(ball.pose.covariance[0], 0.0)
-
     def test_the_robot_leaves_and_the_ceiling_camera_stands_in(self):
         """The client's topic stays; its publisher is exchanged by set_config."""
         positions = self.listen("position", PointStamped)
@@ -127,9 +122,7 @@ class SoccerTest(LaunchedManagerCase):
         standing_in, *_ = self.load_chain("ceiling", "ceiling_camera", "")
         topic = f"{self.space}/position"
         for name, target in ((own[0], ""), (standing_in, topic)):
-            answer = service(f"{name}/set_config", SetConfig)(
-                [PortConfig("field_position", target)]
-            )
+            answer = set_config(name, field_position=target)
             self.assertTrue(answer.success, answer.message)
         for name in own:
             self.manager.unload(name)
@@ -142,14 +135,14 @@ class SoccerTest(LaunchedManagerCase):
         infos = self.listen("bottom/camera_info", CameraInfo)
         joints = self.listen("nao/joint_states", JointState)
         self.load_robot()
-        _, image = images.get(timeout=TIMEOUT)
+        _, image = images.get(timeout=5.0 * BUSY)
         self.assertEqual((image.width, image.height, image.step), (640, 480, 1280))
         self.assertEqual((image.encoding, len(image.data)), ("yuv422", 640 * 480 * 2))
         self.assertTrue(image.header.frame_id)
-        _, info = infos.get(timeout=TIMEOUT)
+        _, info = infos.get(timeout=5.0 * BUSY)
         self.assertEqual((info.width, info.height), (640, 480))
         self.assertAlmostEqual(info.K[0], 543.6, delta=1.0)
-        _, state = joints.get(timeout=TIMEOUT)
+        _, state = joints.get(timeout=5.0 * BUSY)
         self.assertEqual(len(state.name), len(state.position))
         self.assertIn("HeadYaw", state.name)
 
@@ -161,37 +154,16 @@ class SoccerTest(LaunchedManagerCase):
         queues = {port: self.listen(port, Image) for port in ("bgr", "hsv", "yuv_quarter")}
         self.load_robot()
         for port, messages in queues.items():
-            _, image = messages.get(timeout=TIMEOUT)
+            _, image = messages.get(timeout=5.0 * BUSY)
             self.assertEqual(image.encoding, encodings.get(port, "mono8"))
             if port == "yuv_quarter":
                 self.assertEqual(planes_of(image).shape, (3, 120, 160))
             else:
                 self.assertEqual((image.width, image.height), (640, 480))
-        statistics = service(f"{name}/get_statistics", GetStatistics)()
+        statistics = get_statistics(name)
         sent = {port.port: port.messages + port.dropped for port in statistics.ports}
         self.assertEqual((sent["yuv_half"], sent["yuv_eighth"]), (0, 0))
         self.assertEqual(statistics.callback_errors, 0)
-
-    def test_bad_parameters_fail_the_load_with_the_reason(self):
-        for parameters, expected in (
-            ({"mount": "nao_top"}, "nao_bottom, or the numbers height"),
-            ({"colour": "blue"}, "one of learnt, orange, yellow"),
-            ({"radius": -1.0}, "a number above 0, in m"),
-        ):
-            with self.subTest(**parameters), self.assertRaises(rospy.ServiceException) as failure:
-                self.load(f"bad_{next(iter(parameters))}", "BallDetector", **parameters)
-            self.assertIn(expected, str(failure.exception))
-
-    def test_an_image_that_is_not_yuv_is_an_error_that_is_counted(self):
-        name = self.load("subsampler", "ImageSubsampler", {"yuv": "other"})
-        publisher = rospy.Publisher(f"{self.space}/other", Image, queue_size=1, latch=True)
-        self.addCleanup(publisher.unregister)
-        publisher.publish(Image(width=2, height=2, step=6, encoding="bgr8", data=bytes(12)))
-        ask = service(f"{name}/get_statistics", GetStatistics)
-        deadline = rospy.get_time() + TIMEOUT
-        while not ask().callback_errors and rospy.get_time() < deadline:
-            rospy.sleep(0.05)
-        self.assertEqual(ask().callback_errors, 1)
 
 
 if __name__ == "__main__":
