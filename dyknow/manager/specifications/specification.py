@@ -71,9 +71,8 @@ TRANSFORMATIONS = Element("transformations", (TRANSFORMATION,))
 class Specifications:
     """The contents of a specification.
 
-    Attributes:
-        transformations: The transformations, templates expanded, in the order written.
-        warnings: Accepted texts that are probably mistakes.
+    The transformations are in the order written, templates expanded. Warnings are about accepted
+    texts that are probably mistakes.
     """
 
     transformations: Tuple[Transformation, ...]
@@ -137,8 +136,8 @@ def transformations_of(
     builder, expander = Builder(findings, limits, ontology), Expander(findings, limits, ontology)
     for count, node in enumerate(nodes, 1):
         if count > limits.transformations:
-            message = f"more than {limits.transformations} transformations in one text"
-            findings.problem(node.line, message)
+            limit = limits.transformations
+            findings.problem(node.line, f"more than {limit} transformations in one text")
             raise EnoughProblems
         expanded = expander.expand(node)
         if expanded is None:

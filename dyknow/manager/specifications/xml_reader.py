@@ -13,7 +13,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from textwrap import dedent
-from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import (
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Optional,
+    Tuple,
+    Union,
+)
 from xml.parsers import expat
 
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, meant, shorten
@@ -36,10 +47,7 @@ _UNFINISHED = (
 class Attribute(NamedTuple):
     """The rule of an attribute.
 
-    Attributes:
-        values: the values it may have; empty if it may have any.
-        is_required: whether its element must have it.
-        is_version: whether reading ends at another value, as nothing else is understood.
+    It may have any value if ``values`` is empty. Reading ends at another version.
     """
 
     values: Tuple[str, ...] = ()
@@ -53,16 +61,10 @@ NEEDED = Attribute(is_required=True)
 
 @dataclass
 class Element:
-    """The rule of an element.
+    """The rule of an element, which holds text or elements.
 
     Attributes:
-        name: its name.
-        children: the rules of its children.
-        attributes: the rules of its attributes, by name.
-        holds_text: whether it holds text; if not, it holds only elements.
-        is_required: whether it must be in its parent.
-        unless: attribute of its parent with which it need not be there; empty for none.
-        may_repeat: whether it may be in its parent more than once.
+        unless: attribute of its parent with which it is not required; empty for none.
         is_unit: whether the reader returns it by itself, instead of in its parent.
     """
 
@@ -87,14 +89,10 @@ class Element:
 
 
 class Node:
-    """An element as it was read.
+    """An element as it was read; its line is that of its start tag.
 
     Attributes:
-        name: its name.
-        line: the line of its start tag.
-        attributes: those without problems; missing ones are not there.
-        text: its text, if it holds text.
-        children: its children.
+        attributes: those without problems.
         is_good: whether its text and its attributes can be used; False if one is missing.
         has_variables: of a unit, whether `${` is in one of its texts.
     """
@@ -145,15 +143,6 @@ class Node:
         return made
 
 
-class Unreadable(Exception):
-    """The text cannot be read beyond this line."""
-
-    def __init__(self, line: int, message: str) -> None:
-        super().__init__(line, message)
-        self.line = line
-        self.message = message
-
-
 class XmlReader:
     """Reads one text."""
 
@@ -192,39 +181,69 @@ class XmlReader:
 
         Args:
             text: the XML, as characters or as UTF-8.
+
+        Raises:
+            EnoughProblems: the text cannot be read beyond a problem, which was noted.
         """
+        data = self._utf8(text)
+        view = memoryview(data)
+        longest = self._limits.string_length + 2 * _CHUNK
         try:
-            data = _to_utf8(text, self._limits)
-            view = memoryview(data)
-            longest = self._limits.string_length + 2 * _CHUNK
             for start in range(0, len(data), _CHUNK):
                 self._parser.Parse(view[start : start + _CHUNK], False)
                 yield from self._take_units()
                 # expat keeps a tag until it ends: stop before one without an end fills the memory.
                 if start - self._parser.CurrentByteIndex > 2 * longest:
-                    raise Unreadable(self._line, "a tag or comment here is too long")
+                    self._stop(self._line, "a tag or comment here is too long")
             self._parser.Parse(b"", True)
             yield from self._take_units()
-        except (Unreadable, expat.ExpatError) as error:
+        except EnoughProblems:
             yield from self._take_units()
-            if isinstance(error, expat.ExpatError):
-                error = self._explained(error)
-            self._findings.problem(error.line, error.message)
+            raise
+        except expat.ExpatError as error:
+            yield from self._take_units()
+            self._explain(error)
 
     def _take_units(self) -> List[Node]:
         units, self._units = self._units, []
         return units
 
-    def _explained(self, error: expat.ExpatError) -> Unreadable:
+    def _stop(self, line: int, message: str) -> NoReturn:
+        self._findings.problem(line, message)
+        raise EnoughProblems
+
+    def _explain(self, error: expat.ExpatError) -> None:
         reason = expat.errors.messages[error.code]
         expected = f"well-formed XML with one root element, {self._top.expected}"
         opened = [(node.name, node.line) for _, node, _ in self._stack[1:]] + self._unknown
         if opened and reason in _UNFINISHED:
             name, line = opened[-1]
             expected = f"the end </{name}> of the element in line {line}"
-        return Unreadable(
-            error.lineno, f"{reason} at column {error.offset + 1}; expected {expected}"
-        )
+        message = f"{reason} at column {error.offset + 1}; expected {expected}"
+        self._findings.problem(error.lineno, message)
+
+    def _utf8(self, text: Union[str, bytes]) -> bytes:
+        """Encode a text, or make sure that it is UTF-8 already."""
+        self._check_size(len(text))
+        try:
+            if isinstance(text, bytes):
+                text.decode("utf-8")
+                return text
+            data = text.encode("utf-8")
+        except UnicodeEncodeError as error:
+            line = error.object.count("\n", 0, error.start) + 1
+            self._stop(line, "half of a surrogate pair; expected UTF-8")
+        except UnicodeDecodeError as error:
+            line = error.object.count(b"\n", 0, error.start) + 1
+            found = error.object[error.start]
+            self._stop(line, f"the byte 0x{found:02x} is not UTF-8; expected UTF-8")
+        self._check_size(len(data))
+        return data
+
+    def _check_size(self, size: int) -> None:
+        if size > self._limits.text_size:
+            limit = self._limits.text_size
+            self._stop(0, f"the text has {size} bytes; expected at most {limit}")
 
     @property
     def _line(self) -> int:
@@ -234,7 +253,7 @@ class XmlReader:
         line = self._parser.CurrentLineNumber
         if self._unknown:
             if len(self._unknown) + len(self._stack) > self._limits.nesting:
-                raise Unreadable(line, f"elements nest deeper than {self._limits.nesting}")
+                self._stop(line, f"elements nest deeper than {self._limits.nesting}")
             self._unknown.append((name, line))
             return
         parent, above, seen = self._stack[-1]
@@ -292,11 +311,8 @@ class XmlReader:
             self._refuse_length(node, f"<{node.name}>", node.text)
         self._items += rule.may_repeat
         if self._items > self._limits.items:
-            raise Unreadable(
-                node.line,
-                f"more than {self._limits.items} args, params, ports and tags in one "
-                "<transformation>",
-            )
+            what = "args, params, ports and tags in one <transformation>"
+            self._stop(node.line, f"more than {self._limits.items} {what}")
 
     def _refuse_text(self, rule: Element) -> None:
         text = "".join(self._texts).lstrip(BLANK)
@@ -351,7 +367,7 @@ class XmlReader:
         )
 
     def _doctype(self, *_: object) -> None:
-        raise Unreadable(self._line, f"a DOCTYPE is refused; expected {self._top.expected} alone")
+        self._stop(self._line, f"a DOCTYPE is refused; expected {self._top.expected} alone")
 
     def _instruction(self, target: str, _: str) -> None:
         self._findings.problem(
@@ -364,31 +380,6 @@ class XmlReader:
             self._findings.problem(
                 self._line, f"the encoding {shorten(encoding)} is declared; expected UTF-8"
             )
-
-
-def _to_utf8(text: Union[str, bytes], limits: SpecificationLimits) -> bytes:
-    """Encode a text, or make sure that it is UTF-8 already."""
-    _check_size(len(text), limits)
-    if isinstance(text, str):
-        try:
-            data = text.encode("utf-8")
-        except UnicodeEncodeError as error:
-            line = text.count("\n", 0, error.start) + 1
-            raise Unreadable(line, "half of a surrogate pair; expected UTF-8") from None
-        _check_size(len(data), limits)
-        return data
-    try:
-        text.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = text.count(b"\n", 0, error.start) + 1
-        found = text[error.start]
-        raise Unreadable(line, f"the byte 0x{found:02x} is not UTF-8; expected UTF-8") from None
-    return text
-
-
-def _check_size(size: int, limits: SpecificationLimits) -> None:
-    if size > limits.text_size:
-        raise Unreadable(0, f"the text has {size} bytes; expected at most {limits.text_size}")
 
 
 def _one_of(values: Tuple[str, ...]) -> str:
