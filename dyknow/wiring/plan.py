@@ -125,8 +125,8 @@ def plan_load(
         snapshot: the present state, with its transformations.
         managers: nodelet managers that are up.
         is_own_manager: tells a nodelet manager that the DyKnow manager starts when it is needed.
-        replace: replace transformations that differ in the library, and make nodelets again that
-            were made otherwise.
+        replace: replace transformations that differ, and make nodelets again that were made
+            otherwise.
         any_manager: let the manager choose where the wanted nodelet manager is not up.
         stored: returns the parameters of nodelets; None if they are unknown.
     """

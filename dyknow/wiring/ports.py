@@ -6,16 +6,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Container, Dict, Iterable, List, Sequence, Tuple
+from typing import Container, Dict, Iterable, List, Sequence, Tuple
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import NodeletStatus, PortRef, PortState
 from dyknow.model.transformation import IN, OUT
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import PortState
 
 
 def by_name(ports: Iterable[PortState]) -> List[PortState]:
@@ -28,16 +25,9 @@ class CannotConnect(DyKnowError):
 
 
 def check_ends(source: str, out: PortState, target: str, into: PortState) -> None:
-    """Refuse two ports whose directions or types do not fit.
+    """Raise CannotConnect with everything that does not fit about two ports.
 
-    Args:
-        source: the port that the stream comes from, `NODELET:PORT`.
-        out: its state.
-        target: the port that the stream goes to.
-        into: its state.
-
-    Raises:
-        CannotConnect: with everything that does not fit.
+    ``source`` and ``target`` are their names, `NODELET:PORT`.
     """
     problems: List[str] = []
     if out.direction != OUT:
@@ -63,14 +53,8 @@ def choose_topic(
 
     It is the one that the out-port publishes on already, so that other listeners keep their
     stream; else the in-port's, unless something else publishes there; else one that is named after
-    the out-port: the in-port receives from the out-port, and from nothing else.
-
-    Args:
-        nodelet: global name of the out-port's nodelet.
-        out: the out-port.
-        into: the in-port.
-        published: topics that have a publisher, whether port or ordinary node.
-        taken: topics that ports are connected to.
+    the out-port: the in-port receives from the out-port, and from nothing else. Topics are
+    ``published`` by ports and ordinary nodes, and ``taken`` by ports that are connected to them.
     """
     if out.topic:
         return out.topic

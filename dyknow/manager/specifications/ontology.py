@@ -107,39 +107,18 @@ class Ontology:
     def canonical(self, name: str) -> str:
         """Return the one name that all names of a class or individual have in common.
 
-        Args:
-            name: A label or URI, or a word that the ontology does not know.
-
-        Returns:
-            The URI; the name itself if it is unknown, or if there is no URI. Two names stand for
-            the same class or individual if this is equal. A name of both a class and an
-            individual stands for the individual here.
+        It is the URI; the name itself if it is unknown, or if there is no URI. A name of both a
+        class and an individual stands for the individual here.
         """
         found = self._individuals.get(name) or self._classes.get(name)
         return name if found is None or is_blank(found) else found
 
     def is_subsumed(self, supplied: str, demanded: str) -> bool:
-        """Whether a supplied functor or argument satisfies a demanded one.
-
-        Args:
-            supplied: A label or URI, or a word that the ontology does not know.
-            demanded: The same.
-
-        Returns:
-            True if both are the same word, or `supplied` names a subclass or an instance of
-            what `demanded` names.
-        """
+        """Whether both are the same word, or one names a subclass or instance of the other."""
         return supplied == demanded or demanded in self.names_above(supplied)
 
     def names_above(self, name: str) -> FrozenSet[str]:
-        """Return every name that subsumes a name, for an index of supplied tags.
-
-        Args:
-            name: A label or URI, or a word that the ontology does not know.
-
-        Returns:
-            The name itself, its synonyms, and the names of the classes above it.
-        """
+        """Return a name, its synonyms, and the names of the classes above it."""
         known = self._above.get(name)
         if known is not None:
             return known

@@ -78,15 +78,9 @@ class OntologyFiles:
     def __init__(
         self, paths: Iterable[str], catalogues: Iterable[str], limits: SpecificationLimits
     ) -> None:
-        """Read the files.
+        """Read the files, or raise OntologyFileError.
 
-        Args:
-            paths: the files that are named.
-            catalogues: catalogues to ask beside those that lie beside the files.
-            limits: the caps on each file, and on their number.
-
-        Raises:
-            OntologyFileError: a file cannot be read, or is not of its extension's format.
+        The catalogues are asked before those that lie beside the files.
         """
         self._limits = limits
         self._read_catalogues: Dict[str, _Catalogue] = {}
@@ -161,13 +155,10 @@ class OntologyFiles:
 
 
 class _Catalogue:
-    """URIs of ontologies and their places, as an OASIS XML catalogue lists them.
-
-    Attributes:
-        following: paths of the catalogues to ask next.
-    """
+    """URIs of ontologies and their places, as an OASIS XML catalogue lists them."""
 
     def __init__(self, path: str, limits: SpecificationLimits) -> None:
+        #: Paths of the catalogues to ask next.
         self.following: List[str] = []
         self._path = path
         self._uris: Dict[str, str] = {}
@@ -278,12 +269,9 @@ class _Begun(Exception):
 
 
 def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
-    """Refuse a text with dangerous entities before anything is expanded.
+    """Raise ValueError for entities that contain entities, or expand to more than the limit.
 
     A text that is not well-formed passes: the parser that follows refuses it.
-
-    Raises:
-        ValueError: entities contain entities, or expand to more than the limit.
     """
     sizes: Dict[bytes, int] = {}
 

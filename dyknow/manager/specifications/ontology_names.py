@@ -64,11 +64,7 @@ class Labels:
     """
 
     def __init__(self, language: str) -> None:
-        """Prefer a language, such as en, or en-GB and next to it en.
-
-        Raises:
-            OntologyError: it is no language.
-        """
+        """Prefer a language, such as en, or en-GB and next to it en."""
         if not _LANGUAGE.match(language):
             raise OntologyError(
                 f"'{language}' is no language; expected a code such as en or en-GB"
@@ -112,12 +108,7 @@ class Labels:
         return label.rank[0] < len(self._preferred)
 
     def drop_shared(self, entities: Iterable[str], alike: Callable[[str, str], bool]) -> None:
-        """Drop terms of several entities that are not in the preferred language.
-
-        Args:
-            entities: classes, or individuals.
-            alike: whether two of them may share a term.
-        """
+        """Drop terms of several entities in other languages, unless these are alike."""
         names = sorted(entities)
         is_new = True
         while is_new:  # another label of the entity becomes its term
@@ -167,14 +158,7 @@ class Naming:
         labels: Labels,
         alike: Callable[[str, str], bool],
     ) -> None:
-        """Name entities.
-
-        Args:
-            what: classes, or individuals.
-            entities: their keys.
-            labels: the labels.
-            alike: whether two entities may share a term.
-        """
+        """Name classes, or individuals, as ``what`` says; alike ones may share a term."""
         self._labels = labels
         self._sorted = sorted(entities)
         labels.drop_shared(self._sorted, alike)

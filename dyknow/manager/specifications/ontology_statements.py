@@ -52,11 +52,7 @@ class OntologyStatements:
     """
 
     def __init__(self, files: Sequence[OntologyFile]) -> None:
-        """Read the statements.
-
-        Raises:
-            OntologyFileError: a list in a file is malformed.
-        """
+        """Read the statements, or raise OntologyFileError for a malformed list."""
         self.hierarchy = Hierarchy()
         self.types: Dict[str, Set[str]] = defaultdict(set)
         self._files = files
@@ -127,14 +123,9 @@ class OntologyStatements:
                     self._add_expression(node, predicate, members)
 
     def _list_members(self, head: Node, seen: Set[Node]) -> List[Node]:
-        """Return the members of an RDF list.
+        """Return the members of an RDF list, or raise ValueError.
 
-        Args:
-            head: its first node.
-            seen: the nodes of the lists that were read; those of this one are added.
-
-        Raises:
-            ValueError: it is not a complete list, or shares nodes with another one or itself.
+        It must be complete and share no node with itself or with the lists ``seen`` before.
         """
         members: List[Node] = []
         while head != RDF.nil:
