@@ -29,6 +29,7 @@ from typing import (
     Tuple,
     TypeVar,
     Union,
+    cast,
 )
 
 from dyknow.errors import DyKnowError
@@ -57,7 +58,6 @@ class Clock:
     """Steady time, in seconds."""
 
     def now(self) -> float:
-        """Return the time."""
         return time.monotonic()
 
     def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
@@ -69,13 +69,7 @@ STEADY = Clock()
 
 
 def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> Optional[T]:
-    """Call ``work`` at the top of a thread; None if it raised, which is logged.
-
-    Args:
-        what: what the work is, for the log.
-        work: the call.
-        logger: where a failure is logged.
-    """
+    """Call ``work`` at the top of a thread; None if it raised, which is logged."""
     try:
         return work()
     except DyKnowError as error:
@@ -88,13 +82,7 @@ def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> 
 def in_background(
     what: str, work: Callable[[], object], logger: logging.Logger = _log
 ) -> threading.Thread:
-    """Call ``work`` in a daemon thread of its own, which is returned.
-
-    Args:
-        what: what the work is, for the log and as the name of the thread.
-        work: the call.
-        logger: where a failure is logged.
-    """
+    """Call ``work`` in a daemon thread of its own, which is returned; ``what`` names it."""
     thread = threading.Thread(target=attempt, args=(what, work, logger), name=what, daemon=True)
     thread.start()
     return thread
@@ -102,24 +90,15 @@ def in_background(
 
 @dataclass
 class _Key:
-    """One key of a loop.
-
-    Attributes:
-        name: for the log.
-        work: a round; returns the seconds until the next one, None for the next wake.
-        pause: least seconds between two rounds.
-        earliest: when the next round may begin, if the key is woken.
-        due: when it begins in any case.
-        is_standing: whether the key stays when nothing is left to do.
-        begun: number of the last round that began; ``ended`` and ``wanted`` likewise.
-    """
+    """One key of a loop, with the numbers of rounds: the last that began, ended, is wanted."""
 
     name: str
-    work: Work
+    work: Callable[[], object]
+    is_standing: bool
     pause: float
+    #: When the next round may begin if the key is woken, and when it begins in any case.
     earliest: float
     due: float
-    is_standing: bool
     begun: int = 0
     ended: int = 0
     wanted: int = 0
@@ -174,15 +153,11 @@ class ControlLoop:
             after: seconds until the first round; None for the first wake.
             pause: least seconds until a round.
         """
-        self._put(_Key(key, work, pause, *self._times(after, pause), is_standing=True))
+        self._put(_Key(key, work, True, pause, *self._times(after, pause)))
 
     def once(self, key: str, work: Callable[[], object]) -> None:
         """Call ``work`` soon, once, unless the key waits or runs already; does not wait."""
-
-        def round_() -> None:
-            work()
-
-        self._put(_Key(key, round_, 0.0, *self._times(0.0), is_standing=False))
+        self._put(_Key(key, work, False, 0.0, *self._times(0.0)))
 
     def wake(self, key: str) -> int:
         """Ask for a round that begins from now on, and return its number; does not wait.
@@ -212,7 +187,6 @@ class ControlLoop:
 
     @property
     def running(self) -> bool:
-        """Whether threads were started and have not all ended."""
         return any(thread.is_alive() for thread in self._threads)
 
     def requeue(self, key: str, after: Optional[float]) -> None:
@@ -298,13 +272,14 @@ class ControlLoop:
         return min(waiting, key=attrgetter("next"), default=None)
 
     def _round(self, key: _Key) -> None:
-        outcome: List[Optional[float]] = []
+        outcome: List[object] = []
         attempt(key.name, lambda: outcome.append(key.work()), self._logger)
         after, pause = (outcome[0], key.pause) if outcome else (RETRY, RETRY)
         with self._changed:
             key.ended = key.begun
-            key.earliest, key.due = self._times(after, pause)
-            if not key.is_standing:
+            if key.is_standing:
+                key.earliest, key.due = self._times(cast("Optional[float]", after), pause)
+            else:
                 del self._keys[key.name]
             self._changed.notify_all()
 
@@ -321,16 +296,7 @@ class PeriodicWorker:
         logger: logging.Logger = _log,
         clock: Clock = STEADY,
     ) -> None:
-        """Prepare; ``start`` starts the thread.
-
-        Args:
-            what: what a round does, for the log and as the name of the thread.
-            work: a round. It may close its own worker.
-            period: seconds to the next round; a function is asked after each round.
-            pause: least seconds to the next round.
-            logger: where failures are logged.
-            clock: steady time.
-        """
+        """``period``: seconds to the next round, or asked after each; ``pause``: at least."""
 
         def round_() -> Optional[float]:
             work()
@@ -344,14 +310,10 @@ class PeriodicWorker:
 
     @property
     def running(self) -> bool:
-        """Whether its thread was started and has not ended."""
         return self._loop.running
 
     def start(self) -> None:
-        """Start the thread, unless it was started or the worker is closed.
-
-        The first round comes after a period, or when the worker is woken.
-        """
+        """Start the thread, once; the first round comes after a period, or a wake."""
         if self._loop.start():
             self._loop.requeue(self._what, self._until_next())
 
@@ -359,7 +321,7 @@ class PeriodicWorker:
         return self._period() if callable(self._period) else self._period
 
     def wake(self) -> int:
-        """Ask for a round that begins from now on, and return its number; does not wait."""
+        """Ask for a round that begins from now on, and return its number."""
         return self._loop.wake(self._what)
 
     def wait_for(self, number: int, timeout: float) -> bool:
@@ -379,18 +341,13 @@ class Workers:
         self.close = self._loop.close
 
     def run(self, work: Callable[[], object]) -> None:
-        """Call ``work`` soon; does not wait for it."""
         self._loop.once(f"{self._what} {next(self._numbers)}", work)
 
 
 class EventQueue(Generic[Event]):
-    """Passes events to a listener, one at a time and in order, outside the locks of the sender.
-
-    Safe from any thread.
-    """
+    """Passes events to a listener, one at a time and in order, outside the locks of the sender."""
 
     def __init__(self, listener: Callable[[Event], None]) -> None:
-        """Start empty; ``listener`` is called with each event."""
         self.listener = listener
         self._state_lock = state_lock("event queue")
         self._events: Deque[Event] = deque()
@@ -424,18 +381,13 @@ class RunningClock:
     """
 
     def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
-        """Start at 0; it stands still between readings that are far apart.
-
-        Args:
-            steady: steady time, in seconds.
-        """
+        """Start at 0; it stands still between readings that are far apart."""
         self._steady = steady
         self._state_lock = state_lock("running clock")
         self._last = steady()
         self._run = 0.0
 
     def __call__(self) -> float:
-        """Return the time."""
         with self._state_lock:
             now = self._steady()
             self._run += min(now - self._last, LONGEST_TICK)

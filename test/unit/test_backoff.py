@@ -49,14 +49,6 @@ def test_the_pause_itself_is_no_service() -> None:
     assert Life().pauses(12, FORGIVEN_AFTER / 2)[-3:] == [LONGEST] * 3
 
 
-def test_what_remains_of_a_pause_shrinks() -> None:
-    life = Life(tolerated=0)
-    life.backoff.failed("/a")
-    life.now += 0.125
-    assert life.backoff.remaining("/a") == 0.125
-    assert life.backoff.remaining("/b") == 0.0
-
-
 def test_a_failure_that_was_forgiven_is_the_first_again() -> None:
     life = Life()
     life.pauses(5)

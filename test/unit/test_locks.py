@@ -40,12 +40,9 @@ def test_locks_are_those_of_threading_unless_they_are_checked(
     locks.assert_no_state_lock("a call")
 
 
-def test_a_turn_has_its_place_in_the_order() -> None:
+def test_every_lock_is_named_once_and_turns_come_first() -> None:
     with pytest.raises(ValueError, match="a new one"):
         locks.turn_lock("a new one")
-
-
-def test_every_lock_is_named_once_and_turns_come_first() -> None:
     assert len(set(locks.ORDER)) == len(locks.ORDER)
     assert locks.ORDER[: len(locks.TURNS)] == locks.TURNS
 
@@ -80,39 +77,25 @@ def test_a_lock_taken_out_of_order_is_reported_and_refused(
     assert __file__ in report.read_text()
 
 
-def test_a_lock_that_its_holder_takes_again_is_reported_before_it_blocks(
-    checker: Checker,
-) -> None:
-    lock = CheckedLock(checker, "bus")
-    with lock, pytest.raises(LockViolation, match="the thread that holds it"):
-        lock.acquire()
-
-
-def test_a_reentrant_lock_may_be_taken_again(checker: Checker) -> None:
+def test_a_holder_may_take_a_reentrant_lock_again_and_no_other(checker: Checker) -> None:
     lock = CheckedLock(checker, "messages", reentrant=True)
     with lock, lock:
         pass
+    plain = CheckedLock(checker, "bus")
+    with plain, pytest.raises(LockViolation, match="the thread that holds it"):
+        plain.acquire()
     assert checker.held == []
 
 
-def test_a_lock_that_is_not_to_be_had_is_not_held(checker: Checker) -> None:
-    lock = CheckedLock(checker, "bus")
+def test_threads_try_to_take_a_lock_and_may_give_back_that_of_another(checker: Checker) -> None:
+    lock = CheckedLock(checker, "claim work")
     taken = []
-    with lock:
-        thread = threading.Thread(target=lambda: taken.append(lock.acquire(False)))
+    lock.acquire()
+    for work in (lambda: taken.append(lock.acquire(False)), lock.release):
+        thread = threading.Thread(target=work)
         thread.start()
         thread.join()
-    assert taken == [False]
-    assert checker.held == []
-
-
-def test_a_lock_may_be_given_back_by_another_thread(checker: Checker) -> None:
-    lock = CheckedLock(checker, "claim work")
-    lock.acquire()
-    thread = threading.Thread(target=lock.release)
-    thread.start()
-    thread.join()
-    assert checker.held == []
+    assert (taken, checker.held) == ([False], [])
 
 
 def test_calling_out_is_allowed_in_turns_and_not_under_state_locks(checker: Checker) -> None:
@@ -131,22 +114,6 @@ def test_waiting_gives_up_the_own_lock_and_must_not_hold_another(checker: Checke
     with CheckedLock(checker, "bus"), condition, waiting:
         condition.wait(0.001)
     assert checker.held == []
-
-
-def test_a_condition_wakes_those_who_wait(checker: Checker) -> None:
-    condition = threading.Condition(CheckedLock(checker, "quiet", reentrant=True))  # type: ignore[arg-type]
-    done = []
-
-    def tell() -> None:
-        with condition:
-            done.append(True)
-            condition.notify_all()
-
-    with condition:
-        thread = threading.Thread(target=tell)
-        thread.start()
-        assert condition.wait_for(lambda: bool(done), 10.0)
-    thread.join()
 
 
 def test_the_page_tells_the_order_of_the_code() -> None:

@@ -50,31 +50,6 @@ def test_everything_reads_back_exactly(tmp_path: Path) -> None:
     assert (store.number("revision"), store.number("library_revision")) == (41, 3)
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda data: b"not a database at all, but long enough to look like one" * 20,
-        lambda data: data[: len(data) // 2],
-        lambda data: data[:100] + b"\xff" * (len(data) - 100),
-        lambda data: b"SQLite format 3\x00" + b"\x00" * 4096,
-    ],
-)
-def test_a_broken_file_is_set_aside_and_reported(tmp_path: Path, damage) -> None:  # type: ignore[no-untyped-def]
-    path = tmp_path / "state.db"
-    store = Store(str(path))
-    store.put_transformations([TRANSFORMATION._replace(label=f"t{i}") for i in range(200)], 1)
-    store.close()
-    broken = damage(path.read_bytes())
-    path.write_bytes(broken)
-    store = Store(str(path))
-    assert "set aside" in store.complaint
-    assert len(store.transformations()) == 200
-    kept = [each for each in tmp_path.iterdir() if ".broken-" in each.name]
-    assert [each.read_bytes() for each in kept if each.name.count("-wal") == 0][:1] == [broken]
-    store.put_nodelet(Record("/n", TRANSFORMATION, "/m"))
-    assert len(store.nodelets()) == 1
-
-
 def test_a_file_of_another_format_is_set_aside(tmp_path: Path) -> None:
     path = str(tmp_path / "state.db")
     connection = sqlite3.connect(path)
@@ -106,36 +81,51 @@ RECORD = Record("/n", TRANSFORMATION, "/m", topics={"in": "/t"}, state=State.RUN
 BODY = json.loads(_body(RECORD))
 
 
-@pytest.mark.parametrize(
-    ("table", "text"),
-    [
-        ("nodelets", "no json"),
-        ("nodelets", "[]"),
-        pytest.param("nodelets", "[" * 100_000, id="deep"),
-        ("nodelets", "{}"),
-        ("nodelets", json.dumps({**BODY, "state": 77})),
-        ("nodelets", json.dumps({**BODY, "topics": ["in"]})),
-        ("nodelets", json.dumps({**BODY, "topics": {"in": 5}})),
-        ("nodelets", json.dumps({**BODY, "manager": None})),
-        ("nodelets", json.dumps({**BODY, "surprise": 1})),
-        ("nodelets", json.dumps({**BODY, "transformation": '["a"]'})),
-        ("nodelets", json.dumps({**BODY, "transformation": '["a","b/C","nodelet",1,[],[5]]'})),
-        (
-            "nodelets",
-            json.dumps({**BODY, "transformation": '["a","b/C","nodelet",1,[["x","int","y"]],[]]'}),
+MEANINGLESS = {
+    "nodelets": [
+        "no json",
+        "[]",
+        "[" * 100_000,
+        "{}",
+        *(
+            json.dumps({**BODY, field: value})
+            for field, value in (
+                ("state", 77),
+                ("topics", ["in"]),
+                ("topics", {"in": 5}),
+                ("manager", None),
+                ("surprise", 1),
+                ("transformation", '["a"]'),
+                ("transformation", '["a","b/C","nodelet",1,[],[5]]'),
+                ("transformation", '["a","b/C","nodelet",1,[["x","int","y"]],[]]'),
+            )
         ),
-        ("transformations", "{}"),
-        ("transformations", pack(TRANSFORMATION)),  # under another label
-        ("transformations", '["bad","b/C","nodelet","1",[],[]]'),
-        ("transformations", '["bad","b/C","nodelet",1,[["x","int",5]],[]]'),
-        ("transformations", '["bad","b/C","nodelet",1,[],[["p","in","",[5]]]]'),
-        ("facts", "seven"),
-        ("claims", "[1, 2]"),
-        ("claims", "nothing"),
+    ],
+    "transformations": [
+        "{}",
+        pack(TRANSFORMATION),  # under another label
+        '["bad","b/C","nodelet","1",[],[]]',
+        '["bad","b/C","nodelet",1,[["x","int",5]],[]]',
+        '["bad","b/C","nodelet",1,[],[["p","in","",[5]]]]',
+    ],
+    "facts": ["seven"],
+    "claims": ["[1, 2]", "nothing"],
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "text", "name"),
+    [
+        *(
+            pytest.param(table, text, "", id=f"{table}-{number}")
+            for table, texts in MEANINGLESS.items()
+            for number, text in enumerate(texts)
+        ),
+        pytest.param("nodelets", _body(RECORD), "/n\x01", id="nodelets-name"),
     ],
 )
 def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
-    tmp_path: Path, table: str, text: str
+    tmp_path: Path, table: str, text: str, name: str
 ) -> None:
     path = str(tmp_path / "state.db")
     store = Store(path)
@@ -143,7 +133,7 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
     store.put_nodelet(RECORD)
     store.put_claim("c1", {"tag": "T(a)"})
     store.close()
-    key = "/bad" if table == "nodelets" else "bad"
+    key = name or ("/bad" if table == "nodelets" else "bad")
     written_by_another_version(path, table, key, text)
     for entry_is_named in (True, False):  # once
         store = Store(path)
@@ -157,14 +147,6 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
     (entry,) = json.loads(aside.read_text())
     assert (entry["table"], entry["key"], entry["text"]) == (table, key, text)
     assert entry["cause"]
-
-
-def test_a_nodelet_whose_name_is_none_is_set_aside(tmp_path: Path) -> None:
-    path = str(tmp_path / "state.db")
-    written_by_another_version(path, "nodelets", "/n\x01", _body(RECORD))
-    store = Store(path)
-    assert store.nodelets() == []
-    assert "not a valid nodelet name" in store.complaint
 
 
 def test_the_labels_are_named_whose_variables_mean_something_else_than_before(
