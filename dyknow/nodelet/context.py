@@ -52,14 +52,10 @@ class Runtime:
         blocking: Optional[Executor] = None,
         bound: bool = True,
     ) -> None:
-        """Put a runtime together.
+        """Put a runtime together, with the clock of its ``executor``.
 
-        Args:
-            middleware: the outside.
-            executor: runs callbacks, and has the clock.
-            guards: returns the guards currently in force.
-            blocking: runs callbacks that may block for long; by default the ``executor`` does.
-            bound: whether the guards bind every endpoint, not only ``set_config``.
+        Callbacks that may block for long run on ``blocking``, by default the same. The ``guards``
+        currently in force bind ``set_config`` and, if ``bound``, every endpoint.
         """
         self.node = middleware.node
         self.services = middleware.services

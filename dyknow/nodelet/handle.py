@@ -10,12 +10,11 @@ derived from it, the one of ``dyknow.proxy`` declares ports.
 from __future__ import annotations
 
 import queue
-from typing import Any, Callable, Dict, List, Optional, Set, Tuple, Union
+from typing import Any, Callable, Dict, List, Optional, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import HandleClosed
 from dyknow.nodelet import pubsub
-from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.timers import Timer
@@ -146,7 +145,7 @@ class PlainNodeHandle:
         topic = self.resolve_name(names.check(name, "topic name"))
         publication = self.context.publication(name, datatype, latch, queue_size, **options)
         publisher = pubsub.Publisher(self.context, name, publication, listener)
-        self._connect(publisher, publication, topic)
+        publisher.connect(topic)
         return publisher
 
     def _make_subscriber(
@@ -154,17 +153,8 @@ class PlainNodeHandle:
     ) -> pubsub.Subscriber:
         topic = self.resolve_name(names.check(name, "topic name"))
         subscriber = pubsub.Subscriber(self.context, name, datatype, *args, **options)
-        self._connect(subscriber, subscriber.subscription, topic)
+        subscriber.connect(topic)
         return subscriber
-
-    def _connect(
-        self, handle: Union[pubsub.Publisher, pubsub.Subscriber], endpoint: Endpoint, topic: str
-    ) -> None:
-        try:
-            self.context.runtime.bus.rewire([(endpoint, topic)])
-        except BaseException:
-            handle.unregister()
-            raise
 
     # Services, parameters, time
 

@@ -82,15 +82,14 @@ class Importer:
         """Make an importer without copies.
 
         Args:
-            is_own: whether a module is to be copied, by its top-level name; or, below a view, by
-                its full name.
-            folders: modules in them are copied; they are searched first.
-            views: makes a view, by the name of the module, when that is imported.
-            blind: top-level names of copies that are to see the process's modules, not the views.
+            is_own: whether to copy a top-level module or, by its full name, one below a view.
+            folders: their modules are copied; they are searched first.
+            views: make a view, by the name of the module, when that is imported.
+            blind: top-level names of copies that see the process's modules, not the views.
             functions: replacements of built-in functions.
-            search: further folders that are searched, before those of the process.
-            is_alone: whether the process is the owner's: copies are in ``sys.modules`` too, and
-                the path is ``sys.path`` itself.
+            search: further folders, searched before those of the process.
+            is_alone: the process is the owner's: copies are in ``sys.modules`` too, and the path
+                is ``sys.path`` itself.
         """
         self.modules: Dict[str, Module] = {}
         self.path = [*folders, *search, *sys.path]

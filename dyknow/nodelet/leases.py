@@ -98,15 +98,11 @@ class Leases:
         duration: float,
         producers: Mapping[str, str],
     ) -> float:
-        """Take a renewal, and return the time of our clock.
+        """Take a renewal by a manager, the node at ``uri``; return the time of our clock.
 
-        Args:
-            manager: the node that grants the lease.
-            uri: address of its node.
-            confirmed: the result of an earlier call; 0 if none has been answered yet.
-            duration: seconds from then until the lease runs out.
-            producers: by topic of a claim, the nodelet that publishes there; empty to end the
-                lease without a fence.
+        The lease runs out ``duration`` seconds after ``confirmed``, the result of an earlier call
+        (0: none is answered yet). ``producers`` has the nodelet that publishes on each topic of a
+        claim; without any the lease ends, and fences none.
         """
         now = self._clock()
         present = {(name, topic) for topic in producers for name in self._owners(topic)}

@@ -112,11 +112,8 @@ class Loader:
     ) -> None:
         """Make an empty loader.
 
-        Args:
-            runtime: shared by the nodelets.
-            find_class: imports the class of a declared type, for a nodelet.
-            on_attach: opens the services of a nodelet's proxy.
-            on_unloaded: called with the name after a running nodelet was unloaded.
+        ``find_class`` imports the class of a declared type, for a nodelet; ``on_attach`` opens the
+        services of its proxy, and ``on_unloaded`` is called after a running one was unloaded.
         """
         self.runtime = runtime
         self._find_class = find_class
@@ -152,15 +149,9 @@ class Loader:
         remappings: Optional[Mapping[str, str]] = None,
         my_argv: Sequence[str] = (),
     ) -> Nodelet:
-        """Make a nodelet and return it once its ``on_init`` has returned.
+        """Make a nodelet of a declared type and return it once its ``on_init`` has returned.
 
-        One of that name that is being unloaded is waited for.
-
-        Args:
-            name: global name.
-            type_name: declared type, ``package/Class``.
-            remappings: table of global names.
-            my_argv: arguments for the nodelet.
+        All names are global. One of that name that is being unloaded is waited for.
 
         Raises:
             NameTaken: the name is in use.

@@ -64,14 +64,10 @@ def is_standard(top: str) -> bool:
 def package_spec(top: str, path: Collection[str]) -> Optional[ModuleSpec]:
     """Find a top-level module; of a catkin package, with every folder that holds its modules.
 
-    The modules of a package in a devel space are in two folders: the authors' in the source space,
-    and the generated ones (``msg``, ``srv``, ``cfg``) in the devel space. A relay in the latter
-    joins them, but it also puts the source space in front of ``sys.path``, so the next search may
-    find the source folder alone. This finds both, whichever comes first.
-
-    Args:
-        top: its name.
-        path: the folders that are searched.
+    A package in a devel space has its authors' modules in the source space, and generated ones
+    (``msg``, ``srv``, ``cfg``) in the devel space. A relay there joins them, but it also puts the
+    source space in front of ``sys.path``, so the next search may find the source folder alone.
+    This finds both, whichever comes first.
     """
     spec = PathFinder.find_spec(top, list(path))
     if spec is None or os.path.basename(spec.origin or "") != "__init__.py":

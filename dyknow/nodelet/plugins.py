@@ -48,20 +48,12 @@ class PluginFile:
 
 @dataclass(frozen=True)
 class PluginClass:
-    """One declared class.
+    """One class that a file declares."""
 
-    Attributes:
-        name: its name in ``source`` and in load requests, ``package/Class``.
-        type: dotted path of the Python class.
-        description: one line for people, may be empty.
-        library: directory that the module is searched in first, used if it exists.
-        file: where it is declared.
-    """
-
-    name: str
-    type: str
-    description: str
-    library: Path
+    name: str  # ``package/Class``, in ``source`` and in load requests
+    type: str  # dotted path
+    description: str  # one line for people, may be empty
+    library: Path  # the module is searched there first, if it exists
     file: Path
 
 
@@ -140,17 +132,11 @@ class Plugins:
 
 @dataclass(frozen=True)
 class Package:
-    """The modules that a declared class comes with.
+    """The modules that a declared class comes with."""
 
-    Attributes:
-        tops: their top-level names.
-        folders: where they are, if that is a folder of plug-ins and not on ``sys.path``.
-        files: their source files, by module name.
-    """
-
-    tops: FrozenSet[str]
-    folders: List[str]
-    files: Mapping[str, str]
+    tops: FrozenSet[str]  # their top-level names
+    folders: List[str]  # of plug-ins, not on ``sys.path``
+    files: Mapping[str, str]  # source files by module name
 
     @classmethod
     def find(cls, top: str, library: str) -> Package:
@@ -166,9 +152,8 @@ class Package:
 class ClassImports:
     """Imports classes for nodelets.
 
-    Args:
-        library_importer: returns an importer of a nodelet's own if the module of that name in the
-            package uses libraries of the middleware, else None.
+    ``library_importer`` returns an importer of a nodelet's own if the module of that name in the
+    package uses libraries of the middleware, else None.
     """
 
     def __init__(

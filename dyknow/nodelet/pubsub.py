@@ -13,36 +13,56 @@ from __future__ import annotations
 import functools
 from typing import Any, Callable, Dict, Optional, Tuple
 
+from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.middleware import Closable
 
 
-class Publisher:
+class _Handle:
+    """Members of publishers and subscribers that rospy's have too."""
+
+    def __init__(self, context: Context, endpoint: Endpoint) -> None:
+        self._context = context
+        self._endpoint = endpoint
+        self.data_class = endpoint.datatype
+        self.type = self.data_class._type
+        self.md5sum = self.data_class._md5sum
+
+    @property
+    def name(self) -> str:
+        """Global name of the topic; of a port, the topic that it is connected to now."""
+        return self._endpoint.topic
+
+    resolved_name = name
+
+    def connect(self, topic: str) -> None:
+        """Connect it to its first topic, or withdraw it."""
+        try:
+            self._context.runtime.bus.rewire([(self._endpoint, topic)])
+        except BaseException:
+            self.unregister()
+            raise
+
+    def unregister(self) -> None:
+        self._context.release(self._endpoint)
+
+
+class Publisher(_Handle):
     """Publishes messages; use it as a ``rospy.Publisher``."""
 
     def __init__(
         self, context: Context, name: str, publication: Publication, listener: Any = None
     ) -> None:
         """Make a handle on a publication; ``name`` is for errors and logs."""
+        super().__init__(context, publication)
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
-        self.data_class = publication.datatype
-        self.type = self.data_class._type
-        self.md5sum = self.data_class._md5sum
         self.publication = publication
-        self._context = context
         self._events: Optional[SubscriberEvents] = None
         if listener is not None:
             self._events = SubscriberEvents(context, name, publication, listener)
             context.close_with(self._events)
-
-    @property
-    def name(self) -> str:
-        """Global name of the topic; of a port, the topic that it is connected to now."""
-        return self.publication.topic
-
-    resolved_name = name
 
     def get_num_connections(self) -> int:
         """Count the subscribers: one for each node outside, one for this process."""
@@ -62,10 +82,10 @@ class Publisher:
         self._withdraw()
 
     def _withdraw(self) -> None:
-        self._context.release(self.publication)
+        super().unregister()
 
 
-class Subscriber:
+class Subscriber(_Handle):
     """Receives messages; use it as a ``rospy.Subscriber``."""
 
     def __init__(
@@ -86,23 +106,11 @@ class Subscriber:
         runs ``at_once``, or after ``on_init``.
         """
         check_message_class(name, datatype)
-        self._context = context
-        self._strand = context.new_strand(name, at_once) if overlaps else context.strand
-        self.subscription = context.subscription(
-            name, datatype, queue_size, self._strand, **options
-        )
+        strand = context.new_strand(name, at_once) if overlaps else context.strand
+        self.subscription = context.subscription(name, datatype, queue_size, strand, **options)
+        super().__init__(context, self.subscription)
         if callback is not None:
             self.registerCallback(callback, *(() if callback_args is None else (callback_args,)))
-        self.data_class = datatype
-        self.type = datatype._type
-        self.md5sum = datatype._md5sum
-
-    @property
-    def name(self) -> str:
-        """Global name of the topic; of a port, the topic that it is connected to now."""
-        return self.subscription.topic
-
-    resolved_name = name
 
     def get_num_connections(self) -> int:
         """Count the publishers that are connected; all of this process are one."""
@@ -119,8 +127,8 @@ class Subscriber:
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""
-        self._context.release(self.subscription)
-        self._context.drop_strand(self._strand)
+        super().unregister()
+        self._context.drop_strand(self.subscription.strand)
 
 
 class SubscriberEvents(Closable):

@@ -251,14 +251,10 @@ class WorkerPool(Executor):
         record: Optional[CrashRecord] = None,
         stay: float = _STAY,
     ) -> None:
-        """Start the threads.
+        """Start the threads: one for each of ``size`` callbacks at the same time, or None to grow.
 
-        Args:
-            size: callbacks that can run at the same time; None for a pool that grows.
-            stuck_after: seconds after which a callback that has not returned is reported, once.
-            clock: steady seconds.
-            record: where the threads note whose code they run.
-            stay: seconds for which a thread without work stays in a pool that grows.
+        A callback that has not returned ``stuck_after`` seconds is reported, once. In a pool that
+        grows, threads without work ``stay`` so many seconds.
         """
         super().__init__(record, clock)
         if size is not None and size < 1:

@@ -144,7 +144,7 @@ class PortSubscriber(Subscriber):
     def unregister(self) -> None:
         joined = self in self._port.handles
         if joined:
-            self._port.handles.remove(self)
+            self._port.handles.remove(self)  # first: a switch leaves it out from now on
         super().unregister()
         if joined:
             self._port.leave(self.subscription)

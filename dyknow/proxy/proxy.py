@@ -11,7 +11,7 @@ no callback, and looking at ports and statistics needs no turn.
 from __future__ import annotations
 
 import collections
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from dyknow import names
 from dyknow.datatypes import types_fit
@@ -31,7 +31,6 @@ from dyknow.locks import turn_lock
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.transformation import IN, OUT
-from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.middleware import Closable
@@ -140,7 +139,8 @@ class NodeletProxy(Closable):
                     wanted = "latched" if latch else "not latched"
                     raise PortConflict(name, port.kind, wanted)
                 publisher = PortPublisher(self._context, port, publication, listener)
-            self._place(port, publisher, publication)
+            publisher.connect(port.topic)
+            self._ports[port.name] = port
         self.on_change()
         return publisher
 
@@ -152,7 +152,8 @@ class NodeletProxy(Closable):
             port = self._declare(InPort, handle, name, datatype)
             subscriber = PortSubscriber(self._context, name, datatype, *args, **options)
             subscriber.join(port)
-            self._place(port, subscriber, subscriber.subscription)
+            subscriber.connect(port.topic)
+            self._ports[port.name] = port
         self.on_change()
         return subscriber
 
@@ -173,16 +174,6 @@ class NodeletProxy(Closable):
         return port
 
     # Inside
-
-    def _place(
-        self, port: ProxyPort, share: Union[PortPublisher, PortSubscriber], endpoint: Endpoint
-    ) -> None:
-        try:
-            self._context.runtime.bus.rewire([(endpoint, port.topic)])
-        except BaseException:
-            share.unregister()
-            raise
-        self._ports[port.name] = port
 
     def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Change]:
         guards = self._context.runtime.guards()
