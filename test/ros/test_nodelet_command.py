@@ -2,7 +2,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`nodelet load` and `unload` with nodelet_core's manager in C++, and with an odd one."""
+"""`nodelet load` and `unload`: DyKnow's client and nodelet_core's, with managers of both.
+
+`test_nodelet_manager` runs `ClientTest` in the quick run.
+"""
 
 from __future__ import annotations
 
@@ -10,185 +13,230 @@ import queue
 import signal
 import threading
 import time
-import unittest
 
-import graph
+import graph  # first: it makes the test package known
 import rospy
 import rostest
-from nodelet.srv import (
-    NodeletList,
-    NodeletLoad,
-    NodeletLoadResponse,
-    NodeletUnload,
-    NodeletUnloadResponse,
-)
-from processes import BUSY, NODELET, STOCK_NODELET, Running, eventually, finished, nodes
-
-MANAGER = "/command_test/manager"
-BOND = f"{MANAGER}/bond"
+from graph import Ended, Manager, ManagerServices, NodeletManagerCase, let_the_bond_form
+from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
+from processes import BUSY, NODELET, STOCK_NODELET, TellingCase, eventually, finished, nodes
 
 
-def nodelets(manager=MANAGER):
-    return list(rospy.ServiceProxy(f"{manager}/list", NodeletList)().nodelets)
-
-
-class Started(unittest.TestCase):
+class StartingCase(TellingCase):
     def start(self, *command):
-        process = Running(*command)
+        process = Ended(*command)
         self.addCleanup(process.__exit__)
         return process
 
+    def assert_ends(self, process, code=0, within=20.0):
+        """It ends by itself, in the time (s) of a quiet machine."""
+        self.assertEqual(process.exit_code(within), code, process.output)
 
-class WithManager:
-    """Tests that apply to the manager in C++ and to DyKnow's."""
 
-    def setUp(self):
-        self.manager = self.start(
-            *self.nodelet, "manager", "__name:=manager", "__ns:=/command_test"
-        )
-        rospy.wait_for_service(f"{MANAGER}/list", 10.0 * BUSY)
+class ClientCase(StartingCase):
+    """A client loads a nodelet, by default a Relay into DyKnow's manager."""
 
-    def load(self, *arguments, name="nodelet"):
-        process = self.start(
-            *NODELET, "load", self.type, *arguments, f"__name:={name}", "__ns:=/command_test"
-        )
-        eventually(
-            lambda: f"/command_test/{name}" in nodelets() or process.has_ended,
-            15.0,
-            "the nodelet is loaded",
-        )
-        self.assertIn(f"/command_test/{name}", nodelets(), process.output)
+    clients = {"own": NODELET}
+    nodelet_type = "dyknow/Relay"
+    namespace = "/robot"
+
+    @property
+    def name(self):
+        return f"{self.namespace}/nodelet"
+
+    def load(self, *arguments, client="own"):
+        names = ("__name:=nodelet", f"__ns:={self.namespace}")
+        words = ("load", self.nodelet_type, "manager", *arguments, *names)
+        process = self.start(*self.clients[client], *words)
+        eventually(lambda: self.manager.list() or process.has_ended, 15.0, "it is loaded")
+        self.assertEqual(self.manager.list(), [self.name], process.output)
         return process
 
-    def assert_ends(self, process, code=0, within=4.0):
-        """It ends by itself, in the time (s) of a quiet machine."""
-        self.assertEqual(process.exit_code(within * BUSY), code, process.output)
+    def bonded(self, *arguments, client="own"):
+        """Load a nodelet whose bond has formed; the stock client handles signals from then on."""
+        process = self.load(*arguments, client=client)
+        let_the_bond_form(f"{self.manager.name}/bond")
+        return process
+
+
+class ClientTest(ClientCase, NodeletManagerCase):
+    clients = {"own": NODELET, "stock": STOCK_NODELET}
+    manager_name = "/robot/manager"
+
+    def each_client(self, *clients):
+        for client in clients or self.clients:
+            with self.subTest(client):
+                yield client
+                eventually(lambda: self.manager.list() == [], 6.0, "the nodelet is unloaded")
 
     def test_signals_unload(self):
-        for number in (signal.SIGINT, signal.SIGTERM):
-            for arguments in ((), ("--no-bond",)):
-                process = self.load(MANAGER, *arguments)
+        for client in self.each_client():
+            # SIGTERM just ends the stock client.
+            for number in (signal.SIGINT, signal.SIGTERM)[: 2 if client == "own" else 1]:
+                process = self.bonded(client=client)
                 process.stop(number)
                 self.assert_ends(process)
-                self.assertEqual(nodelets(), [])
-                self.assertIn(
-                    f"Unloading nodelet /command_test/nodelet from manager {MANAGER}\n",
-                    process.output,
-                )
-                self.assertNotIn("/command_test/nodelet", nodes())
+                eventually(lambda: self.manager.list() == [], 2.0, "the nodelet is unloaded")
+                self.assertIn(f"Unloading nodelet {self.name} from manager", process.output)
+                eventually(lambda: self.name not in nodes(), 5.0, "the client is gone")
+
+    def test_kill_9_of_the_client_unloads(self):
+        for client in self.each_client():
+            self.bonded(client=client).stop(signal.SIGKILL)
 
     def test_rosnode_kill_unloads(self):
-        process = self.load(MANAGER)
-        code, output = finished(["rosnode", "kill", "/command_test/nodelet"])
-        self.assertEqual(code, 0, output)
-        self.assert_ends(process)
-        self.assertEqual(nodelets(), [])
-        self.assertNotIn("/command_test/nodelet", nodes())
+        for client in self.each_client("own"):
+            process = self.bonded(client=client)
+            code, output = finished(["rosnode", "kill", self.name])
+            self.assertEqual(code, 0, output)
+            self.assert_ends(process)
 
-    def test_the_manager_misses_a_killed_client(self):
-        process = self.load(MANAGER)
-        graph.let_the_bond_form(BOND)
-        process.stop(signal.SIGKILL)
-        eventually(lambda: nodelets() == [], 5.5, "the nodelet is unloaded")
+    def test_the_client_ends_when_others_unload(self):
+        for client in self.each_client():
+            process = self.bonded(client=client)
+            code, output = finished(
+                [*self.clients[client], "unload", self.name, self.manager.name]
+            )
+            self.assertEqual(code, 0, output)
+            self.assert_ends(process)
+            self.assertIn("Bond broken, exiting", process.output)
+            self.assertNotIn("Unloading", process.output)
 
     def test_a_killed_client_without_bond_leaves_the_nodelet(self):
-        process = self.load(MANAGER, "--no-bond")
-        process.stop(signal.SIGKILL)
-        process.exit_code(20.0)
-        code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
-        self.assertEqual(code, 0, output)
-        self.assertEqual(nodelets(), [])
+        for client in self.each_client():
+            process = self.load("--no-bond", client=client)
+            process.stop(signal.SIGKILL)
+            process.exit_code(20.0)
+            self.assertEqual(self.manager.list(), [self.name])
+            code, output = finished(
+                [*self.clients[client], "unload", self.name, self.manager.name]
+            )
+            self.assertEqual(code, 0, output)
+
+    def test_what_the_manager_refuses(self):
+        for client in self.each_client():
+            words = [*self.clients[client], "load", "image_proc/nothing", self.manager.name]
+            code, output = finished(words)
+            self.assertEqual(code, 255, output)
+            said = "Failed to load nodelet '/image_proc_nothing` of type `image_proc/nothing` "
+            self.assertIn(f"{said}to manager `{self.manager.name}'", output)
+            code, output = finished(
+                [*self.clients[client], "unload", "/nobody", self.manager.name]
+            )
+            self.assertEqual(code, 255)
+            self.assertIn(
+                f"Failed to unload nodelet '/nobody` from manager `{self.manager.name}'", output
+            )
+
+    def test_remappings_parameters_and_names(self):
+        for client in self.each_client():
+            process = self.bonded("in:=cam/in", "out:=/b", "_size:=3", client=client)
+            self.assertEqual(
+                graph.topics_of_ports(self.name), {"in": "/robot/cam/in", "out": "/b"}
+            )
+            self.assertEqual(rospy.get_param(f"{self.name}/size"), 3)
+            if client == "own":
+                self.assertIn("/robot/in -> /robot/cam/in\n", process.output)
+            self.assertNotIn("__name", process.output)
+            process.stop()
+            self.assert_ends(process)
+
+
+class EndedManagerTest(ClientCase):
+    """The manager ends or hangs before the client does."""
+
+    namespace = "/ending"
+
+    def setUp(self):
+        self.manager = self.start_manager()
+        self.addCleanup(self.manager.__exit__)
+
+    def start_manager(self):
+        return Manager(f"{self.namespace}/manager")
 
     def test_the_client_ends_with_the_manager(self):
         for number in (signal.SIGKILL, signal.SIGINT):
-            process = self.load(MANAGER)
-            graph.let_the_bond_form(BOND)
+            process = self.bonded()
             self.manager.stop(number)
-            self.assert_ends(process, within=6.0)
-            self.assertIn("Bond broken, exiting\n", process.output)
+            self.assert_ends(process)
+            self.assertIn("Bond broken, exiting", process.output)
             self.manager.exit_code(20.0)
             self.setUp()
 
-    def test_the_client_ends_when_others_unload(self):
-        process = self.load(MANAGER)
-        graph.let_the_bond_form(BOND)
-        code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
-        self.assertEqual(code, 0, output)
-        self.assert_ends(process, within=2.0)
-        self.assertIn("Bond broken, exiting\n", process.output)
-        self.assertNotIn("Unloading", process.output)
-
     def test_a_stopped_manager_does_not_hold_up_the_client(self):
-        process = self.load(MANAGER)
-        graph.let_the_bond_form(BOND)
+        process = self.bonded()
         self.manager.stop(signal.SIGSTOP)
         process.stop()
-        self.assert_ends(process, within=3.5)
+        self.assert_ends(process)
         self.assertIn("did not answer within 2 s", process.output)
         self.manager.stop(signal.SIGCONT)
-        eventually(lambda: nodelets() == [], 5.0, "the nodelet is unloaded")
+        eventually(lambda: self.manager.list() == [], 5.0, "the nodelet is unloaded")
 
-    def test_a_dead_manager_does_not_hold_up_the_client(self):
-        process = self.load(MANAGER)
-        graph.let_the_bond_form(BOND)  # so that the client has its answer
-        self.manager.stop(signal.SIGKILL)
-        self.manager.exit_code(20.0)
-        process.stop()
-        self.assert_ends(process)
-        self.assertNotIn("Couldn't find", process.output)  # both may be ending together
-
-    def test_what_the_manager_refuses(self):
-        code, output = finished([*NODELET, "load", "image_proc/nothing", MANAGER])
-        self.assertEqual(code, 255)
-        self.assertIn(
-            "Failed to load nodelet '/image_proc_nothing` of type `image_proc/nothing` "
-            f"to manager `{MANAGER}'",
-            output,
-        )
-        code, output = finished([*NODELET, "unload", "/nobody", MANAGER])
-        self.assertEqual(code, 255)
-        self.assertIn(f"Failed to unload nodelet '/nobody` from manager `{MANAGER}'", output)
+    def test_a_dead_manager_is_no_trouble_at_the_end(self):
+        for number, arguments in ((signal.SIGKILL, ()), (signal.SIGINT, ("--no-bond",))):
+            process = self.load(*arguments)
+            if not arguments:  # so that the client has its answer
+                let_the_bond_form(f"{self.manager.name}/bond")
+            self.manager.stop(number)
+            self.manager.exit_code(20.0)
+            process.stop()
+            self.assert_ends(process)
+            for word in ("Couldn't find", "ERROR", "FATAL", "Traceback"):
+                self.assertNotIn(word, process.output)
+            self.setUp()
 
     def test_a_name_that_is_taken_stays_with_the_first(self):
-        self.load(MANAGER, "--no-bond").stop(signal.SIGKILL)
-        code, output = finished(
-            [*NODELET, "load", self.type, MANAGER, "__name:=nodelet", "__ns:=/command_test"]
-        )
+        self.load("--no-bond").stop(signal.SIGKILL)
+        names = ("__name:=nodelet", f"__ns:={self.namespace}")
+        words = ("load", self.nodelet_type, self.manager.name, *names)
+        code, output = finished([*NODELET, *words])
         self.assertEqual(code, 255, output)
-        self.assertEqual(nodelets(), ["/command_test/nodelet"])
+        self.assertEqual(self.manager.list(), [self.name])
 
 
-class StockManagerTest(WithManager, Started):
-    nodelet = STOCK_NODELET
-    type = "image_proc/resize"
+class StockManager(Ended, ManagerServices):
+    """nodelet_core's manager, in C++."""
+
+    def __init__(self, namespace: str) -> None:
+        ManagerServices.__init__(self, f"{namespace}/manager")
+        super().__init__(*STOCK_NODELET, "manager", "__name:=manager", f"__ns:={namespace}")
+        self.wait_until_up()
+
+
+class StockManagerTest(ClientTest):
+    clients = {"own": NODELET}
+    nodelet_type = "image_proc/resize"
+    namespace = "/stock"
+
+    @classmethod
+    def start_manager(cls):
+        manager = StockManager(cls.namespace)
+        cls.addClassCleanup(manager.__exit__)
+        return manager
 
     def test_remappings_parameters_and_names(self):
-        process = self.load("manager", "image:=cam/image", "~image:=small", "_scale_width:=0.25")
+        process = self.load("image:=cam/image", "~image:=small", "_scale_width:=0.25")
         published = {topic for topic, _ in rospy.get_published_topics()}
-        self.assertIn("/command_test/small", published)
-        self.assertEqual(rospy.get_param("/command_test/nodelet/scale_width"), 0.25)
-        self.assertIn(
-            "Loading nodelet /command_test/nodelet of type image_proc/resize to manager manager "
+        self.assertIn("/stock/small", published)
+        self.assertEqual(rospy.get_param("/stock/nodelet/scale_width"), 0.25)
+        for said in (
+            "Loading nodelet /stock/nodelet of type image_proc/resize to manager manager "
             "with the following remappings:",
-            process.output,
-        )
-        self.assertIn("/command_test/image -> /command_test/cam/image\n", process.output)
-        self.assertIn("/command_test/nodelet/image -> /command_test/small\n", process.output)
-        self.assertNotIn("__name", process.output)
+            "/stock/image -> /stock/cam/image\n",
+            "/stock/nodelet/image -> /stock/small\n",
+        ):
+            self.assertIn(said, process.output)
 
 
-class OurManagerTest(WithManager, Started):
-    nodelet = NODELET
-    type = "dyknow/Relay"
+class EndedStockManagerTest(EndedManagerTest):
+    nodelet_type = "image_proc/resize"
+    namespace = "/ending_stock"
 
-    def test_remappings_parameters_and_names(self):
-        process = self.load("manager", "out:=cam/out", "_datatype:=std_msgs/Time")
-        published = dict(rospy.get_published_topics())
-        self.assertEqual(published.get("/command_test/cam/out"), "std_msgs/Time")
-        self.assertIn("/command_test/out -> /command_test/cam/out\n", process.output)
+    def start_manager(self):
+        return StockManager(self.namespace)
 
 
-class WaitingTest(Started):
+class WaitingTest(StartingCase):
     def test_unload_without_a_manager(self):
         code, output = finished([*NODELET, "unload", "/n", "/nobody"])
         self.assertEqual(code, 255)
@@ -198,12 +246,11 @@ class WaitingTest(Started):
     def test_load_waits_for_the_manager(self):
         process = self.start(*NODELET, "load", "image_proc/resize", "/late", "__name:=early")
         process.wait_for("waitForService: Service [/late/load_nodelet] has not been advertised")
-        process.wait_for(
-            "Waiting for service /late/load_nodelet to be available for 10 seconds..."
-        )
+        process.wait_for("Waiting for service /late/load_nodelet to be available for 10 seconds..")
         self.start(*STOCK_NODELET, "manager", "__name:=late")
         process.wait_for("waitForService: Service [/late/load_nodelet] is now available.")
-        eventually(lambda: nodelets("/late") == ["/early"], 10.0, "the nodelet is loaded")
+        late = ManagerServices("/late")
+        eventually(lambda: late.list() == ["/early"], 10.0, "the nodelet is loaded")
 
     def test_a_client_that_waits_can_be_stopped(self):
         for stop in (
@@ -214,51 +261,50 @@ class WaitingTest(Started):
             process = self.start(*NODELET, "load", "a/B", "/nobody", "__name:=waiting")
             process.wait_for("has not been advertised, waiting...")
             stop(process)
-            self.assertEqual(process.exit_code(20.0), 130, process.output)
+            self.assert_ends(process, 130)
             self.assertNotIn("Unloading", process.output)
             self.assertNotIn("Traceback", process.output)
 
 
-class OddManagerTest(Started):
+class OddManagerTest(StartingCase):
     """This node acts as a manager that loads slowly, reports causes, and has no bonds."""
 
     def setUp(self):
         self.requests = queue.Queue()
         self.release = threading.Event()
+        self.addCleanup(self.release.set)
         self.unloaded = []
-        load = rospy.Service("~load_nodelet", NodeletLoad, self.on_load)
-        self.addCleanup(load.shutdown)
-        unload = rospy.Service("~unload_nodelet", NodeletUnload, self.on_unload)
-        self.addCleanup(unload.shutdown)
+        for service in (
+            rospy.Service("~load_nodelet", NodeletLoad, self.on_load),
+            rospy.Service("~unload_nodelet", NodeletUnload, self.on_unload),
+        ):
+            self.addCleanup(service.shutdown)
 
     def on_load(self, request):
         self.requests.put(request)
         if request.type == "a/Refused":
             raise ValueError('it\'s "so", because…')
         if request.type == "a/Slow":
-            self.release.wait(20.0)
+            self.release.wait(20.0 * BUSY)
         return NodeletLoadResponse(success=request.type != "a/Unlucky")
 
     def on_unload(self, request):
         self.unloaded.append(request.name)
         return NodeletUnloadResponse(success=True)
 
+    def requested(self, *words):
+        """Start a client; returns its request and its process."""
+        process = self.start(*NODELET, "load", words[0], rospy.get_name(), *words[1:])
+        return self.requests.get(timeout=10.0 * BUSY), process
+
     def test_the_request(self):
-        self.start(*NODELET, "load", "a/B", rospy.get_name(), "x", "a:=b", "__name:=n", "y")
-        request = self.requests.get(timeout=10.0)
-        self.assertEqual(request.name, "/n")
-        self.assertEqual(request.type, "a/B")
-        self.assertEqual(request.remap_source_args, ["/a"])
-        self.assertEqual(request.remap_target_args, ["/b"])
+        request, _ = self.requested("a/B", "x", "a:=b", "__name:=n", "y")
+        self.assertEqual((request.name, request.type), ("/n", "a/B"))
+        self.assertEqual((request.remap_source_args, request.remap_target_args), (["/a"], ["/b"]))
         self.assertEqual(request.my_argv, ["x", "y"])
         self.assertRegex(request.bond_id, "^/n_[0-9a-f-]{36}$")
-
-    def test_without_bond_there_is_no_id(self):
-        self.start(*NODELET, "load", "a/B", rospy.get_name(), "--no-bond", "x")
-        request = self.requests.get(timeout=10.0)
-        self.assertEqual(request.name, "/a_B")
-        self.assertEqual(request.my_argv, ["x"])
-        self.assertEqual(request.bond_id, "")
+        request, _ = self.requested("a/B", "--no-bond", "x")
+        self.assertEqual((request.name, request.my_argv, request.bond_id), ("/a_B", ["x"], ""))
 
     def test_the_cause_of_a_refusal_is_shown(self):
         code, output = finished([*NODELET, "load", "a/Refused", rospy.get_name()])
@@ -268,20 +314,17 @@ class OddManagerTest(Started):
         self.assertEqual(finished([*NODELET, "load", "a/Unlucky", rospy.get_name()])[0], 255)
 
     def test_stopped_while_the_nodelet_initialises(self):
-        self.addCleanup(self.release.set)
-        process = self.start(*NODELET, "load", "a/Slow", rospy.get_name(), "--no-bond")
-        self.requests.get(timeout=10.0)
+        _, process = self.requested("a/Slow", "--no-bond")
         process.stop()
-        self.assertEqual(process.exit_code(20.0), 130, process.output)
+        self.assert_ends(process, 130)
         self.assertEqual(self.unloaded, ["/a_Slow"])
 
     def test_a_manager_that_ignores_the_bond(self):
-        process = self.start(*NODELET, "load", "a/B", rospy.get_name())
-        self.requests.get(timeout=10.0)
+        _, process = self.requested("a/B")
         start = time.monotonic()
-        self.assertEqual(process.exit_code(13.0), 0)
+        self.assert_ends(process)
         self.assertGreater(time.monotonic() - start, 9.0)
-        self.assertIn("Bond broken, exiting\n", process.output)
+        self.assertIn("Bond broken, exiting", process.output)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import contextlib
 import signal
 import socket
 import tempfile
+import threading
 import time
 import xmlrpc.client
 from typing import Callable
@@ -18,36 +19,19 @@ import graph  # first: it makes the test package known
 import rosgraph
 import rospy
 import rostest
+import test_nodelet_command
 from dyknow_msgs.msg import NodeletChanges
-from graph import (
-    Ended,
-    Manager,
-    NodeletManagerCase,
-    call,
-    let_the_bond_form,
-    registrations,
-    set_config,
-)
+from dyknow_test.puppet import Echo
+from graph import Manager, NodeletManagerCase, call, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
-from processes import (
-    BUSY,
-    HELD_UP,
-    NODELET,
-    STOCK_NODELET,
-    TellingCase,
-    eventually,
-    finished,
-    nodes,
-)
+from processes import BUSY, NODELET, STOCK_NODELET, eventually, finished, nodes
 from roslib.packages import find_node
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
+from test_nodelet_command import StartingCase
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
-
-CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
-
 
 #: What rospy says of a connection to a topic that the process does not publish.
 REFUSED = "Could not process inbound connection"
@@ -69,19 +53,14 @@ def connector(node: str, topic: str) -> Callable[[str], None]:
     return connect
 
 
-class Started(TellingCase):
-    def start(self, *command):
-        process = Ended(*command)
-        self.addCleanup(process.__exit__)
-        return process
-
+class ManagersCase(StartingCase):
     def run_manager(self, *arguments, **options):
         manager = Manager(*arguments, **options)
         self.addCleanup(manager.__exit__)
         return manager
 
 
-class StartTest(Started):
+class StartTest(ManagersCase):
     def test_the_number_of_its_threads_and_its_time_to_start(self):
         def workers(manager):
             return len([*graph.Path(f"/proc/{manager.pid}/task").iterdir()])
@@ -109,16 +88,13 @@ class StartTest(Started):
             self.assertEqual(process.exit_code(20.0), 0, process.output)
             self.assertNotIn("/started", nodes())
 
-    def test_a_parameter_without_sense(self):
+    def test_a_parameter_without_sense_ends_it_and_does_not_outlive_its_command_line(self):
         rospy.set_param("/confused/num_worker_threads", "many")
         process = self.run_manager("/confused", wait=False)
         self.assertEqual(process.exit_code(20.0), 255, process.output)
-        self.assertIn("num_worker_threads", process.output)
         self.assertIn("expected an integer", process.output)
-        self.assertNotIn("Traceback", process.output)
         self.assertIn("rosparam set /confused/num_worker_threads", process.output)
-
-    def test_a_parameter_without_sense_does_not_outlive_its_command_line(self):
+        self.assertNotIn("Traceback", process.output)
         process = self.start(*find_node("dyknow", "nodelet_manager"), "_stuck_after:=soon")
         self.assertEqual(process.exit_code(20.0), 255, process.output)
         self.assertIn("parameter '~stuck_after' is 'soon'", process.output)
@@ -148,7 +124,7 @@ class StartTest(Started):
             self.assertNotIn("Traceback", process.output)
 
 
-class RobotCase(Started, NodeletManagerCase):
+class RobotCase(StartingCase, NodeletManagerCase):
     manager_name = "/robot/manager"
 
 
@@ -156,78 +132,53 @@ class ServiceTest(RobotCase):
     def test_load_list_unload(self):
         before = registrations("/robot/manager")
         self.assertEqual(self.manager.list(), [])
-        self.manager.load("Talker", "/b", {"out": "/topic"})
-        self.manager.load("Listener", "/a", {"in": "/topic"})
-        self.assertEqual(self.manager.list(), ["/a", "/b"])
-        self.assertIn("/a/get_config", registrations("/robot/manager")["services"])
-        self.assertTrue(self.manager.unload("/b").success)
-        self.assertEqual(self.manager.list(), ["/a"])
-        self.manager.unload("/a")
-        self.assertEqual(registrations("/robot/manager"), before)
+        for _ in range(3):  # a name can be loaded again at once
+            self.manager.load("Talker", "~b", {"out": "/topic"})
+            self.manager.load("Listener", "a", {"in": "/topic"})
+            self.assertEqual(self.manager.list(), ["/robot/a", "/robot/manager/b"])
+            self.assertIn("/robot/a/get_config", registrations("/robot/manager")["services"])
+            self.assertEqual(graph.nodes_on("/topic")[1], {"/robot/manager"})
+            for name in self.manager.list():
+                self.assertTrue(self.manager.unload(name).success)
+            self.assertEqual(self.manager.list(), [])
+            self.assertEqual(registrations("/robot/manager"), before)
 
-    def test_a_name_can_be_loaded_again_at_once(self):
-        for _ in range(5):
-            self.manager.load("Talker", "/again", {"/out": "/topic"})
-            self.manager.unload("/again")
-
-    def test_names_and_namespaces(self):
-        self.manager.load("Introspector", "relative")
-        self.manager.load("Introspector", "/absolute")
-        self.manager.load("Introspector", "/deep/er/down")
-        self.manager.load("Introspector", "~private")
-        self.assertEqual(
-            self.manager.list(),
-            ["/absolute", "/deep/er/down", "/robot/manager/private", "/robot/relative"],
-        )
+    def test_names_resolve_in_the_nodelets_namespace(self):
+        self.manager.load("Introspector", "/deep/er/down", {"~other": "there"}, ["--fast", "a b"])
         description = call("/deep/er/down", "describe")
-        self.assertEqual(description["name"], "/deep/er/down")
         self.assertEqual(description["get_name"], "/deep/er/down")
         self.assertEqual(description["namespace"], "/deep/er/")
-        public = ["/deep/er/topic", "/topic", "/deep/er/down/topic"]
-        private = ["/deep/er/down/topic", "/topic", "/deep/er/down/topic"]
-        self.assertEqual(
-            description["names"],
-            {
-                "node_handle": public,
-                "private_node_handle": private,
-                "mt_node_handle": public,
-                "mt_private_node_handle": private,
-                "proxy": public,
-            },
-        )
+        self.assertEqual(description["argv"], ["--fast", "a b"])
+        names = description["names"]
+        self.assertEqual(names["proxy"], ["/deep/er/topic", "/topic", "/deep/er/down/topic"])
+        self.assertEqual(names["private_node_handle"][0], "/deep/er/down/topic")
+        self.assertEqual(call("/deep/er/down", "resolve", "~other"), "/robot/there")
 
-    def test_my_argv(self):
-        self.manager.load("Introspector", "/n", my_argv=["--fast", "a b", "", "x:=y"])
-        self.assertEqual(call("/n", "describe")["argv"], ["--fast", "a b", "", "x:=y"])
+    def test_changes_and_newcomers_are_announced(self):
+        heard = []
 
-    def test_remappings_of_the_request(self):
-        remappings = {
-            "topic": "/relative/to/the/manager",
-            "/cam/topic": "/absolute",
-            "~topic": "/private",
-            "/cam/n/other": "where",
-        }
-        self.manager.load("Introspector", "/cam/n", remappings)
-        for name, target in {
-            "topic": "/absolute",
-            "/cam/topic": "/absolute",
-            "/robot/topic": "/relative/to/the/manager",
-            "~topic": "/private",
-            "/cam/n/topic": "/private",
-            "~other": "/robot/where",
-            "else": "/cam/else",
-        }.items():
-            self.assertEqual(call("/cam/n", "resolve", name), target, name)
+        def listen():
+            del heard[:]
+            return rospy.Subscriber(
+                "/robot/manager/changes",
+                NodeletChanges,
+                lambda message: heard.append(message.nodelets),
+            )
 
-    def test_remappings_reach_no_neighbour(self):
-        self.manager.load("Introspector", "/one", {"/topic": "/elsewhere"})
-        self.manager.load("Introspector", "/two")
-        self.assertEqual(call("/two", "resolve", "topic"), "/topic")
-
-    def test_ports_are_connected_by_the_request_alone(self):
-        self.manager.load("Relay", "/ns/relay", {"/ns/in": "/source"})
-        self.assertEqual(graph.topics_of_ports("/ns/relay"), {"in": "/source", "out": ""})
-        self.assertEqual(graph.nodes_on("/source"), (set(), {"/robot/manager"}))
+        subscriber = listen()
+        for change in (
+            lambda: self.manager.load("Listener", "/b"),
+            lambda: set_config("/b", **{"in": "/topic"}),
+            lambda: self.manager.unload("/b"),
+        ):
+            del heard[:]
+            change()
+            eventually(lambda: any("/b" in names for names in heard), 5.0, "a change")
+        subscriber.unregister()
+        for name in ("/b", "/a"):
+            self.manager.load("Listener", name)
+        self.addCleanup(listen().unregister)
+        eventually(lambda: ["/a", "/b"] in heard, 5.0, "a newcomer is told of every nodelet")
 
     def test_it_publishes_nothing_of_a_type_that_nodelets_use(self):
         """Programs may search for a nodelet's topics by type."""
@@ -237,54 +188,131 @@ class ServiceTest(RobotCase):
         own = {"rosgraph_msgs/Log", "bond/Status", "dyknow_msgs/NodeletChanges"}
         self.assertLessEqual({types[topic] for topic in published}, own)
 
-    def test_changes_are_told(self):
-        heard = self.listen_to_changes()
-        for change in (
-            lambda: self.manager.load("Listener", "/b"),
-            lambda: set_config("/b", **{"in": "/topic"}),
-            lambda: self.manager.unload("/b"),
+
+class RefusalTest(RobotCase):
+    """A refusal is a failed service call that names the mistake; nothing is left behind."""
+
+    def tearDown(self):
+        super().tearDown()
+        for key in ("/n", "/go_on"):
+            if rospy.has_param(key):
+                rospy.delete_param(key)
+
+    def assert_refused(self, *texts, **request):
+        """A load is refused, with all the texts in the answer and in the log."""
+        before = registrations("/robot/manager"), graph.parameters()
+        with self.assertRaises(rospy.ServiceException) as caught:
+            self.manager.load_nodelet(**request)
+        for text in texts:
+            self.assertIn(text, str(caught.exception).replace("\\'", "'"))
+            eventually(lambda text=text: text in self.manager.output, 2.0, f"'{text}' is logged")
+        self.assertEqual((registrations("/robot/manager"), graph.parameters()), before)
+
+    def test_loads(self):
+        rospy.set_param("/n/gain", 3)  # outlives all of it
+        for kind, name, texts in (
+            ("dyknow_test/Nothing", "/n", ("'dyknow_test/Nothing'", "declared types")),
+            ("os.path", "/n", ("'os.path'", "dyknow_test/Talker")),
+            ("dyknow_test_broken/Broken", "/n", ("nodelets.xml", "not well-formed")),
+            ("dyknow_test/Unimportable", "/n", ("RuntimeError: this module needs a camera",)),
+            ("dyknow_test/Missing", "/n", ("has no class 'Missing'", "nodelets.xml")),
+            ("dyknow_test/NoNodelet", "/n", ("does not derive from dyknow.Nodelet",)),
+            ("dyknow_test/Talker", "/a//b", ("'/a//b'", "not a valid nodelet name")),
+            ("dyknow_test/FailsInInit", "/n", ("ValueError: the camera is not plugged in",)),
+            ("dyknow_test/ExitsInInit", "/n", ("SystemExit: enough",)),
         ):
-            del heard[:]
-            change()
-            eventually(lambda: any("/b" in names for names in heard), 5.0, "a change")
+            with self.subTest(kind, name=name):
+                remap = {"remap_source_args": ["in", "out"], "remap_target_args": ["/a", "/b"]}
+                self.assert_refused(*texts, name=name, type=kind, **remap)
+        self.assertIn("in on_init", self.manager.output)  # a traceback
+        unpaired = {"remap_source_args": ["out", "in"], "remap_target_args": ["/a"]}
+        why = "2 remap_source_args but 1 remap_target_args"
+        self.assert_refused(why, name="/n", type="dyknow_test/Talker", **unpaired)
+        self.assertEqual(self.manager.list(), [])
+        self.manager.load("Talker", "/n")  # nothing of that hides it
+        self.assert_refused("already loaded", name="/n", type="dyknow_test/Listener")
+        self.assertEqual(rospy.get_param("/n/gain"), 3)
 
-    def test_a_newcomer_is_told_of_every_nodelet(self):
-        self.manager.load("Listener", "/b")
-        self.manager.load("Talker", "/a")
-        heard = self.listen_to_changes()
-        eventually(lambda: ["/a", "/b"] in heard, 5.0, "they are told")
+    @staticmethod
+    def begins():
+        return "/n/get_config" in graph.services_of("/robot/manager")
 
-    def listen_to_changes(self):
-        heard = []
-        subscriber = rospy.Subscriber(
-            "/robot/manager/changes",
-            NodeletChanges,
-            lambda message: heard.append(message.nodelets),
-        )
-        self.addCleanup(subscriber.unregister)
-        return heard
-
-    def test_a_slow_on_init_holds_up_nobody(self):
+    def test_unloads_and_loads_during_on_init(self):
         rospy.set_param("/go_on", False)
-        slow = self.start(
-            *NODELET, "load", "dyknow_test/WaitsInInit", "/robot/manager", "__name:=slow"
-        )
-        eventually(
-            lambda: "/slow/get_config" in registrations("/robot/manager")["services"],
-            10.0,
-            "on_init has begun",
-        )
-        begin = time.monotonic()
-        self.manager.load("Introspector", "/quick")
-        self.assertEqual(self.manager.list(), ["/quick"])
-        self.assertLess(time.monotonic() - begin, HELD_UP)
-        rospy.set_param("/go_on", True)
-        eventually(lambda: "/slow" in self.manager.list(), 5.0, "the slow one is loaded")
-        slow.stop()
-        slow.exit_code(20.0)
+        words = (*NODELET, "load", "dyknow_test/WaitsInInit", "/robot/manager", "--no-bond")
+        for is_unloaded in (True, False):
+            client = self.start(*words, "__name:=n")
+            eventually(self.begins, 10.0, "on_init has begun", lambda c=client: c.output)
+            with self.assertRaisesRegex(rospy.ServiceException, "being loaded"):
+                self.manager.load("Talker", "/n")
+            self.manager.load("Talker", "/quick")
+            self.assertEqual(self.manager.list(), ["/quick"])
+            if is_unloaded:
+                self.manager.unload("/n")
+                self.assertEqual(client.exit_code(20.0), 255)
+                self.assertIn("unloaded during its load", client.output)
+                self.manager.unload_all()
+            rospy.set_param("/go_on", True)
+            eventually(lambda: "/n: on_init is through" in self.manager.output, 5.0, "it goes on")
+            self.manager.forget_output()
+            if is_unloaded:
+                rospy.set_param("/go_on", False)
+        eventually(lambda: self.manager.list() == ["/n", "/quick"], 5.0, "both are loaded")
+        client.stop()
+        client.exit_code(20.0)
+        with self.assertRaisesRegex(rospy.ServiceException, "loaded: /quick"):
+            self.manager.unload("/stranger")
+
+    def test_types_of_topics_that_are_live_outside(self):
+        """The master remembers the types of topics without publishers and subscribers."""
+        self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
+        others = [
+            (lambda: rospy.Publisher("/outside", String, queue_size=1), "in", 0),
+            (lambda: rospy.Subscriber("/outside", String), "out", 1),
+        ]
+        for make, port, role in others:
+            other = make()
+            eventually(lambda role=role: graph.nodes_on("/outside")[role], 2.0, "registered")
+            answer = set_config("/n", **{port: "/outside"})
+            self.assertIn("'/outside' carries std_msgs/String", answer.message)
+            self.assertEqual(graph.topics_of_ports("/n"), {"in": "/a", "out": "/b"})
+            other.unregister()
+        eventually(lambda: not any(graph.nodes_on("/outside")), 2.0, "nobody is there any more")
+        answer = set_config("/n", **{"in": "/outside"})
+        self.assertTrue(answer.success, answer.message)
+
+    def test_service_handlers(self):
+        """rospy's caller is answered whatever becomes of the handler, and of its nodelet."""
+        self.manager.load("Fragile", "/n")
+        service = rospy.ServiceProxy("/n/obey", Echo)
+        for number, (order, said) in enumerate(
+            (("raise", "fragile at 0"), ("exit", "SystemExit"))
+        ):
+            with self.assertRaisesRegex(rospy.ServiceException, said):
+                service(Header(seq=number, frame_id=order))
+        self.assertEqual(service(Header(seq=7)).seq, 7)
+        self.assertEqual(graph.get_statistics("/n").callback_errors, 2)
+        answers = []
+
+        def hang():
+            try:
+                rospy.ServiceProxy("/n/obey", Echo)(Header(seq=8, frame_id="hang"))
+            except rospy.ServiceException as error:
+                answers.append(str(error))
+
+        caller = threading.Thread(target=hang, daemon=True)
+        caller.start()
+        eventually(lambda: call("/n", "received")[-1:] == [8], 5.0, "it hangs")
+        config = rospy.ServiceProxy("/n/get_config", graph.GetConfig, persistent=True)
+        config()
+        self.manager.unload("/n")
+        caller.join(5.0 * BUSY)
+        self.assertEqual(len(answers), 1, "the caller is answered")
+        with self.assertRaises(rospy.ServiceException):
+            config()
 
 
-class ProcessRemappingTest(Started):
+class ProcessRemappingTest(ManagersCase):
     def test_the_requests_remappings_come_first_then_the_processes(self):
         manager = self.run_manager("/manager", "topic:=/by_process", "other:=/by_process_too")
         manager.load("Introspector", "/n", {"topic": "/by_request"})
@@ -302,112 +330,7 @@ class ProcessRemappingTest(Started):
         self.assertEqual(graph.topics_of_ports("/listener"), {"in": ""})
 
 
-class ClientTest(RobotCase):
-    """`nodelet load`, the stock one and DyKnow's, against DyKnow's manager."""
-
-    def load(self, client, *arguments):
-        process = self.start(
-            *CLIENTS[client],
-            "load",
-            "dyknow_test/Relay",
-            "manager",
-            *arguments,
-            "__name:=relay",
-            "__ns:=/robot",
-        )
-        eventually(
-            lambda: "/robot/relay" in self.manager.list() or process.has_ended,
-            15.0,
-            "the nodelet is loaded",
-        )
-        self.assertEqual(self.manager.list(), ["/robot/relay"], process.output)
-        return process
-
-    def test_remappings_arrive(self):
-        for client in CLIENTS:
-            with self.subTest(client):
-                process = self.load(client, "in:=a", "out:=/b", "_size:=3")
-                self.assertEqual(
-                    graph.topics_of_ports("/robot/relay"), {"in": "/robot/a", "out": "/b"}
-                )
-                self.assertEqual(rospy.get_param("/robot/relay/size"), 3)
-                let_the_bond_form(f"{self.manager.name}/bond")
-                process.stop()
-                self.assertEqual(process.exit_code(20.0), 0, process.output)
-
-    def test_ctrl_c_unloads(self):
-        for client in CLIENTS:
-            with self.subTest(client):
-                process = self.load(client)
-                # The stock client handles signals once the nodelet is loaded, not before.
-                let_the_bond_form(f"{self.manager.name}/bond")
-                process.stop(signal.SIGINT)
-                self.assertEqual(process.exit_code(20.0), 0, process.output)
-                eventually(lambda: self.manager.list() == [], 2.0, "it is unloaded")
-                eventually(lambda: "/robot/relay" not in nodes(), 2.0, "the client is gone")
-
-    def test_a_manager_that_ended_before_is_no_trouble_at_the_end(self):
-        manager = self.run_manager("/ended")
-        relay = ("load", "dyknow_test/Relay", "/ended", "--no-bond", "__name:=relay")
-        process = self.start(*NODELET, *relay)
-        eventually(lambda: manager.list() == ["/relay"], 15.0, "the nodelet is loaded")
-        manager.stop()
-        manager.exit_code(10.0)
-        process.stop(signal.SIGINT)
-        self.assertEqual(process.exit_code(20.0), 0, process.output)
-        for word in ("Couldn't find", "WARN", "ERROR", "FATAL", "Traceback"):
-            self.assertNotIn(word, process.output)
-
-    def test_kill_9_of_the_client_unloads(self):
-        for client in CLIENTS:
-            with self.subTest(client):
-                process = self.load(client)
-                let_the_bond_form(f"{self.manager.name}/bond")
-                process.stop(signal.SIGKILL)
-                eventually(lambda: self.manager.list() == [], 6.0, "the manager misses it")
-                self.assertIn("bond", self.manager.output)
-
-    def test_a_service_unload_ends_the_client(self):
-        for client in CLIENTS:
-            with self.subTest(client):
-                process = self.load(client)
-                self.manager.unload("/robot/relay")
-                self.assertEqual(process.exit_code(20.0), 0, process.output)
-
-    def test_without_bond_the_nodelet_outlives_the_client(self):
-        process = self.load("own", "--no-bond")
-        process.stop(signal.SIGKILL)
-        process.exit_code(20.0)
-        for client in ("own", "stock"):
-            self.assertEqual(self.manager.list(), ["/robot/relay"])
-            code, output = finished([*CLIENTS[client], "unload", "/robot/relay", "/robot/manager"])
-            self.assertEqual(code, 0, output)
-            self.assertEqual(self.manager.list(), [])
-            self.manager.load("Relay", "/robot/relay")
-
-    def test_what_the_manager_refuses_ends_the_client(self):
-        for client in CLIENTS:
-            with self.subTest(client):
-                code, output = finished(
-                    [*CLIENTS[client], "load", "dyknow_test/Nothing", "/robot/manager"]
-                )
-                self.assertEqual(code, 255, output)
-                self.assertIn("dyknow_test/Nothing", output)
-                self.assertIn("dyknow_test/Relay", self.manager.output)  # what there is
-
-    def test_two_managers(self):
-        other = self.run_manager("/other")
-        self.manager.load("Talker", "/talker", {"/out": "/topic"})
-        other.load("Listener", "/listener", {"/in": "/topic"})
-        self.assertEqual((self.manager.list(), other.list()), (["/talker"], ["/listener"]))
-        eventually(lambda: call("/talker", "connections") == 1, 5.0, "they are connected")
-        call("/talker", "publish", 0, 5)
-        eventually(lambda: call("/listener", "received") == [0, 1, 2, 3, 4], 5.0, "all arrive")
-        other.unload("/listener")
-        eventually(lambda: call("/talker", "connections") == 0, 5.0, "it is told")
-
-
-class EndTest(Started):
+class EndTest(ManagersCase):
     def test_an_end_of_manager_and_clients_at_once_is_silent(self):
         manager = self.run_manager("/ending")
         clients = [
@@ -438,7 +361,11 @@ class EndTest(Started):
         self.assertNotIn("/nowhere_either", manager.output)
 
 
-class StandaloneTest(Started):
+class ClientTest(test_nodelet_command.ClientTest):
+    """Clients of both kinds with DyKnow's manager."""
+
+
+class StandaloneTest(StartingCase):
     def test_one_nodelet_under_the_name_of_its_node(self):
         process = self.start(
             *NODELET,
@@ -460,16 +387,6 @@ class StandaloneTest(Started):
         self.assertEqual(call("/robot/alone", "resolve", "~topic"), "/robot/mine")
         self.assertEqual(rospy.get_param("/robot/alone/answer"), 42)
         process.stop()
-        self.assertEqual(process.exit_code(20.0), 0, process.output)
-
-    def test_its_ports_are_connected_by_the_command_line(self):
-        process = self.start(
-            *NODELET, "standalone", "dyknow_test/Relay", "in:=/a", "out:=/b", "__name:=relay"
-        )
-        rospy.wait_for_service("/relay/call", 10.0 * BUSY)
-        connected = {"in": "/a", "out": "/b"}
-        eventually(lambda: graph.topics_of_ports("/relay") == connected, 5.0, "they are connected")
-        process.stop(signal.SIGTERM)
         self.assertEqual(process.exit_code(20.0), 0, process.output)
 
     def test_a_nodelet_that_cannot_be_loaded_ends_it(self):
@@ -503,7 +420,7 @@ LAUNCH = """
 """
 
 
-class LaunchTest(Started):
+class LaunchTest(StartingCase):
     def test_a_launch_file_with_the_package_replaced(self):
         with tempfile.NamedTemporaryFile("w", suffix=".launch") as file:
             file.write(LAUNCH.replace('pkg="nodelet"', 'pkg="dyknow"'))
@@ -542,7 +459,7 @@ class LaunchTest(Started):
         self.heard.append(message.seq)
 
 
-class DescriptorsTest(Started):
+class DescriptorsTest(StartingCase):
     def test_a_process_without_file_descriptors_answers_when_some_are_free(self):
         command = " ".join(NODELET)
         self.start("bash", "-c", f"ulimit -n 64; exec {command} manager __name:=few")

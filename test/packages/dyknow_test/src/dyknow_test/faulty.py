@@ -21,11 +21,9 @@ class Fragile(Puppet):
     def set_up(self):
         self.gate = Gate()
         self.numbers = []
-        self.refusals = []
         self.ended = 0
         self.out = self.nh.Publisher("out", Header, queue_size=10)
         self.sub = self.nh.Subscriber("in", Header, self.obey)
-        self.nh.set_reconfigure_callback(self.reconfigured)
         self.service = self.nh.Service("~obey", Echo, self.obey)
 
     def obey(self, message):
@@ -38,18 +36,7 @@ class Fragile(Puppet):
         if order == "hang":
             self.gate.close()
             self.gate.pass_through()
-            try:
-                self.out.publish(message)
-            except rospy.ROSException as error:
-                self.refusals.append(str(error))
-            rospy.loginfo("%s: woken, %s", self.name, self.refusals)
-        if order == "unload":
-            self.nh.signal_shutdown("told so")
         return Header(seq=message.seq)
-
-    def reconfigured(self, inputs, outputs):
-        if outputs["out"] == "/please/raise":
-            raise RuntimeError("fragile at its reconfiguration")
 
     def on_shutdown(self):
         self.ended += 1
@@ -58,9 +45,6 @@ class Fragile(Puppet):
 
     def received(self):
         return self.numbers
-
-    def wake(self):
-        self.gate.open()
 
 
 def register_much(nodelet):

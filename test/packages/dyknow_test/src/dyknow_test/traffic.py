@@ -13,7 +13,7 @@ import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from dyknow_test.puppet import Gate, Puppet
+from dyknow_test.puppet import Puppet
 
 
 class CountedHeader(Header):
@@ -157,7 +157,6 @@ class Listener(Puppet):
     """Notes what comes at the port `in`, and the reconfigurations between."""
 
     def set_up(self):
-        self.gate = Gate()
         self.events = []
         self.messages = []
         self.sub = self.nh.Subscriber(
@@ -168,16 +167,9 @@ class Listener(Puppet):
     def note(self, message):
         self.events.append(message.seq)
         self.messages.append(message)
-        self.gate.pass_through()
 
     def reconfigured(self, inputs, outputs):
         self.events.append([inputs, outputs])
-
-    def hold(self):
-        self.gate.close()
-
-    def let_go(self):
-        self.gate.open()
 
     def received(self):
         return [message.seq for message in self.messages]
@@ -197,10 +189,6 @@ class Listener(Puppet):
 
     def connections(self):
         return self.sub.get_num_connections()
-
-    def forget(self):
-        self.events = []
-        self.messages = []
 
 
 class Stamper(Puppet):
