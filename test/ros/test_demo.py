@@ -2,105 +2,137 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The demonstration on the soccer field, run as users run it."""
+"""The demonstrations, on the soccer field and re-wired by hand, run as users run them."""
 
 from __future__ import annotations
 
 import os
 import re
 import signal
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import rosgraph
 import rostest
-from demo_suite import TIMEOUT, DemoCase, alone, is_running
+from processes import Running, TellingCase, free_port
 
 PICTURES = [
     f"soccer_{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")
 ]
+#: Lines of the story on the soccer field.
+STORY = (
+    r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
+    r"\+ bottom_camera_1",
+    r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_",
+    r"RECOVERING: .*bottom_camera.* (was removed|is gone)",
+    r"- bottom_camera_1",
+    r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
+    r"ACTIVE .* ceiling_camera",
+    r"a cheaper way has appeared",
+    r"replanned: new /\S*bottom_camera_1, the rest re-wired",
+    r"longest pause \d\.\d+ s of 10 s that are allowed",
+    r"The same nodelets tracked the ball all the time",
+)
+BALANCED = re.compile(r"(\d+) frames at the end of the chain: 0 lost, 0 doubled, 0 out of order")
 
 
-class DemoTest(DemoCase):
+class DemoCase(TellingCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = Path(folder.name)
 
-    def assert_told(self, output, pictures):
-        for line in (
-            r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
-            r"\+ bottom_camera_1",
-            r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_",
-            r"RECOVERING: .*bottom_camera.* (was removed|is gone)",
-            r"- bottom_camera_1",
-            r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
-            r"ACTIVE .* ceiling_camera",
-            r"a cheaper way has appeared",
-            r"replanned: new /\S*bottom_camera_1, the rest re-wired",
-            r"longest pause \d\.\d+ s of 10 s that are allowed",
-            r"The same nodelets tracked the ball all the time",
-        ):
-            self.assertRegex(output, line)
-        self.assertNotIn("Traceback", output)
+    def start(self, *arguments, alone=False):
+        """Start a demonstration, perhaps where no ROS master runs."""
+        uri = f"http://localhost:{free_port()}" if alone else rosgraph.get_master_uri()
+        module = (sys.executable, "-u", "-m", "dyknow_demo")
+        environment = ("env", "-C", str(self.folder), f"ROS_MASTER_URI={uri}")
+        demo = Running(*environment, *module, *arguments)
+        self.addCleanup(demo.__exit__)
+        return demo
+
+    def read(self, demo, pattern):
+        """Wait for a line, and return what is in its group."""
+        demo.wait_for_match(pattern, 60.0)
+        return re.search(pattern, demo.output)[1]
+
+    def assert_interrupted(self, demo, uri, *pids):
+        self.assertEqual(demo.exit_code(60.0), 130, demo.output)
+        self.assertNotIn("Traceback", demo.output)
+        self.assertFalse([pid for pid in pids if os.path.exists(f"/proc/{pid}")])
+        self.assertFalse(rosgraph.is_master_online(uri))
+
+
+class SoccerTest(DemoCase):
+    def assert_told(self, demo, pictures):
+        self.assertEqual(demo.exit_code(60.0), 0, demo.output)
+        for line in STORY:
+            self.assertRegex(demo.output, line)
+        self.assertNotIn("Traceback", demo.output)
         self.assertEqual(sorted(file.name for file in pictures.iterdir()), PICTURES)
-        during = (pictures / "soccer_during.svg").read_text()
-        self.assertIn("ceiling_camera_1", during)
+        self.assertIn("ceiling_camera_1", (pictures / "soccer_during.svg").read_text())
         self.assertTrue((pictures / "soccer_during.png").read_bytes().startswith(b"\x89PNG"))
 
     def test_the_story_of_a_master_of_its_own_and_of_the_launch_file(self):
         """Side by side, so the claim allows silences that a busy machine may make."""
-        own = self.start("--seconds", "1.2", "--max-silence", "10", env=alone(), cwd=self.folder)
-        with tempfile.TemporaryDirectory() as state:
-            launch = subprocess.run(
-                [
-                    *("roslaunch", "--no-summary", "dyknow", "soccer.launch", "seconds:=1.2"),
-                    *("max_silence:=10", f"pictures:={self.folder}/new", f"state_dir:={state}"),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                timeout=TIMEOUT,
-                check=False,
-            )
-        self.assertEqual(launch.returncode, 0, launch.stdout)
-        self.assertIn("process has finished cleanly", launch.stdout)
-        self.assertIn(f"ROS master: the one at {os.environ['ROS_MASTER_URI']}", launch.stdout)
-        self.assert_told(launch.stdout, self.folder / "new")
-        output, _ = own.communicate(timeout=TIMEOUT)
-        self.assertEqual(own.returncode, 0, output)
-        self.assert_told(output, self.folder / "build" / "demo")
+        own = self.start("--seconds", "1.2", "--max-silence", "10", alone=True)
+        words = ("--no-summary", "dyknow", "soccer.launch", "seconds:=1.2", "max_silence:=10")
+        folders = (f"pictures:={self.folder}/new", f"state_dir:={self.folder}/state")
+        with Running("roslaunch", *words, *folders) as launch:
+            self.assert_told(launch, self.folder / "new")
+        self.assertIn("process has finished cleanly", launch.output)
+        self.assertIn(f"ROS master: the one at {rosgraph.get_master_uri()}", launch.output)
+        self.assert_told(own, self.folder / "build" / "demo")
 
     def test_ctrl_c_ends_everything_and_a_manager_that_dies_is_named(self):
-        demo, other = (
-            self.start("--seconds", "30", env=alone(), cwd=self.folder) for _ in range(2)
-        )
-        uri = self.read_until(demo, r"ROS master: our own, at (\S+)")[1]
-        pid = int(self.read_until(demo, r"manager: .* process (\d+)")[1])
-        self.read_until(demo, r"ACTIVE .* Hz")
-        children = nodelet_managers_of(pid)
+        demo, other = (self.start("--seconds", "30", alone=True) for _ in range(2))
+        uri = self.read(demo, r"ROS master: our own, at (\S+)")
+        pid = int(self.read(demo, r"manager: .* process (\d+)"))
+        self.read(demo, r"(ACTIVE) .* Hz")
+        tasks = Path(f"/proc/{pid}/task").glob("*/children")
+        children = [each for task in tasks for each in task.read_text().split()]
         self.assertTrue(children)
-        demo.send_signal(signal.SIGINT)
-        os.kill(int(self.read_until(other, r"manager: .* process (\d+)")[1]), signal.SIGKILL)
-        output, _ = demo.communicate(timeout=TIMEOUT)
-        self.assertEqual(demo.returncode, 130, output)
-        self.assertNotIn("Traceback", output)
-        for each in (pid, *children):
-            self.assertFalse(is_running(each))
-        self.assertFalse(rosgraph.is_master_online(uri))
-        output, _ = other.communicate(timeout=TIMEOUT)
-        self.assertEqual(other.returncode, 1, output)
-        self.assertIn("the manager ended with exit code -9", output)
+        demo.stop()
+        os.kill(int(self.read(other, r"manager: .* process (\d+)")), signal.SIGKILL)
+        self.assert_interrupted(demo, uri, pid, *children)
+        self.assertEqual(other.exit_code(60.0), 1, other.output)
+        self.assertIn("the manager ended with exit code -9", other.output)
 
 
-def nodelet_managers_of(pid):
-    """Process ids of the children of a manager."""
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(each) for task in tasks for each in re.findall(r"\d+", task.read_text())]
+class RewiringTest(DemoCase):
+    def test_on_the_master_that_is_there_with_frames_from_files(self):
+        master = rosgraph.Master("/test_demo")
+        parameters = sorted(master.getParamNames())
+        for number in range(3):
+            pixels = np.full((48, 64, 3), 50 * number, np.uint8)
+            cv2.imwrite(str(self.folder / f"{number}.jpg"), pixels)
+        demo = self.start("--rewiring", "--frames", str(self.folder), "--seconds", "0.6")
+        self.assertEqual(demo.exit_code(60.0), 0, demo.output)
+        self.assertGreater(int(self.read(demo, BALANCED)), 0)
+        self.assertEqual(len(re.findall(r"^camera_.* ms$", demo.output, re.M)), 6, demo.output)
+        for said in (
+            f"frames: 3 real ones from {self.folder}",
+            "32x24",  # subsampled
+            "64x48",  # without the subsampler
+            f"ROS master: the one at {rosgraph.get_master_uri()}",
+        ):
+            self.assertIn(said, demo.output)
+        left = [name for side in master.getSystemState() for name, _ in side if "demo" in name]
+        self.assertEqual(left, [])
+        self.assertEqual(sorted(master.getParamNames()), parameters)
+
+    def test_its_own_master_and_frames_end_when_it_is_told_to(self):
+        demo = self.start("--rewiring", "--rendered", "--seconds", "30", alone=True)
+        self.assertIn("rendered", self.read(demo, "frames: (.*)"))
+        uri = self.read(demo, r"ROS master: our own, at (\S+)")
+        pid = self.read(demo, r"nodelet manager: .* process (\d+)")
+        self.read(demo, "(-----)")
+        demo.stop(signal.SIGTERM)
+        self.assert_interrupted(demo, uri, pid)
 
 
 if __name__ == "__main__":
-    rostest.rosrun("dyknow", "demo", DemoTest, sys.argv)
+    rostest.rosrun("dyknow", "demo", "__main__")
