@@ -347,7 +347,7 @@ class Workers:
 class EventQueue(Generic[Event]):
     """Passes events to a listener, one at a time and in order, outside the locks of the sender."""
 
-    def __init__(self, listener: Callable[[Event], None]) -> None:
+    def __init__(self, listener: Callable[[Event], object]) -> None:
         self.listener = listener
         self._state_lock = state_lock("event queue")
         self._events: Deque[Event] = deque()

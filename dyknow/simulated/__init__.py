@@ -142,10 +142,10 @@ class SimulatedManagerClient(BaseManagerClient):
             clock=clock,
             sleep=self._pass,
             on_change=self._on_change,
+            on_event=self._tell_event,
         )
         self.core = self.reconciler.manager
         self.core.start()
-        self.reconciler.on_event = self._tell_event
         self._loop.add("observe", self.core.look, 0.0)
         self._loop.add("reconcile", self.reconciler.work, 0.0)
         self._answers = StreamAnswers(now, clock.now)

@@ -35,6 +35,7 @@ class ClaimTable:
         store: Store,
         clock: Callable[[], float],
         running: Callable[[], float],
+        on_event: Callable[[ClaimEvent], object] = lambda event: None,
     ) -> None:
         """Take up the claims that the store has.
 
@@ -42,6 +43,7 @@ class ClaimTable:
             store: where they outlive the manager.
             clock: steady time, in seconds.
             running: time for which this process has run, in seconds.
+            on_event: called with every change, in their order, outside the locks.
         """
         self._running = running
         self._paused = clock() - running()
@@ -53,8 +55,7 @@ class ClaimTable:
         self._claims: Dict[str, Claim] = self._stored()
         self._living: Tuple[Claim, ...] = ()
         self._sort()
-        #: Every change, in the order of the changes; the listener is called outside the locks.
-        self.events: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
+        self.events: EventQueue[ClaimEvent] = EventQueue(on_event)
 
     def all(self) -> List[Claim]:
         """Return every claim, those that ended lately included, by id."""

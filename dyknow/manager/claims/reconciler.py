@@ -72,15 +72,6 @@ class StreamReconciler:
         self._collector = GarbageCollector(context)
         self._repair = Repair(context, self._planner, self._collector)
 
-    @property
-    def on_event(self) -> Callable[[ClaimEvent], None]:
-        """Called with every change of a claim, on the thread that made it."""
-        return self._table.events.listener
-
-    @on_event.setter
-    def on_event(self, callback: Callable[[ClaimEvent], None]) -> None:
-        self._table.events.listener = callback
-
     # Requests of clients. Other work goes on while they plan: plans are checked before their use
 
     def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquired:
@@ -318,6 +309,7 @@ def open_reconciler(
     sleep: Callable[[float], None] = time.sleep,
     running: Optional[Callable[[], float]] = None,
     on_change: Callable[[], object] = lambda: None,
+    on_event: Callable[[ClaimEvent], object] = lambda event: None,
 ) -> StreamReconciler:
     """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
 
@@ -332,11 +324,12 @@ def open_reconciler(
         sleep: waits that many seconds, while a replacement comes up.
         running: time for which this process has run, in seconds; by default ``clock``.
         on_change: called after every change of nodelets or transformations.
+        on_event: called with every change of a claim, on the thread that made it.
     """
     now = clock.now
     running = running or now
     graph = Graph(store, clock, on_change)
-    table = ClaimTable(store, now, running)
+    table = ClaimTable(store, now, running, on_event)
     worlds = WorldReader(graph, table, library, host, options.namespace)
     monitor = StreamMonitor(host, graph, table, lambda: worlds.now().descriptions, now, running)
     keeper = StreamKeeper(worlds.fitting, monitor.fell, monitor.failed)

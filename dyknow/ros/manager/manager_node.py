@@ -126,10 +126,13 @@ class ManagerNode(Closable):
             loop.once,
             running=running,
             on_change=self._on_change,
+            on_event=self._on_event,
         )
         self.manager = self._reconciler.manager
         self._messages = ModelMessages()
         self._answers = StreamAnswers(rospy.get_time)
+        known = {claim.claim_id for claim in self._reconciler.claims()}
+        self._events = EventTopic(self._answers, known)
         self._fixed = FixedNodelets(self.manager)
         self._listener = Listener(self._hear)
         self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
@@ -149,9 +152,6 @@ class ManagerNode(Closable):
         self._introduce()
         self.manager.start()
         self._after_change()
-        known = {claim.claim_id for claim in self._reconciler.claims()}
-        self._events = EventTopic(self._answers, known)
-        self._reconciler.on_event = self._on_event
         if self._store.complaint:
             self._reconciler.report(self._store.complaint)
         self._bonds.follow()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 from unittest import mock
 
 from clocks import HandClock
@@ -139,13 +139,18 @@ class Field:
         """Start a manager on what the store has."""
         self.store = Store(self.path)
         library = Library(self.store, self.ontology)
+        self.events: List[ClaimEvent] = []
+        self.on_event: Callable[[ClaimEvent], None] = self.events.append
         self.reconciler = open_reconciler(
-            self.host, self.store, library, clock=self.clock, sleep=self.sleep
+            self.host,
+            self.store,
+            library,
+            clock=self.clock,
+            sleep=self.sleep,
+            on_event=lambda event: self.on_event(event),
         )
         self.manager = self.reconciler.manager
         self.manager.start()
-        self.events: List[ClaimEvent] = []
-        self.reconciler.on_event = self.events.append
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""

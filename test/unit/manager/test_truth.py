@@ -132,7 +132,7 @@ def test_a_claim_that_waits_delivers_nothing_and_says_so_after_that(field: Field
     def listen(event: ClaimEvent) -> None:
         told.append((event.after.state, field.host.publishers(claim.topic)))
 
-    field.reconciler.on_event = listen
+    field.on_event = listen
     field.host.topics.clear()
     field.settle()
     assert told == [(ClaimState.PENDING, [])]
