@@ -53,21 +53,13 @@ class DuplicateBond(DyKnowError):
 
 @dataclass(frozen=True)
 class BondTimings:
-    """Limits and periods of an end, in seconds.
+    """Limits and periods of an end, in seconds."""
 
-    Attributes:
-        connect_timeout: from the start to the sister's first heartbeat.
-        heartbeat_timeout: the longest silence of a sister that was heard.
-        disconnect_timeout: from the end's parting to the sister's acknowledgement.
-        heartbeat_period: between two "alive".
-        dead_publish_period: between two "dead" while the sister has not acknowledged.
-    """
-
-    connect_timeout: float
-    heartbeat_timeout: float
-    disconnect_timeout: float
-    heartbeat_period: float
-    dead_publish_period: float
+    connect_timeout: float  #: from the start to the sister's first heartbeat
+    heartbeat_timeout: float  #: the longest silence of a sister that was heard
+    disconnect_timeout: float  #: from the end's parting to the sister's acknowledgement
+    heartbeat_period: float  #: between two "alive"
+    dead_publish_period: float  #: between two "dead" while the sister has not acknowledged
 
 
 @dataclass(frozen=True)
@@ -108,7 +100,7 @@ class _BondEnd:
         self,
         bond_id: str,
         on_broken: OnBroken,
-        timings: BondTimings,
+        table: BondTable,
         now: float,
         former: _BondEnd | None,
     ) -> None:
@@ -116,9 +108,10 @@ class _BondEnd:
         self.bond_id = bond_id
         self.state = _State.WAITING
         #: When `tick` has to be called next; None: not before another event.
-        self.deadline: float | None = now + timings.connect_timeout
+        self.deadline: float | None = now + table.timings.connect_timeout
         self._on_broken = on_broken
-        self._timings = timings
+        self._table = table
+        self._timings = table.timings
         self._instance_id = str(uuid.uuid4())
         self._sister: str | None = None
         self._own_instances = {self._instance_id}
@@ -126,7 +119,7 @@ class _BondEnd:
         if former is not None:
             self._own_instances |= former._own_instances
             self._former_sisters |= former._former_sisters | {former._sister}
-        self._former_settled_at = now + timings.disconnect_timeout
+        self._former_settled_at = now + self._timings.disconnect_timeout
         self._parted_at = now
 
     @property
@@ -138,10 +131,11 @@ class _BondEnd:
         """Whether no event can change this end any more."""
         return self.state is _State.DEAD and self.deadline is None
 
-    def announce(self, active: bool, effects: Effects) -> None:
-        effects.announcements.append(Announcement(self.bond_id, self._instance_id, active))
+    def announce(self, active: bool) -> None:
+        word = Announcement(self.bond_id, self._instance_id, active)
+        self._table.effects.announcements.append(word)
 
-    def receive(self, instance_id: str, active: bool, now: float, effects: Effects) -> None:
+    def receive(self, instance_id: str, active: bool, now: float) -> None:
         """Handle a status message with this bond's id."""
         if instance_id in self._own_instances:
             return
@@ -150,52 +144,52 @@ class _BondEnd:
         if self._sister is None and not is_of_former_bond:
             self._sister = instance_id
         if instance_id == self._sister:
-            (self._sister_alive if active else self._sister_dead)(now, effects)
+            (self._sister_alive if active else self._sister_dead)(now)
         elif not is_former:
-            effects.intruded.append(self.bond_id)
+            self._table.effects.intruded.append(self.bond_id)
 
-    def tick(self, now: float, silence_counts: bool | None, effects: Effects) -> None:
+    def tick(self, now: float, silence_counts: bool | None) -> None:
         """Act on the deadline; see `BondTable.tick`."""
         if self.deadline is None or now < self.deadline:
             return
         parting_ends = self._parted_at + self._timings.disconnect_timeout
         if self.state is _State.WAITING or (self.state is _State.ALIVE and silence_counts):
             self._die()
-            self.announce(False, effects)
-            effects.broken.append(self._on_broken)
+            self.announce(False)
+            self._table.effects.broken.append(self._on_broken)
         elif self.state is _State.ALIVE:
             if silence_counts is not None:
                 self.deadline = now + self._timings.heartbeat_timeout
         elif self.state is _State.PARTING and now < parting_ends:
             self.deadline = now + self._timings.dead_publish_period
-            self.announce(False, effects)
+            self.announce(False)
         else:
             self._die()
 
-    def part(self, now: float, effects: Effects) -> None:
+    def part(self, now: float) -> None:
         """Break the bond on purpose: the sister is notified, the owner is not."""
         if self.is_living:
             self.state = _State.PARTING
             self._parted_at = now
             self.deadline = now + self._timings.dead_publish_period
-            self.announce(False, effects)
+            self.announce(False)
 
-    def _sister_alive(self, now: float, effects: Effects) -> None:
+    def _sister_alive(self, now: float) -> None:
         if self.is_living:
             if self.state is _State.WAITING:
-                self.announce(True, effects)
+                self.announce(True)
             self.state = _State.ALIVE
             self.deadline = now + self._timings.heartbeat_timeout
 
-    def _sister_dead(self, now: float, effects: Effects) -> None:
+    def _sister_dead(self, now: float) -> None:
         if self.state is _State.PARTING:
             self._die()
         elif self.is_living:
             self.state = _State.DEAD
             self.deadline = now + self._timings.disconnect_timeout
-            effects.broken.append(self._on_broken)
+            self._table.effects.broken.append(self._on_broken)
         if self.deadline is not None:
-            self.announce(False, effects)
+            self.announce(False)
 
     def _die(self) -> None:
         self.state = _State.DEAD
@@ -211,7 +205,8 @@ class BondTable:
     """
 
     def __init__(self, timings: BondTimings) -> None:
-        self._timings = timings
+        self.timings = timings
+        self.effects = Effects()
         self._ends: dict[str, _BondEnd] = {}
         self._next_heartbeat = 0.0
 
@@ -233,7 +228,7 @@ class BondTable:
     def next_due(self) -> float | None:
         """When `tick` has to be called next, None: not before another event."""
         due = [end.deadline for end in self._ends.values() if end.deadline is not None]
-        if self._has_living():
+        if self._living():
             due.append(self._next_heartbeat)
         return min(due, default=None)
 
@@ -242,57 +237,49 @@ class BondTable:
         former = self._ends.get(bond_id)
         if former is not None and former.is_living:
             raise DuplicateBond(bond_id)
-        if not self._has_living():
-            self._next_heartbeat = now + self._timings.heartbeat_period
-        effects = Effects()
-        end = self._ends[bond_id] = _BondEnd(bond_id, on_broken, self._timings, now, former)
-        end.announce(True, effects)
-        return effects
+        if not self._living():
+            self._next_heartbeat = now + self.timings.heartbeat_period
+        self._ends[bond_id] = _BondEnd(bond_id, on_broken, self, now, former)
+        self._ends[bond_id].announce(True)
+        return self._taken()
 
     def remove(self, bond_id: str, now: float) -> Effects:
         """Break a bond on purpose; nothing if it does not exist or has broken already."""
-        effects = Effects()
         if bond_id in self._ends:
-            self._ends[bond_id].part(now, effects)
-        return effects
+            self._ends[bond_id].part(now)
+        return self._taken()
 
     def remove_all(self, now: float) -> Effects:
         """Break all bonds on purpose."""
-        effects = Effects()
         for end in self._ends.values():
-            end.part(now, effects)
-        return effects
+            end.part(now)
+        return self._taken()
 
     def receive(self, bond_id: str, instance_id: str, active: bool, now: float) -> Effects:
         """Handle a message of the topic; most of them are about unknown bonds."""
-        effects = Effects()
         if bond_id in self._ends:
-            self._ends[bond_id].receive(instance_id, active, now, effects)
-            self._forget_ended()
-        return effects
+            self._ends[bond_id].receive(instance_id, active, now)
+        return self._taken()
 
     def tick(self, now: float, silence_counts: bool | None = None) -> Effects:
         """Act on all deadlines, and publish heartbeats.
 
-        Args:
-            now: the time.
-            silence_counts: whether silence breaks bonds; if not, each silent sister is waited for
-                once more. None leaves silent bonds alone, for a later call to decide.
+        If silence does not count, each silent sister is waited for once more. None leaves silent
+        bonds alone, for a later call to decide.
         """
-        effects = Effects()
         for end in self._ends.values():
-            end.tick(now, silence_counts, effects)
-        if now >= self._next_heartbeat and self._has_living():
-            self._next_heartbeat = now + self._timings.heartbeat_period
-            for end in self._ends.values():
-                if end.is_living:
-                    end.announce(True, effects)
-        self._forget_ended()
-        return effects
+            end.tick(now, silence_counts)
+        if now >= self._next_heartbeat and self._living():
+            self._next_heartbeat = now + self.timings.heartbeat_period
+            for end in self._living():
+                end.announce(True)
+        return self._taken()
 
-    def _has_living(self) -> bool:
-        return any(end.is_living for end in self._ends.values())
+    def _living(self) -> list[_BondEnd]:
+        return [end for end in self._ends.values() if end.is_living]
 
-    def _forget_ended(self) -> None:
-        for end in [each for each in self._ends.values() if each.is_over]:
-            del self._ends[end.bond_id]
+    def _taken(self) -> Effects:
+        """Forget the ends that are over, and return the effects of the event."""
+        self._ends = {key: end for key, end in self._ends.items() if not end.is_over}
+        taken, self.effects = self.effects, Effects()
+        return taken
