@@ -124,14 +124,13 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     if not words[0].startswith("-") and words[0] not in all_commands():
         hint = did_you_mean(words[0], all_commands())
         parser.error(f"there is no command '{words[0]}'{hint}")
-    arguments = parser.parse_args(words)
-    arguments.json = getattr(arguments, "json", False)
-    arguments.timeout = getattr(arguments, "timeout", None)
+    common = argparse.Namespace(json=False, timeout=None, manager_node=None)
+    arguments = parser.parse_args(words, common)
     problem = all_commands()[arguments.command].problem(arguments)
     if problem:
         parsers[arguments.command].error(problem)
     try:
-        arguments.manager_node = getattr(arguments, "manager_node", None) or default_manager()
+        arguments.manager_node = arguments.manager_node or default_manager()
     except argparse.ArgumentTypeError as error:
         parser.error(str(error))
     return arguments

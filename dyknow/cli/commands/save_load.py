@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
+from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator, List, Optional
 
 from dyknow.cli import completion
-from dyknow.cli.output import count, write_file
+from dyknow.cli.output import Json, count, write_file
 from dyknow.cli.shell import FAILED, Shell, argument, command, flag
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
@@ -112,15 +112,16 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         failed = carry_out(steps_of(plan, client), arguments.keep_going)
         for step, cause in failed:
             shell.error(f"{step.what}: {cause}")
-    subjects = [step.subject for step, _ in failed]
-    result = _json(plan, subjects)
-    result["file"] = arguments.file
-    result["dry_run"] = arguments.dry_run
-    result["failed"] = [
-        {"subject": step.subject, "step": step.what, "message": str(cause)}
-        for step, cause in failed
-    ]
-    shell.show(result, _lines(plan, subjects, arguments.dry_run))
+    result = {
+        **_outcome(plan, [step.subject for step, _ in failed]),
+        "file": arguments.file,
+        "dry_run": arguments.dry_run,
+        "failed": [
+            {"subject": step.subject, "step": step.what, "message": str(cause)}
+            for step, cause in failed
+        ],
+    }
+    shell.show(result, _lines(result))
     return FAILED if failed else None
 
 
@@ -142,24 +143,21 @@ def _read(file: str, limit: Callable[[], int]) -> Wiring:
         raise SpecificationError([problem]) from error
 
 
-def _json(plan: LoadPlan, failed: List[str]) -> Dict[str, Any]:
+def _outcome(plan: LoadPlan, failed: Collection[str]) -> Json:
+    def done(subjects: Iterable[str]) -> List[str]:
+        return [each for each in subjects if each not in failed]
+
     return {
         "transformations": {
-            "added": [each.label for each in plan.added if each.label not in failed],
-            "replaced": [each.label for each in plan.replacing if each.label not in failed],
+            "added": done(each.label for each in plan.added),
+            "replaced": done(each.label for each in plan.replacing),
             "kept": plan.same,
         },
         "nodelets": {
-            "spawned": [each.name for each in plan.spawned if each.name not in failed],
-            "replaced": [
-                each.wanted.name for each in plan.remade if each.wanted.name not in failed
-            ],
-            "changed": [
-                kept.wanted.name
-                for kept in plan.kept
-                if not kept.is_as_wanted and kept.wanted.name not in failed
-            ],
-            "kept": [kept.wanted.name for kept in plan.kept if kept.is_as_wanted],
+            "spawned": done(each.name for each in plan.spawned),
+            "replaced": done(each.wanted.name for each in plan.remade),
+            "changed": done(each.wanted.name for each in plan.kept if not each.is_as_wanted),
+            "kept": [each.wanted.name for each in plan.kept if each.is_as_wanted],
         },
         "differences": [
             {"nodelet": each.wanted.name, "differences": list(each.differences)}
@@ -169,19 +167,16 @@ def _json(plan: LoadPlan, failed: List[str]) -> Dict[str, Any]:
     }
 
 
-def _lines(plan: LoadPlan, failed: List[str], dry_run: bool) -> Iterator[str]:
-    result = _json(plan, failed)
-    kept_otherwise = {each.wanted.name: each.differences for each in plan.kept}
-    empty = True
+def _lines(result: Json) -> Iterator[str]:
+    differences = {each["nodelet"]: each["differences"] for each in result["differences"]}
     for thing in ("transformations", "nodelets"):
         for what, subjects in result[thing].items():
-            words = "exists already" if what == "kept" else what
-            if dry_run and what != "kept":
-                words = f"would be {what}"
+            words = f"would be {what}" if result["dry_run"] else what
+            if what == "kept":
+                words = "exists already"
             for subject in subjects:
-                empty = False
-                differences = kept_otherwise.get(subject) if thing == "nodelets" else None
-                hint = f" ({'; '.join(differences)}: see --replace)" if differences else ""
+                differs = thing == "nodelets" and what != "replaced" and differences.get(subject)
+                hint = f" ({'; '.join(differs)}: see --replace)" if differs else ""
                 yield f"{thing[:-1]} {subject}: {words}{hint}"
-    if empty:
-        yield "nothing to load" if not failed else "nothing was loaded"
+    if not any((*result["transformations"].values(), *result["nodelets"].values())):
+        yield "nothing was loaded" if result["failed"] else "nothing to load"
