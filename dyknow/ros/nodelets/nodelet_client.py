@@ -57,16 +57,8 @@ def run_load(
 ) -> int:
     """Load a nodelet, stay until it is gone or a signal comes, and unload it then.
 
-    Args:
-        default_name: name of the node and the nodelet, unless the command line has one.
-        nodelet_type: its class, `pkg/Class`.
-        manager: the manager's name.
-        my_argv: the nodelet's arguments.
-        bond: whether to watch over each other.
-        argv: the command line with ROS's own arguments, program name first.
-
-    Returns:
-        The process's exit code.
+    The node and the nodelet have the default name unless ``argv``, the command line with ROS's
+    own arguments, has another. Returns the process's exit code.
     """
     rospy.init_node(default_name, argv=list(argv), disable_signals=True)
     return _LoadClient(rospy.get_name(), nodelet_type, manager, my_argv, bond).run()

@@ -168,10 +168,8 @@ class _ScriptProcess:
 
 def _status(end: SystemExit) -> int:
     """The exit code of a SystemExit, as Python has it."""
-    if end.code is None:
-        return 0
-    if isinstance(end.code, int):
-        return end.code
+    if end.code is None or isinstance(end.code, int):
+        return end.code or 0
     print(end.code, file=sys.stderr)
     return 1
 

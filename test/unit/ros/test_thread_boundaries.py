@@ -8,7 +8,6 @@ from __future__ import annotations
 import threading
 import time
 from types import SimpleNamespace
-from typing import Any, Callable, Iterator, List
 
 import pytest
 import rospy
@@ -26,13 +25,13 @@ PATIENCE = 10.0
 class Fault:
     """Raises the first time, then does what it stands for."""
 
-    def __init__(self, work: Callable[..., Any] = lambda *arguments, **kwds: None) -> None:
+    def __init__(self, work=lambda *arguments, **kwds: None):
         self._work = work
         self.calls = 0
-        self.done: List[Any] = []
+        self.done = []
         self._condition = threading.Condition()
 
-    def __call__(self, *arguments: Any, **kwds: Any) -> Any:
+    def __call__(self, *arguments, **kwds):
         self.calls += 1
         if self.calls == 1:
             raise RuntimeError("injected")
@@ -42,7 +41,7 @@ class Fault:
             self._condition.notify_all()
         return answer
 
-    def is_done(self, times: int = 1) -> bool:
+    def is_done(self, times=1):
         with self._condition:
             return self._condition.wait_for(lambda: len(self.done) >= times, PATIENCE)
 
@@ -50,21 +49,21 @@ class Fault:
 class FakeTopic:
     """Stands for publisher and subscriber; the first publish raises an unexpected error."""
 
-    made: List[FakeTopic] = []
+    made = []
 
-    def __init__(self, *arguments: Any, **kwds: Any) -> None:
+    def __init__(self, *arguments, **kwds):
         self.publish = Fault()
         self.made.append(self)
 
-    def unregister(self) -> None:
+    def unregister(self):
         pass
 
-    def get_num_connections(self) -> int:
+    def get_num_connections(self):
         return 1
 
 
 @pytest.fixture(autouse=True)
-def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+def _fakes(monkeypatch):
     monkeypatch.setattr(FakeTopic, "made", [])
     monkeypatch.setattr(rospy, "Publisher", FakeTopic)
     monkeypatch.setattr(rospy, "Subscriber", FakeTopic)
@@ -74,18 +73,18 @@ def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def closing() -> Iterator[List[Any]]:
-    things: List[Any] = []
+def closing():
+    things = []
     yield things
     for thing in things:
         thing.close()
 
 
 @pytest.mark.parametrize("where", ["take", "before", "publish"])
-def test_the_model_is_published_although_something_failed(where: str) -> None:
+def test_the_model_is_published_although_something_failed(where):
     model = Model(1, 1, ())
     take, before = Fault(lambda: model), Fault()
-    messages: Any = SimpleNamespace(topic=lambda model: model)
+    messages = SimpleNamespace(topic=lambda model: model)
     topic = ModelTopic(
         take if where == "take" else lambda: model,
         messages,
@@ -100,7 +99,7 @@ def test_the_model_is_published_although_something_failed(where: str) -> None:
     assert publish.done == [(model,)]
 
 
-def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -> None:
+def test_a_change_is_announced_although_it_failed_at_first(closing):
     announcer = Announcer(lambda: ())
     closing.append(announcer)
     announcer.announce("/a")
@@ -109,32 +108,30 @@ def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -
     assert "/a" in str(publish.done[0][0])
 
 
-def test_heartbeats_of_a_client_go_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
+def test_heartbeats_of_a_client_go_on(monkeypatch, closing):
     monkeypatch.setattr(stream_session.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
     bond = stream_session.ClientBond("/manager")
     closing.append(bond)
     assert FakeTopic.made[0].publish.is_done(2)
 
 
-def test_leases_are_renewed_although_one_of_them_raises(
-    monkeypatch: pytest.MonkeyPatch, closing: List[Any]
-) -> None:
+def test_leases_are_renewed_although_one_of_them_raises(monkeypatch, closing):
     monkeypatch.setattr(stream_session, "ClientBond", lambda manager: SimpleNamespace(close=int))
     monkeypatch.setattr(stream_session, "_RETRY", 0.01)
     renew = Fault()
-    client: Any = SimpleNamespace(
+    client = SimpleNamespace(
         manager="/manager", renewer=lambda: renew, renew_stream=renew, list_streams=lambda: ()
     )
     session = stream_session.StreamSession.open(client)
     closing.append(session)
     for name in ("first", "second"):
-        stream: Any = SimpleNamespace(claim_id=name, lease=0.03)
+        stream = SimpleNamespace(claim_id=name, lease=0.03)
         session.add(stream)
     assert renew.is_done(4)
     assert {arguments[0] for arguments in renew.done} == {"first", "second"}
 
 
-def test_bonds_are_served_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
+def test_bonds_are_served_on(monkeypatch, closing):
     quiet = SimpleNamespace(publish=lambda status: None, unregister=lambda: None)
     monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **kwds: quiet)
     made = bonds.Bonds("/bond")
