@@ -3,67 +3,33 @@
 
 """Every way in which DyKnow refuses: one exception for each cause.
 
-Each exception carries what it needs to explain itself. Its text names what is wrong and says what
-was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
+Each exception carries the facts that explain it. Its text names the fault and says what was
+expected. ``dyknow.ros`` alone turns exceptions into answers of services.
 
 ::
 
     DyKnowError
-    ├── InvalidName                  a string is not a ROS name
-    ├── BadParameter                 a parameter has a value of another kind or range
-    ├── NoMessageClass               the type given for a topic is not a message class
-    ├── TypeMismatch                 a topic carries another type
-    ├── RemappedTopic                the command line of the process remaps the topic
-    ├── HandleClosed                 a handle was unregistered, or its nodelet unloaded
-    ├── PeerTimeout                  another process did not answer in time
-    ├── Denied                       a guard forbids it: deny list, read-only mode
-    ├── LimitExceeded                a request is larger than the limits allow
-    ├── NeedsProcess                 a script does what one of many in a process must not
-    ├── StoreError                   the state on disk cannot be read or written
-    ├── SpecificationError           all that is wrong with one specification
+    ├── InvalidName, BadParameter, NoMessageClass, TypeMismatch, RemappedTopic
+    ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError
+    ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
     ├── NodeletError
-    │   ├── NameTaken                a nodelet of that name is loaded
-    │   ├── UnknownNodelet           no nodelet of that name is loaded
-    │   ├── UnknownNodeletType       no plug-in description declares the type
-    │   ├── BrokenPlugin             it is declared, but cannot be used
-    │   ├── BadRemapping             sources and targets do not pair up
-    │   ├── LoadFailed               the nodelet's own start raised
-    │   ├── ScriptEnded              a script ended with an exit code that is not 0
-    │   ├── UnloadedMeanwhile        it was unloaded before the operation was complete
-    │   ├── SpawnFailed              it did not come up as specified; nothing of it is left
-    │   ├── Busy                     another operation works on it
-    │   ├── Protected                it is protected from being destroyed
-    │   └── ProtectedFromUnloading   a DyKnow manager protects it from being unloaded
+    │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
+    │   ├── LoadFailed, ScriptEnded, UnloadedMeanwhile, SpawnFailed
+    │   └── Busy, Protected, ProtectedFromUnloading
     ├── PortError
-    │   ├── UnknownPort              the nodelet has no such port
-    │   ├── DuplicatePort            one request names the port more than once
-    │   ├── PortConflict             the port exists with another direction or type
-    │   └── InvalidConfiguration     all that is wrong with one set_config
+    │   └── UnknownPort, DuplicatePort, PortConflict, InvalidConfiguration
     ├── TransformationError
-    │   ├── UnknownTransformation    the library has no such label
-    │   ├── NotSpawnable             the transformation is an existing topic or node
-    │   └── InvalidParameters        all that is wrong with the parameters given to a nodelet
+    │   └── UnknownTransformation, NotSpawnable, InvalidParameters
     ├── StreamError
-    │   ├── InvalidTag               a tag is not a term
-    │   │   └── InvalidType          the type of a variable is malformed
-    │   ├── NoPlanFound              no plan supplies the stream; the text names what is missing
-    │   ├── StreamTypeMismatch       the stream has another type than was asked for
-    │   ├── WrongStream              a listener would receive what it does not demand
-    │   └── UnknownClaim             there is no claim of that id, or it has ended
+    │   ├── NoPlanFound, StreamTypeMismatch, WrongStream, UnknownClaim
+    │   └── InvalidTag
+    │       └── InvalidType
     ├── OntologyError
-    │   ├── OntologyFileError        a file of the ontology cannot be read
-    │   ├── UnknownConcept           the ontology has no class of that URI
-    │   ├── LabelsError              two classes, or two individuals, have the same label
-    │   └── IndividualsError         labels do not tell the individuals of a class apart
-    ├── CannotLaunch                 a launch file is not there, or cannot be read or started
-    ├── HostError                    a nodelet manager refused, or could not be reached
-    │   ├── FixedTopics              its nodelets have no live ports
-    │   ├── CannotRun                a program is not there, or cannot be started
-    │   └── HostTimeout              it, or a nodelet of it, did not answer in time
-    ├── ManagerUnreachable           there is no master, no DyKnow manager, or it hangs
-    ├── NodeletUnreachable           a nodelet is not there or does not answer
-    └── Refused                      a DyKnow manager or a proxy answered no
-        └── StreamRefused            the manager did not make a stream
+    │   └── OntologyFileError, UnknownConcept, LabelsError, IndividualsError
+    ├── HostError
+    │   └── FixedTopics, CannotRun, HostTimeout
+    └── Refused
+        └── StreamRefused
 """
 
 from __future__ import annotations
@@ -145,8 +111,8 @@ class PeerTimeout(DyKnowError):
     """Somebody outside this process did not answer in time."""
 
     def __init__(self, peer: str, seconds: float) -> None:
-        self.peer = peer
         self.seconds = seconds
+        self.peer = peer
         super().__init__(f"{peer} did not answer within {seconds:g} s")
 
 

@@ -19,11 +19,12 @@ def drawn() -> Dict[str, str]:
     parents: Dict[str, str] = {}
     above: List[str] = ["Exception"]
     for line in errors.__doc__.splitlines():
-        found = re.match(r"    ((?:│   |    )*)(├── |└── |)([A-Z]\w+)", line)
+        found = re.match(r"    ((?:│   |    )*)(├── |└── |)([A-Z]\w+(?:, \w+)*)$", line)
         if found:
             depth = len(found.group(1) + found.group(2)) // 4 + 1
-            above[depth:] = [found.group(3)]
-            parents[found.group(3)] = above[depth - 1]
+            for name in found.group(3).split(", "):
+                above[depth:] = [name]
+                parents[name] = above[depth - 1]
     return parents
 
 
