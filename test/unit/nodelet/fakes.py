@@ -189,6 +189,15 @@ def wait_until(condition: Callable[[], Any]) -> None:
         pause.wait(0.005)
 
 
+def paced(count: int, *sent: Callable[[], int]) -> Iterator[int]:
+    """Numbers; every tenth waits until more messages were sent, so that the two overlap."""
+    for number in range(count):
+        yield number
+        if number % 10 == 0:
+            due = [each() + 20 for each in sent]
+            wait_until(lambda due=due: all(each() >= d for each, d in zip(sent, due)))
+
+
 def in_thread(call: Callable[[], Any]) -> threading.Thread:
     """Run ``call`` on a thread of its own."""
     thread = threading.Thread(target=call, daemon=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from unit.nodelet.fakes import Message, in_thread, join, pool_world, wait_until
+from unit.nodelet.fakes import Message, in_thread, join, paced, pool_world
 
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 world = pool_world(3)
@@ -49,12 +49,8 @@ def end(world, *streams):
 
 
 def switches(*streams):
-    """Numbers of the switches to make; sometimes waits for messages, so that the two overlap."""
-    for number in range(SWITCHES):
-        yield number
-        if number % 10 == 0:
-            due = [stream.sent + 20 for stream in streams]
-            wait_until(lambda due=due: all(s.sent >= d for s, d in zip(streams, due)))
+    """Numbers of the switches to make."""
+    return paced(SWITCHES, *[lambda stream=stream: stream.sent for stream in streams])
 
 
 def watcher(faults):
