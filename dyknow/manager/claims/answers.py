@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, FrozenSet, Hashable, Optional, Sequence, Set, Tuple, Type
+from typing import Callable, Hashable, Sequence
 
 from dyknow.errors import (
     Denied,
@@ -49,7 +49,7 @@ def refusal(manager: Manager, answer: NoPlan, exclude: Sequence[str]) -> str:
     return "".join([str(answer), excluded, _similar_tags(manager, answer), *unknown])
 
 
-def unknown_labels(manager: Manager, exclude: Sequence[str]) -> Tuple[str, ...]:
+def unknown_labels(manager: Manager, exclude: Sequence[str]) -> tuple[str, ...]:
     """Say which of the labels that a client excludes belong to nothing."""
     known = {each.label for each in manager.library.all()}
     known |= {record.label for record in manager.graph.all()}
@@ -65,7 +65,7 @@ def _similar_tags(manager: Manager, answer: NoPlan) -> str:
     transformations = manager.library.all()
     if len(transformations) > _SEARCHED:
         return ""
-    supplied: Set[Term] = {
+    supplied: set[Term] = {
         term
         for each in transformations
         for port in each.ports
@@ -101,11 +101,11 @@ class _Comparison:
         reported: ways that the client was informed of.
     """
 
-    nodelets: Tuple[str, ...]
+    nodelets: tuple[str, ...]
     offers: Hashable = None
     way: str = ""
     since: float = 0.0
-    reported: FrozenSet[str] = frozenset()
+    reported: frozenset[str] = frozenset()
 
 
 class CheaperPlans:
@@ -117,12 +117,12 @@ class CheaperPlans:
         self._table = table
         self._planner = planner
         self._clock = clock
-        self._compared: Dict[str, _Comparison] = {}
+        self._compared: dict[str, _Comparison] = {}
 
     def report(self) -> None:
-        """Report a cheaper plan of a claim once, when it has been on offer for some time.
+        """Report a cheaper plan of a claim once it has been on offer for some time.
 
-        In each call one claim is compared again, if there is a new offer.
+        Each call compares one claim again, if there is a new offer.
         """
         offers, now = self._planner.offers(), self._clock()
         claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
@@ -155,7 +155,7 @@ class CheaperPlans:
         return f"a cheaper way has appeared, {way}; replanning takes it"
 
 
-_RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
+_RESULTS: tuple[tuple[type[DyKnowError], Result], ...] = (
     (NoPlanFound, Result.NO_PLAN),
     (InvalidTag, Result.INVALID_TAG),
     (StreamTypeMismatch, Result.TYPE_MISMATCH),
@@ -171,12 +171,7 @@ class StreamAnswers:
     def __init__(
         self, now: Callable[[], float], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Convert times of ``clock``, the reconciler's, to times of ``now``.
-
-        Args:
-            now: seconds on the clients' clock, such as ROS time.
-            clock: seconds, steady.
-        """
+        """Convert times of ``clock``, the reconciler's, to ``now``, the clients' (ROS time)."""
         self._now = now
         self._clock = clock
 
@@ -235,13 +230,13 @@ class StreamAnswers:
         )
 
 
-def _written(claim: Claim) -> Tuple[str, ...]:
+def _written(claim: Claim) -> tuple[str, ...]:
     return tuple(written_bindings((each,)) for each in claim.bindings)
 
 
 def refusal_of(error: BaseException) -> StreamRefused:
     """Return the refusal for an error, or for the error that caused it."""
-    cause: Optional[BaseException] = error
+    cause: BaseException | None = error
     while cause is not None:
         for kind, result in _RESULTS:
             if isinstance(cause, kind):

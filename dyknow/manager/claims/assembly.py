@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import re
 from dataclasses import dataclass, replace
-from typing import AbstractSet, Any, Dict, Iterable, Iterator, List, Mapping, Optional, Set, Tuple
+from typing import AbstractSet, Any, Iterable, Iterator, Mapping
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
@@ -56,10 +56,10 @@ class Acquired:
     """
 
     claim: Claim
-    plan: Optional[Plan]
-    spawned: Tuple[str, ...] = ()
-    reused: Tuple[str, ...] = ()
-    remarks: Tuple[str, ...] = ()
+    plan: Plan | None
+    spawned: tuple[str, ...] = ()
+    reused: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def cost(self) -> int:
@@ -67,7 +67,7 @@ class Acquired:
         return 0 if self.plan is None else self.plan.cost
 
     @property
-    def changes(self) -> Dict[str, Any]:
+    def changes(self) -> dict[str, Any]:
         """The fields of the claim that say how its stream is made."""
         names_ = ("topic", "datatype", "goal", "wiring", "sources", "bindings", "state", "detail")
         return {name: getattr(self.claim, name) for name in names_}
@@ -92,7 +92,7 @@ class Assembly:
             claim: whose stream it is.
             plan: the plan.
             own: nodelets that are used for steps of the plan.
-            movable: names of all healthy nodelets that can be connected elsewhere for the claim.
+            movable: all healthy nodelets that can be connected elsewhere for the claim.
             ordinary: topics that the library describes and ordinary nodes publish.
         """
         self._manager = context.manager
@@ -110,22 +110,20 @@ class Assembly:
         self._transaction = Transaction(context.manager, context.connector, unresponsive)
         self._spawned = self._transaction.spawned
         #: Nodelets for the steps of the plan; grows, as do the next ones.
-        self._made: Dict[Instance, str] = {}
-        self._wiring: Dict[str, Dict[str, str]] = {}
-        self._sources: Set[str] = set()
-        self._reused: Set[str] = set()
-        self._remarks: List[str] = []
+        self._made: dict[Instance, str] = {}
+        self._wiring: dict[str, dict[str, str]] = {}
+        self._sources: set[str] = set()
+        self._reused: set[str] = set()
+        self._remarks: list[str] = []
         #: When the replacements of the plan have to have delivered.
-        self._deadline: Optional[float] = None
+        self._deadline: float | None = None
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
         self.failed_label = ""
 
     def carry_out(self) -> Acquired:
         """Carry the plan out; an exception undoes every change.
 
-        Raises:
-            StreamTypeMismatch: a new nodelet has a port of another type than is needed.
-            DyKnowError: a step failed.
+        Raises StreamTypeMismatch if a new nodelet has a port of another type than is needed.
         """
         try:
             self._reserve()
@@ -148,11 +146,7 @@ class Assembly:
         )
         reused = (self._reused | fed.keys()) - set(self._spawned)
         return Acquired(
-            claim,
-            self._plan,
-            tuple(self._spawned),
-            tuple(sorted(reused)),
-            tuple(self._remarks),
+            claim, self._plan, tuple(self._spawned), tuple(sorted(reused)), tuple(self._remarks)
         )
 
     def _reserve(self) -> None:
@@ -182,11 +176,11 @@ class Assembly:
         self._made[instance] = name
         self._connect(name, self._inputs(step))
 
-    def _inputs(self, step: PlanStep) -> Dict[str, str]:
+    def _inputs(self, step: PlanStep) -> dict[str, str]:
         """Topics of a step's suppliers, as they are now."""
         return {port: self._topic_of(source) for port, source in step.inputs}
 
-    def _outputs(self, instance: Instance) -> List[str]:
+    def _outputs(self, instance: Instance) -> list[str]:
         """Out-ports that the plan uses of an instance."""
         inputs = [source for step in self._plan.steps for _, source in step.inputs]
         found = [each for each in (*inputs, self._plan.goal) if isinstance(each, New)]
@@ -220,11 +214,7 @@ class Assembly:
         return replace(claim, topic=topic, datatype=datatype or self._datatype, goal=place)
 
     def _relay(self, goal: Source, present: str, topic: str = "") -> str:
-        """Bring a stream that has to stay where it is to ``topic``, or to a new one.
-
-        Returns:
-            Name of the relay.
-        """
+        """Relay a stream that stays on its topic to ``topic``, or a new one; name the relay."""
         # The tags that hold for all messages there.
         tags = self._world().topology.common_tags(present, self._tags_of(goal))
         datatype = self._type_of(goal)
@@ -236,9 +226,9 @@ class Assembly:
         return name
 
     def _separate(self, goal: Source, publisher: str, topic: str) -> None:
-        """Disconnect the replaced publisher before the goal comes, if it is of another individual.
+        """Disconnect the replaced publisher before the goal comes if it is of another individual.
 
-        Else it goes afterwards, so that no gap comes about.
+        Else it goes afterwards, without a gap.
         """
         tags, producers = set(self._tags_of(goal)), self._world().topology.producers(topic)
         if any(set(each.tags) != tags for each in producers):
@@ -263,19 +253,14 @@ class Assembly:
     def _spawn(
         self,
         transformation: Transformation,
-        inputs: Mapping[str, Tuple[str, str]],
+        inputs: Mapping[str, tuple[str, str]],
         outputs: Iterable[str],
-        given: Tuple[Parameter, ...] = (),
+        given: tuple[Parameter, ...] = (),
     ) -> str:
         """Make a nodelet that is connected from its start, and return its name.
 
-        An in-port is connected later if it is not certain yet that its type fits.
-
-        Args:
-            transformation: what to make.
-            inputs: topics of its in-ports, and their types.
-            outputs: out-ports that get topics of their own.
-            given: parameters.
+        ``inputs`` has topics and types of its in-ports; a port whose type may not fit is connected
+        later. The out-ports of ``outputs`` get topics of their own.
         """
         types = {port.name: port.datatype for port in transformation.ports}
         topics = {port: topic for port, (topic, _) in inputs.items()}
@@ -333,11 +318,8 @@ class Assembly:
 
     def _counter(
         self, record: Record, port: str, closing: contextlib.ExitStack
-    ) -> Iterator[Optional[Count]]:
-        """Yield counts of the messages of an out-port.
-
-        A C++ nodelet may be lazy, and send only to subscribers.
-        """
+    ) -> Iterator[Count | None]:
+        """Count the messages of an out-port; a lazy C++ nodelet sends only to subscribers."""
         host = self._manager.host
         if not record.kind.is_written_for_dyknow:
             listening = host.listen(record.topics.get(port, ""))
@@ -407,7 +389,7 @@ class Assembly:
             known += [(port.name, port.datatype) for port in record.transformation.ports]
         return next((each for name, each in known if name == source.port and each not in ANY), "")
 
-    def _tags_of(self, source: Source) -> Tuple[Term, ...]:
+    def _tags_of(self, source: Source) -> tuple[Term, ...]:
         """Tags of a supplier's stream, without those whose variables are not bound."""
         name = self._name_of(source)
         if name:
@@ -422,11 +404,7 @@ class Assembly:
         return next(iter(possible)).tags if len(possible) == 1 else ()
 
     def _check_types(self, record: Record, step: PlanStep) -> None:
-        """Compare the types of a nodelet's in-ports with those of their suppliers.
-
-        Raises:
-            StreamTypeMismatch: two differ.
-        """
+        """Compare the types of a nodelet's in-ports with those of their suppliers."""
         types = {port.name: port.datatype for port in record.ports}
         for port, source in step.inputs:
             wanted, found = types.get(port, ""), self._type_of(source)
@@ -436,7 +414,7 @@ class Assembly:
 
     # Free names
 
-    def _taken_topics(self) -> Set[str]:
+    def _taken_topics(self) -> set[str]:
         """Topics on which the clients of other claims listen."""
         return self._world().taken_topics(but=self._claim.claim_id)
 
@@ -466,12 +444,12 @@ class Assembly:
                 yield name
 
 
-def timed_out(error: Optional[BaseException]) -> bool:
+def timed_out(error: BaseException | None) -> bool:
     """Whether an error comes from a nodelet manager, or a nodelet, that did not answer."""
     while error is not None and not isinstance(error, HostTimeout):
         error = error.__cause__
     return error is not None
 
 
-def _shows_messages(count: Optional[Count], since: float) -> bool:
+def _shows_messages(count: Count | None, since: float) -> bool:
     return count is not None and count.asked >= since and count.messages > 0

@@ -10,20 +10,7 @@ satisfy them all.
 from __future__ import annotations
 
 import contextlib
-from typing import (
-    AbstractSet,
-    Dict,
-    FrozenSet,
-    Hashable,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow.datatypes import ANY
 from dyknow.errors import HostError, StreamTypeMismatch
@@ -85,18 +72,18 @@ class Situation(NamedTuple):
 
     demand: Demand
     topic: str
-    streams: Tuple[TaggedStream, ...]
-    usable: Tuple[TaggedStream, ...]
-    own: Tuple[OwnNodelet, ...]
-    exclude: FrozenSet[str]
-    paused: FrozenSet[str]
-    engaged: FrozenSet[str]
+    streams: tuple[TaggedStream, ...]
+    usable: tuple[TaggedStream, ...]
+    own: tuple[OwnNodelet, ...]
+    exclude: frozenset[str]
+    paused: frozenset[str]
+    engaged: frozenset[str]
     wishes: Wishes
-    upstream: Mapping[str, FrozenSet[str]]
+    upstream: Mapping[str, frozenset[str]]
     budget: float
     known: Mapping[str, Transformation]
 
-    def tags(self, live: Live) -> Optional[FrozenSet[Term]]:
+    def tags(self, live: Live) -> frozenset[Term] | None:
         """Return the tags of a stream; None if it is not there."""
         found = [tags for each, tags in self.streams if each[:4] == live[:4]]
         return frozenset(found[0]) if found else None
@@ -122,17 +109,14 @@ class ClaimPlanner:
         self._ontology = context.manager.library.ontology
         self._planner = Planner(self._ontology)
         self._planned_with: Mapping[str, Transformation] = {}
-        self._transformations: Dict[str, Transformation] = {}
-        self._transformations_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
+        self._transformations: dict[str, Transformation] = {}
+        self._transformations_at: tuple[int, frozenset[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
         #: Topics of ordinary nodes that had a publisher at the last look.
-        self.published: FrozenSet[str] = frozenset()
+        self.published: frozenset[str] = frozenset()
 
     def look(self, at_once: bool = False) -> None:
-        """Ask which topics of ordinary nodes are published: now and then, or ``at_once``.
-
-        The last answer holds until there is another one.
-        """
+        """Ask which topics of ordinary nodes are published: now and then, or ``at_once``."""
         now = self._clock()
         if now - self._looked < _FRESH and not at_once:
             return
@@ -143,7 +127,7 @@ class ClaimPlanner:
             self.published = self._manager.host.published(sorted(wanted))
 
     @property
-    def ordinary(self) -> FrozenSet[str]:
+    def ordinary(self) -> frozenset[str]:
         """Topics on which ordinary nodes publish what the library describes."""
         return self.published & self._world().described.keys()
 
@@ -176,18 +160,14 @@ class ClaimPlanner:
         self,
         claim: Claim,
         lenient: bool = False,
-        avoid: FrozenSet[str] = NO_LABELS,
+        avoid: frozenset[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
     ) -> Proposal:
         """Plan a claim's stream; its own nodelets cost nothing.
 
-        A request lets rounds pass meanwhile: ``still_fits`` says whether it can be used then.
-
-        Args:
-            claim: whose stream it is.
-            lenient: use transformations that failed lately too, if nothing else will do.
-            avoid: labels that turned out to be of no use.
-            without: nodelets that must have no part in it.
+        A request lets rounds pass meanwhile: ``still_fits`` says whether the plan can be used
+        then. ``lenient`` allows transformations that failed lately if nothing else will do; labels
+        of ``avoid`` and nodelets of ``without`` have no part in it.
         """
         situation = self.situation(claim, avoid, without)
         answer = self._solved(situation)
@@ -214,11 +194,7 @@ class ClaimPlanner:
         )
 
     def check_stamped(self, claim: Claim, plan: Plan) -> None:
-        """Check that messages of a plan bear a stamp if the claim needs one, as far as is known.
-
-        Raises:
-            StreamTypeMismatch: they do not.
-        """
+        """Raise StreamTypeMismatch if a claim needs stamps and a plan is known to make none."""
         found = self._unstamped_type(claim, plan)
         if found:
             raise StreamTypeMismatch(claim.request.tag, STAMPED, found, plan.goal.label)
@@ -229,7 +205,7 @@ class ClaimPlanner:
         is_paused = bool(situation.paused)
         return is_paused and isinstance(self._solved(situation._replace(paused=NO_LABELS)), Plan)
 
-    def cheaper(self, claim: Claim) -> Optional[Plan]:
+    def cheaper(self, claim: Claim) -> Plan | None:
         """Return a plan by which all claims together cost less than now, or None."""
         own = self.own(claim)
         saved = self._saved(claim, own)
@@ -248,13 +224,13 @@ class ClaimPlanner:
         is_cheaper = cost < self._price(claim, saved.values())
         return self._priced(answer, own, situation.known) if is_cheaper else None
 
-    def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
+    def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
         streams = self._without_relays(self._streams(NO_LABELS))
         with self._planning(self.transformations()) as (planner, _):
             return planner.bindings(demand, streams)
 
-    def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
+    def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""
         return assigned(plan, own, self._ontology)
 
@@ -263,7 +239,7 @@ class ClaimPlanner:
     def situation(
         self,
         claim: Claim,
-        avoid: FrozenSet[str] = NO_LABELS,
+        avoid: frozenset[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
     ) -> Situation:
         """Read all that a plan for a claim follows from."""
@@ -271,8 +247,8 @@ class ClaimPlanner:
 
     def _situation(
         self,
-        claims: List[Claim],
-        avoid: FrozenSet[str] = NO_LABELS,
+        claims: list[Claim],
+        avoid: frozenset[str] = NO_LABELS,
         without: AbstractSet[str] = frozenset(),
     ) -> Situation:
         first = claims[0]
@@ -308,20 +284,19 @@ class ClaimPlanner:
             }
         return self._transformations
 
-    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> List[OwnNodelet]:
-        """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
+    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> list[OwnNodelet]:
+        """Return healthy nodelets to connect elsewhere for a claim, the preferred ones first.
 
-        These are the claim's own nodelets and those that no claim needs, and external nodes that
-        the library describes. Parts that other claims share are among them, unless these claims
-        exclude other labels than this one, or have other wishes; they have to go on supplying the
-        same.
+        These are its own, those that no claim needs, and described external nodes. Parts that
+        other claims share are among them, and have to go on supplying the same, unless these
+        claims exclude other labels or have other wishes.
         """
         known, world = self.transformations(), self._world()
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
         unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
-        found: List[OwnNodelet] = []
+        found: list[OwnNodelet] = []
         for name in reversed((*idle, *claim.nodelets)):
             record = world.records.get(name)
             users = [each for each in sharing if name in each.wiring]
@@ -349,12 +324,11 @@ class ClaimPlanner:
 
     def _streams(
         self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
-    ) -> List[TaggedStream]:
+    ) -> list[TaggedStream]:
         """List the streams that can be relied on.
 
-        Args:
-            exclude: labels that must have no part in them, directly or further up.
-            without: nodelets and topics that must have no part in them.
+        Labels of ``exclude`` have no part in them, directly or further up, nor have nodelets and
+        topics of ``without``.
         """
         world, library = self._world(), self._manager.library
         published = [
@@ -375,14 +349,14 @@ class ClaimPlanner:
         ]
         return live_streams(records, published, world.topology, self._ontology)
 
-    def _without_relays(self, streams: Iterable[TaggedStream]) -> Tuple[TaggedStream, ...]:
+    def _without_relays(self, streams: Iterable[TaggedStream]) -> tuple[TaggedStream, ...]:
         """Leave out the streams of relays: a plan uses the stream that they forward."""
         relays = self._world().relays
         return tuple(each for each in streams if each[0].nodelet not in relays)
 
     def _upstream(
         self, claim: Claim, streams: Iterable[TaggedStream]
-    ) -> Dict[str, FrozenSet[str]]:
+    ) -> dict[str, frozenset[str]]:
         """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
         if wishes_of(claim) == NO_WISHES:
             return {}
@@ -393,7 +367,7 @@ class ClaimPlanner:
             found[name] = frozenset(self._labels(wiring.keys() - {name}, topics))
         return found
 
-    def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> List[str]:
+    def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> list[str]:
         """Labels of nodelets that run, and of ordinary topics."""
         world, wanted = self._world(), set(topics)
         found = [world.records.get(name) for name in nodelets]
@@ -410,7 +384,7 @@ class ClaimPlanner:
             return answer
         return self._priced(answer, situation.own, situation.known)
 
-    def _present(self, situation: Situation) -> Optional[Plan]:
+    def _present(self, situation: Situation) -> Plan | None:
         """Find a stream that will do and is where the client listens already."""
         demand, topic = situation.demand, situation.topic
         for stream, terms in sorted(situation.streams) if topic else ():
@@ -444,7 +418,7 @@ class ClaimPlanner:
                 paused |= divided
                 free = {label: free[label] for label in free.keys() - divided}
 
-    def _divided(self, answer: Answer, situation: Situation) -> FrozenSet[str]:
+    def _divided(self, answer: Answer, situation: Situation) -> frozenset[str]:
         """Labels of external nodes that a plan needs more than once: no further one is made."""
         if isinstance(answer, NoPlan):
             return NO_LABELS
@@ -454,11 +428,8 @@ class ClaimPlanner:
         return frozenset(label for label in new if label in known and known[label].node)
 
     @contextlib.contextmanager
-    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[Tuple[Planner, bool]]:
-        """Let rounds pass while a request plans with transformations, and say whether they may.
-
-        Each plan is made with the library of its time; any thread may use the planner.
-        """
+    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:
+        """Let rounds pass while a request plans with transformations, and say whether they may."""
         before = self._planned_with
         if before is not known:
             gone = [label for label in before if label not in known]
@@ -486,12 +457,7 @@ class ClaimPlanner:
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
     def _price(self, claim: Claim, saved: Iterable[str]) -> int:
-        """Return the cost that would be saved without a claim's stream.
-
-        Args:
-            claim: whose stream it is.
-            saved: labels of its nodelets that nothing else needs.
-        """
+        """Return the cost that ends with a claim's stream; ``saved`` labels serve nothing else."""
         known = self.transformations()
         price = sum(known[label].cost for label in saved)
         wishes = wishes_of(claim)
@@ -504,7 +470,7 @@ class ClaimPlanner:
         labels = self._labels(claim.nodelets, claim.sources)
         return price + sum(charges.get(label, 0) for label in labels)
 
-    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> Dict[str, str]:
+    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> dict[str, str]:
         """Those of its own that nothing would need if these clients needed no stream: labels."""
         together = {each.claim_id for each in self._table.together(claim)}
         claims = [each for each in self._table.living() if each.claim_id not in together]

@@ -10,7 +10,7 @@ a lease that was renewed meanwhile stays renewed. Events come in the order of th
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable
 
 from dyknow.errors import UnknownClaim
 from dyknow.locks import state_lock, turn_lock
@@ -39,11 +39,8 @@ class ClaimTable:
     ) -> None:
         """Take up the claims that the store has.
 
-        Args:
-            store: where they outlive the manager.
-            clock: steady time, in seconds.
-            running: time for which this process has run, in seconds.
-            on_event: called with every change, in their order, outside the locks.
+        ``clock`` counts steady seconds, ``running`` only those for which this process has run;
+        ``on_event`` is called with every change, in their order, outside the locks.
         """
         self._running = running
         self._paused = clock() - running()
@@ -52,44 +49,40 @@ class ClaimTable:
         self._clock = clock
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
-        self._claims: Dict[str, Claim] = self._stored()
-        self._living: Tuple[Claim, ...] = ()
+        self._claims: dict[str, Claim] = self._stored()
+        self._living: tuple[Claim, ...] = ()
         self._sort()
         self.events: EventQueue[ClaimEvent] = EventQueue(on_event)
 
-    def all(self) -> List[Claim]:
+    def all(self) -> list[Claim]:
         """Return every claim, those that ended lately included, by id."""
         with self._state_lock:
             return [self._claims[claim_id] for claim_id in sorted(self._claims)]
 
-    def living(self) -> Tuple[Claim, ...]:
+    def living(self) -> tuple[Claim, ...]:
         """Return the claims that have not ended, by id: the same tuple until one changes."""
         return self._living
 
-    def together(self, claim: Claim) -> List[Claim]:
+    def together(self, claim: Claim) -> list[Claim]:
         """Return the claims whose clients listen where this one's does; this one first."""
         others = [each for each in self.living() if each.claim_id != claim.claim_id]
         return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
 
-    def find(self, claim_id: str) -> Optional[Claim]:
+    def find(self, claim_id: str) -> Claim | None:
         """Return a claim that has not ended, or None."""
         with self._state_lock:
             claim = self._claims.get(claim_id)
         return None if claim is None or claim.state.ended else claim
 
     def get(self, claim_id: str) -> Claim:
-        """Return a claim that has not ended.
-
-        Raises:
-            UnknownClaim: there is none of that id, or it ended.
-        """
+        """Return a claim that has not ended; else raise UnknownClaim."""
         with self._state_lock:
             claim = self._claims.get(claim_id)
         if claim is None or claim.state.ended:
             raise UnknownClaim(claim_id, "" if claim is None else claim.state.name.lower())
         return claim
 
-    def same(self, request: StreamRequest) -> Optional[Claim]:
+    def same(self, request: StreamRequest) -> Claim | None:
         """Return the living claim of an earlier copy of a request; None without a request id."""
         if not request.request_id:
             return None
@@ -109,7 +102,7 @@ class ClaimTable:
         self.events.deliver()
         return claim
 
-    def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
+    def change(self, claim_id: str, reason: str, **changes: Any) -> Claim | None:
         """Change a claim and return it; None if it has ended."""
         with self._turn:
             before = self.find(claim_id)
@@ -131,11 +124,7 @@ class ClaimTable:
         self.events.deliver()
 
     def renew(self, claim_id: str, lease: float) -> Claim:
-        """Let a claim live for so many seconds from now (0: until it is released).
-
-        Raises:
-            UnknownClaim: there is none of that id, or it ended.
-        """
+        """Let a claim live for so many seconds from now (0: until it is released)."""
         with self._turn:
             deadline = self._clock() + lease if lease > 0 else None
             claim = replace(self.get(claim_id), deadline=deadline)
@@ -161,10 +150,7 @@ class ClaimTable:
         self.events.deliver()
 
     def expire_late(self) -> None:
-        """End the claims whose lease is over.
-
-        After a pause of this process the renewals that wait are served first.
-        """
+        """End the claims whose lease is over; after a pause renewals come first."""
         now, running = self._clock(), self._running()
         paused = now - running
         if paused - self._paused > _PAUSE:
@@ -177,10 +163,10 @@ class ClaimTable:
             if present is not None and present.deadline is not None and now >= present.deadline:
                 self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended")
 
-    def _stored(self) -> Dict[str, Claim]:
+    def _stored(self) -> dict[str, Claim]:
         now = Moment.now(self._clock)
-        claims: Dict[str, Claim] = {}
-        causes: Dict[str, str] = {}
+        claims: dict[str, Claim] = {}
+        causes: dict[str, str] = {}
         for claim_id, body in self._store.claims().items():
             try:
                 claim = Claim.from_body(body, now)

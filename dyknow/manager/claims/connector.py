@@ -13,7 +13,7 @@ import contextlib
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
+from typing import AbstractSet, Callable, Iterable, Mapping
 
 from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
 from dyknow.manager.claims.ends import ends_of
@@ -45,12 +45,12 @@ class Connector:
         #: Returns the world of this moment.
         self.world = worlds.now
         #: Topics that a port was sent to without an answer, and until when it may arrive there.
-        self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
+        self._late: dict[tuple[str, str], dict[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
-        self._unknown: Dict[str, float] = {}
+        self._unknown: dict[str, float] = {}
 
     @property
-    def unknown(self) -> FrozenSet[str]:
+    def unknown(self) -> frozenset[str]:
         """Nodelets of which it is not known how they are connected."""
         return frozenset(self._unknown)
 
@@ -68,11 +68,7 @@ class Connector:
                     self._graph.put(replace(record, heard=heard))
 
     def connect(self, name: str, config: Config) -> None:
-        """Connect ports of a nodelet, and show it in the graph at once.
-
-        Raises:
-            DyKnowError: the nodelet refused, or did not answer.
-        """
+        """Connect ports of a nodelet, and show it in the graph at once."""
         for topic in config.values():
             self._manager.guards.check_topic(topic)
         record = self._graph.get(name)
@@ -93,7 +89,7 @@ class Connector:
     def ask(self) -> None:
         """Ask the nodelets whose connections are not known, and show these in the graph."""
         now = self._clock()
-        hanging: Set[str] = set()
+        hanging: set[str] = set()
         for name in sorted(self._unknown):
             record = self._graph.find(name)
             if record is None:
@@ -157,20 +153,13 @@ class Transaction:
         self._connector = connector
         self._unresponsive = unresponsive
         #: Names of the nodelets that were made.
-        self.spawned: List[str] = []
-        self._done: List[ReversibleStep] = []
+        self.spawned: list[str] = []
+        self._done: list[ReversibleStep] = []
 
     def make_way_for(
         self, transformation: Transformation, request: SpawnRequest
-    ) -> Dict[str, Mapping[str, str]]:
-        """Disconnect the consumers that would mismatch a nodelet before it is made.
-
-        Returns:
-            What ``connect_again`` needs to know.
-
-        Raises:
-            DyKnowError: the nodelet cannot be connected as the request says.
-        """
+    ) -> dict[str, Mapping[str, str]]:
+        """Disconnect the consumers that would mismatch a nodelet, for ``connect_again``."""
         planned = Record(
             request.name,
             transformation,
@@ -184,11 +173,7 @@ class Transaction:
     def spawn(
         self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
     ) -> None:
-        """Make a nodelet, close to the publishers of some topics.
-
-        Raises:
-            DyKnowError: it did not work.
-        """
+        """Make a nodelet, close to the publishers of some topics."""
         lifecycle, name = self._manager.lifecycle, request.name
         spawn = partial(lifecycle.spawn, transformation, request, True, near)
         step = ReversibleStep(f"spawning '{name}'", name, spawn, partial(lifecycle.destroy, name))
@@ -201,9 +186,6 @@ class Transaction:
         """Connect ports of a nodelet that are not connected so already.
 
         Consumers whose demand would not be met are disconnected first.
-
-        Raises:
-            DyKnowError: the nodelet refused, or did not answer.
         """
         record = self._connector.world().get(name)
         before = {port: record.topics.get(port, "") for port in config}
@@ -218,24 +200,17 @@ class Transaction:
         self.connect_again(cut)
 
     def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
-        """Disconnect ports of a nodelet and connect them again: it forgets earlier messages.
+        """Disconnect ports and connect them again: their nodelet forgets earlier messages.
 
         They stay disconnected if they do not fit together by then.
-
-        Args:
-            name: of the nodelet.
-            ports: those that share variables, with their topics.
-
-        Raises:
-            DyKnowError: the nodelet refused, or did not answer.
         """
         self.connect(name, dict.fromkeys(ports, ""))
         self._connect_if_fitting(self._manager.graph.get(name), ports)
 
     def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
-        """After a change connect those that people connected, and that fit together again, as one.
+        """After a change, connect the ports that users connected, if they fit together again.
 
-        Nodelets of claims are connected by their repair, with all that changes there.
+        Nodelets of claims are connected by their repair.
         """
         for name, ports in cut.items():
             record = self._manager.graph.find(name)
@@ -248,13 +223,9 @@ class Transaction:
         for trouble in take_back([step for step in self._done if step.subject not in kept]):
             _log.warning("undoing a plan: %s", trouble)
 
-    def _make_way(self, record: Record, config: Mapping[str, str]) -> Dict[str, Mapping[str, str]]:
-        """Disconnect the consumers that would mismatch a connection.
-
-        Returns:
-            By nodelet the ports that were disconnected, with the topics that they had.
-        """
-        cut: Dict[str, Dict[str, str]] = {}
+    def _make_way(self, record: Record, config: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
+        """Disconnect the consumers that would mismatch a connection; returns their topics."""
+        cut: dict[str, dict[str, str]] = {}
         is_forgetful = False
         while True:
             found = self._connector.world().in_the_way(record, config, is_forgetful)
@@ -288,7 +259,7 @@ class Transaction:
         if all(fits.get(port) == topic for port, topic in ports.items()):
             self.connect(record.name, ports)
 
-    def _reconnect(self, name: str, before: Dict[str, str]) -> None:
+    def _reconnect(self, name: str, before: dict[str, str]) -> None:
         record = self._manager.graph.find(name)
         if record is None or name in self._connector.unknown:
             return  # it is polled, and connected as it should be then

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator, Set
+from typing import Callable, Iterable, Iterator
 
 from dyknow.locks import turn_lock
 from dyknow.manager.claims.claim_table import ClaimTable
@@ -33,7 +33,7 @@ class ClaimLock:
         #: Claim that the present request is about; rounds leave it alone.
         self.claim_id = ""
         #: Nodelets that the present request counts on; rounds do not destroy them.
-        self.reserved: Set[str] = set()
+        self.reserved: set[str] = set()
 
     @contextlib.contextmanager
     def request(self, claim_id: str = "") -> Iterator[None]:
@@ -65,7 +65,7 @@ class ClaimLock:
     def reserve(self, names: Iterable[str]) -> None:
         """Keep nodelets from being destroyed until the present request is done.
 
-        A round needs no reservations: it destroys nodelets only at its end.
+        A round destroys nodelets only at its end.
         """
         if self._may_pause:
             self.reserved.update(names)
@@ -90,17 +90,7 @@ class ClaimLock:
 
 @dataclass(frozen=True)
 class ClaimContext:
-    """The context that the parts of the reconciler share.
-
-    Attributes:
-        manager: knows, makes and destroys nodelets.
-        table: the claims.
-        lock: held while claims are changed.
-        connector: connects ports.
-        monitor: knows the health of streams, and which transformations failed lately.
-        clock: steady time, in seconds.
-        sleep: waits that many seconds.
-    """
+    """The context that the parts of the reconciler share."""
 
     manager: Manager
     table: ClaimTable

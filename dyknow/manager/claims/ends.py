@@ -14,7 +14,7 @@ of the nodelet. In-ports that contradict each other leave no way.
 from __future__ import annotations
 
 import itertools
-from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.datatypes import ANY
 from dyknow.errors import SpawnFailed
@@ -32,12 +32,8 @@ _PREFIX = "relay of "
 _MOST_WAYS = 64
 
 
-def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
-    """Describe a relay for a topic: it supplies the same tags.
-
-    Raises:
-        SpawnFailed: the type of the topic is not known.
-    """
+def relay(topic: str, datatype: str, tags: tuple[str, ...]) -> Transformation:
+    """Describe a relay for a topic, of the same tags; its type has to be known."""
     if datatype in ANY:
         raise SpawnFailed(_PREFIX + topic, "the type of its messages is not known")
     tags = tuple(tag for tag in tags if all(term.is_ground for term in read_tags((tag,))))
@@ -50,7 +46,7 @@ def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
     )
 
 
-def is_relay(transformation: Optional[Transformation]) -> bool:
+def is_relay(transformation: Transformation | None) -> bool:
     """Whether a transformation is one of ours, not of the library."""
     return (
         transformation is not None
@@ -59,7 +55,7 @@ def is_relay(transformation: Optional[Transformation]) -> bool:
     )
 
 
-def transformation_of_relay(nodelet: NodeletStatus) -> Optional[Transformation]:
+def transformation_of_relay(nodelet: NodeletStatus) -> Transformation | None:
     """Return the transformation of a relay, which no library has; None for any other nodelet."""
     out = nodelet.port("out")
     if not nodelet.transformation.startswith(_PREFIX + "/") or out is None or out.datatype in ANY:
@@ -75,32 +71,21 @@ Sent = Tuple[Tuple[Term, ...], str]
 
 
 class Inlet(NamedTuple):
-    """An in-port that receives something.
-
-    Attributes:
-        demand: its demand.
-        sources: the streams there; all of them bind the same names.
-    """
+    """The demand of an in-port, and the streams there; all of them bind the same names."""
 
     demand: Demand
-    sources: Tuple[Sent, ...]
+    sources: tuple[Sent, ...]
 
 
 def ways_to_bind(
     known: Iterable[Way], inlets: Iterable[Inlet], ontology: Subsumption
-) -> List[Way]:
-    """List the ways in which the demand of every in-port is met.
+) -> list[Way]:
+    """List the ways in which the demand of every in-port is met; none if they contradict.
 
-    Args:
-        known: names that variables stand for in any case, in each way.
-        inlets: in-ports of one nodelet.
-        ontology: hierarchy of names.
-
-    Returns:
-        All ways, each once, in a deterministic order; none if the in-ports contradict each other.
-        All of them bind the same variables.
+    Each starts from one that is ``known`` in any case. All bind the same variables; the order is
+    deterministic.
     """
-    found: List[Way] = list(known)
+    found: list[Way] = list(known)
     for demand, sources in inlets:
         for tags, datatype in sources:
             more = (
@@ -112,14 +97,14 @@ def ways_to_bind(
     return found
 
 
-def supplied(tags: Sequence[Term], ways: Iterable[Way]) -> Tuple[Term, ...]:
+def supplied(tags: Sequence[Term], ways: Iterable[Way]) -> tuple[Term, ...]:
     """Return the tags of an out-port in all ways; with unbound variables they supply nothing."""
     bound = [term.substitute(way) for way in ways for term in tags]
     return tuple(dict.fromkeys(term for term in bound if term.is_ground))
 
 
 def _distinct(ways: Iterable[Way]) -> Iterable[Way]:
-    found: Dict[Tuple[Tuple[str, str], ...], Way] = {}
+    found: dict[tuple[tuple[str, str], ...], Way] = {}
     for way in ways:
         found.setdefault(tuple(sorted(way.items())), way)
     return found.values()
@@ -138,7 +123,7 @@ class Producer(NamedTuple):
 
     nodelet: str
     port: str
-    tags: Tuple[Term, ...] = ()
+    tags: tuple[Term, ...] = ()
     datatype: str = ""
     is_unbound: bool = False
 
@@ -159,7 +144,7 @@ class Consumer(NamedTuple):
     ends: int = -1
 
     @property
-    def variables(self) -> FrozenSet[str]:
+    def variables(self) -> frozenset[str]:
         """Variables of its demand, which the stream binds."""
         return frozenset(name for tag in self.demand.tags for name in tag.variables)
 
@@ -183,24 +168,24 @@ class NodeletEnds(NamedTuple):
 
     name: str
     is_relay: bool
-    producers: Tuple[Tuple[Producer, Tuple[str, ...]], ...]
-    consumers: Tuple[Tuple[Consumer, Tuple[str, ...]], ...]
+    producers: tuple[tuple[Producer, tuple[str, ...]], ...]
+    consumers: tuple[tuple[Consumer, tuple[str, ...]], ...]
     given: Way = NO_BINDINGS
-    listening: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
-    heard: Tuple[Way, ...] = ()
+    listening: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    heard: tuple[Way, ...] = ()
     has_variables: bool = False
     is_by_hand: bool = False
 
     @property
-    def known(self) -> Tuple[Way, ...]:
+    def known(self) -> tuple[Way, ...]:
         """Names that its variables stand for before it receives anything more, in each way."""
         return self.heard or (self.given,)
 
 
 def ends_of(record: Record) -> NodeletEnds:
     """Read the ends of a nodelet."""
-    producers: List[Tuple[Producer, Tuple[str, ...]]] = []
-    consumers: List[Tuple[Consumer, Tuple[str, ...]]] = []
+    producers: list[tuple[Producer, tuple[str, ...]]] = []
+    consumers: list[tuple[Consumer, tuple[str, ...]]] = []
     seen = {port.name: port for port in record.ports}
     for port in _ports(record):
         tags = read_tags(port.tags)
@@ -229,7 +214,7 @@ def ends_of(record: Record) -> NodeletEnds:
     )
 
 
-def _ports(record: Record) -> List[Port]:
+def _ports(record: Record) -> list[Port]:
     """Declared ports with the types that were seen, then those that are not declared."""
     seen = {port.name: port for port in record.ports}
     declared = record.transformation.ports if record.transformation is not None else ()

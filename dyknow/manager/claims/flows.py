@@ -18,19 +18,7 @@ from __future__ import annotations
 import collections
 import itertools
 from dataclasses import dataclass, field
-from typing import (
-    Callable,
-    Deque,
-    Dict,
-    FrozenSet,
-    Iterable,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Set,
-    Tuple,
-)
+from typing import Callable, Deque, Iterable, Mapping, NamedTuple, Tuple
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
@@ -60,7 +48,7 @@ _NEVER = float("-inf")
 class Sample(NamedTuple):
     """The age of a message in seconds, None if not known, and the time of its query."""
 
-    age: Optional[float]
+    age: float | None
     asked: float
 
 
@@ -84,7 +72,7 @@ class Flow:
     counts: Deque[Count] = field(default_factory=collections.deque)
     samples: Deque[Sample] = field(default_factory=lambda: collections.deque(maxlen=SAMPLES))
     _counting_since: float = 0.0
-    _sampled: Optional[Count] = None
+    _sampled: Count | None = None
 
     @property
     def silence(self) -> float:
@@ -131,25 +119,21 @@ class FlowMeter:
     """Counts messages at the places that it is given, and keeps a flow for each."""
 
     def __init__(
-        self,
-        host: Host,
-        graph: Graph,
-        clock: Callable[[], float],
-        running: Callable[[], float],
+        self, host: Host, graph: Graph, clock: Callable[[], float], running: Callable[[], float]
     ) -> None:
         self._host = host
         self._graph = graph
         self._clock = clock
         self._running = running
         #: The flow of each place that was counted.
-        self.flows: Dict[Place, Flow] = {}
+        self.flows: dict[Place, Flow] = {}
         #: Nodelets that do not answer.
-        self.unresponsive: FrozenSet[str] = frozenset()
-        self._unresponsive: Dict[str, List[Place]] = {}
-        self._unanswered_since: Dict[str, float] = {}
-        self._asked: Dict[str, float] = {}
-        self._listening: Dict[str, Listening] = {}
-        self._parts: Dict[str, StreamParts] = {}
+        self.unresponsive: frozenset[str] = frozenset()
+        self._unresponsive: dict[str, list[Place]] = {}
+        self._unanswered_since: dict[str, float] = {}
+        self._asked: dict[str, float] = {}
+        self._listening: dict[str, Listening] = {}
+        self._parts: dict[str, StreamParts] = {}
         self._parts_at = -1
 
     def parts(self, claim: Claim) -> StreamParts:
@@ -175,7 +159,7 @@ class FlowMeter:
         awaited: Mapping[Place, float],
         steady: Mapping[Place, float],
         windows: Mapping[Place, float],
-    ) -> Set[Place]:
+    ) -> set[Place]:
         """Count where a count is due; flows of other places are forgotten.
 
         Args:
@@ -183,8 +167,7 @@ class FlowMeter:
             steady: the same, by place that must send steadily.
             windows: seconds over which rates of places are taken, if they are long.
 
-        Returns:
-            The places where messages have come.
+        Returns the places where messages have come.
         """
         records = {record.name: record for record in self._graph.all()}
         running = {name for name, each in records.items() if each.state is State.RUNNING}
@@ -193,12 +176,12 @@ class FlowMeter:
         }
         # An unresponsive nodelet is polled until it answers, whether a claim needs it or not.
         retried = {place: _RETRY for places in self._unresponsive.values() for place in places}
-        wanted: Dict[Place, float] = {}
+        wanted: dict[Place, float] = {}
         for place, period in itertools.chain(retried.items(), awaited.items(), steady.items()):
             wanted[place] = min(wanted.get(place, period), period)
         self.flows = {place: flow for place, flow in self.flows.items() if place in wanted}
-        topics: Dict[str, List[Place]] = {}
-        asked: Dict[str, Dict[str, List[Place]]] = {}
+        topics: dict[str, list[Place]] = {}
+        asked: dict[str, dict[str, list[Place]]] = {}
         for place in sorted(wanted):
             name, port = place
             record = records.get(name)
@@ -224,7 +207,7 @@ class FlowMeter:
             flow = self.flows[place] = Flow(count, count.answered, count.asked)
         return flow.add(count, window)
 
-    def _unheard(self, steady: Iterable[Place], records: Mapping[str, Record]) -> Set[str]:
+    def _unheard(self, steady: Iterable[Place], records: Mapping[str, Record]) -> set[str]:
         """Topics of C++ nodelets that no nodelet listens to."""
         lazy = {
             records[name].topics.get(port, "")
@@ -236,10 +219,10 @@ class FlowMeter:
         ports = (port for record in records.values() for port in record.ports)
         return lazy - {port.topic for port in ports if port.direction == IN}
 
-    def _listen(self, topics: Mapping[str, List[Place]]) -> Dict[Place, Count]:
+    def _listen(self, topics: Mapping[str, list[Place]]) -> dict[Place, Count]:
         for topic in [topic for topic in self._listening if topic not in topics]:
             self._listening.pop(topic).close()
-        found: Dict[Place, Count] = {}
+        found: dict[Place, Count] = {}
         for topic in sorted(topics.keys() - {""}):
             if topic not in self._listening:
                 self._listening[topic] = self._host.listen(topic)
@@ -249,8 +232,8 @@ class FlowMeter:
         return found
 
     def _ask(
-        self, asked: Mapping[str, Mapping[str, List[Place]]], periods: Mapping[Place, float]
-    ) -> Dict[Place, Count]:
+        self, asked: Mapping[str, Mapping[str, list[Place]]], periods: Mapping[Place, float]
+    ) -> dict[Place, Count]:
         now, began = self._clock(), self._running()
         self._asked = {manager: self._asked.get(manager, _NEVER) for manager in asked}
         due = []
@@ -260,7 +243,7 @@ class FlowMeter:
                 due.append(manager)
                 self._asked[manager] = now
         answers = self._host.counts({each: list(asked[each]) for each in due}) if due else {}
-        found: Dict[Place, Count] = {}
+        found: dict[Place, Count] = {}
         for manager in due:
             for name, places in asked[manager].items():
                 counts = answers.get(name)
@@ -284,7 +267,7 @@ class FlowMeter:
 
     def _all_unresponsive(
         self, asked: Mapping[str, Iterable[str]], records: Mapping[str, Record]
-    ) -> FrozenSet[str]:
+    ) -> frozenset[str]:
         """Return the nodelets that do not answer, with all others of a process that hangs."""
         known = {name for names in asked.values() for name in names}
         self._unanswered_since = {
@@ -297,16 +280,11 @@ class FlowMeter:
 
 
 class StreamParts:
-    """Out-ports and ordinary topics of a claim.
-
-    Attributes:
-        claim: whose stream it is.
-        topics: where the messages of each place go.
-    """
+    """Out-ports and ordinary topics of a claim, by the topics on which they send."""
 
     def __init__(self, claim: Claim, graph: Graph) -> None:
         self.claim = claim
-        self.topics: Dict[Place, str] = {("", topic): topic for topic in claim.sources}
+        self.topics: dict[Place, str] = {("", topic): topic for topic in claim.sources}
         for name in claim.nodelets:
             record = graph.find(name)
             if record is not None and record.transformation and record.state is State.RUNNING:
@@ -315,7 +293,7 @@ class StreamParts:
                 for port, topic in claim.wiring[name].items():
                     if port in outs:
                         self.topics[(name, port)] = topic
-        self._senders: Dict[str, List[Place]] = {}
+        self._senders: dict[str, list[Place]] = {}
         for place, topic in sorted(self.topics.items()):
             self._senders.setdefault(topic, []).append(place)
 
@@ -324,7 +302,7 @@ class StreamParts:
         """The place that publishes on the topic of the client."""
         return goal_of(self.claim)
 
-    def suppliers(self, place: Place) -> List[List[Place]]:
+    def suppliers(self, place: Place) -> list[list[Place]]:
         """List the suppliers of a place, by in-port of its nodelet."""
         name, _ = place
         topics = self.claim.wiring.get(name, {}).values()

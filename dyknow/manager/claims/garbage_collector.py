@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
+from typing import AbstractSet, Callable, Iterable, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
@@ -41,16 +41,13 @@ class GarbageCollector:
         self._lock = context.lock
         self._world = context.world
         self._monitor = context.monitor
-        self._idle_since: Dict[str, float] = {}
+        self._idle_since: dict[str, float] = {}
         # No failure is tolerated: a nodelet that hangs is not called twice in one round.
         self._failures = Backoff(context.clock, _FIRST_PAUSE, tolerated=0)
-        self._replaced: Set[Wire] = set()
+        self._replaced: set[Wire] = set()
 
     def note_replaced(self, claim: Claim) -> None:
-        """Remember the publishers of a claim that were replaced while they could not be reached.
-
-        They are disconnected from the claim's topic when they are back.
-        """
+        """Remember replaced publishers that cannot be reached: they are disconnected later."""
         for record in self._world().records.values():
             if record.name != claim.goal[0] and record.state is not State.RUNNING:
                 for port, topic in record.topics.items():
@@ -81,7 +78,7 @@ class GarbageCollector:
         for topic, producer, consumer in self._world().topology.mismatches():
             self._separate(topic, producer, consumer, wires)
 
-    def _reconfigure(self, name: str, topics: Dict[str, str]) -> None:
+    def _reconfigure(self, name: str, topics: dict[str, str]) -> None:
         """Reconfigure a nodelet where people have put another individual on a topic."""
         record, context = self._graph.find(name), self._context
         if record is not None and self._is_reachable(record):
@@ -110,8 +107,7 @@ class GarbageCollector:
     def take_apart(self, claim: Claim) -> bool:
         """Disconnect what only a claim needs, and the claims whose clients listen on its topic.
 
-        Returns:
-            Whether none of it can send any more; a nodelet that hangs sends nothing.
+        Returns whether none of it can send any more; a nodelet that hangs sends nothing.
         """
         done = True
         wires = _wires(each for each in self._table.living() if each.topic != claim.topic)
@@ -194,7 +190,7 @@ class GarbageCollector:
         return True
 
 
-def _wires(claims: Iterable[Claim]) -> Set[Wire]:
+def _wires(claims: Iterable[Claim]) -> set[Wire]:
     """List the connections that claims need."""
     return {
         (name, port, topic)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import statistics
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Callable, Mapping, NamedTuple
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.flows import SAMPLES, WINDOW, Flow, Place, StreamParts, described
@@ -62,9 +62,9 @@ class History:
     """
 
     changed: float = _NEVER
-    good_from: Optional[float] = None
+    good_from: float | None = None
     good_until: float = 0.0
-    usual: Dict[Place, float] = field(default_factory=dict)
+    usual: dict[Place, float] = field(default_factory=dict)
 
     def note_good(self, now: float) -> None:
         if self.good_from is None:
@@ -82,7 +82,7 @@ class Judge(ABC):
 
     def __init__(self, flows: Flows) -> None:
         self._flows = flows
-        self._histories: Dict[str, History] = {}
+        self._histories: dict[str, History] = {}
 
     @abstractmethod
     def limit(self, claim: Claim) -> float:
@@ -93,11 +93,11 @@ class Judge(ABC):
         return WINDOW
 
     @abstractmethod
-    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
+    def falls_short(self, place: Place, limit: float) -> bool | None:
         """Whether a place certainly does not keep a limit; None as long as that is not known."""
 
     @abstractmethod
-    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
+    def judge(self, parts: StreamParts, now: float) -> Judgement | None:
         """Find the part that keeps a stream from its limit; None if there is none or unknown."""
 
     def history(self, claim_id: str) -> History:
@@ -108,7 +108,7 @@ class Judge(ABC):
         """Start again with a stream that was changed."""
         self._histories[claim_id] = History(now)
 
-    def keep(self, claim_ids: Set[str]) -> None:
+    def keep(self, claim_ids: set[str]) -> None:
         """Forget all other claims."""
         self._histories = {key: each for key, each in self._histories.items() if key in claim_ids}
 
@@ -152,7 +152,7 @@ class RateJudge(Judge):
     def window(self, limit: float) -> float:
         return max(WINDOW, _MESSAGES / limit)
 
-    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
+    def falls_short(self, place: Place, limit: float) -> bool | None:
         window = self.window(limit)
         whole = self._span(place, window)
         if whole is None:
@@ -168,7 +168,7 @@ class RateJudge(Judge):
             for each in (Span(whole.first, begin), Span(end, whole.last))
         )
 
-    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
+    def judge(self, parts: StreamParts, now: float) -> Judgement | None:
         limit = self.limit(parts.claim)
         window = self.window(limit)
         is_below = self.falls_short(parts.goal, limit)
@@ -189,7 +189,7 @@ class RateJudge(Judge):
         what = f"{described(place)} is too slow: it sends {own.rate:.3g} Hz; {has}"
         return Judgement(place, needed, what)
 
-    def _span(self, place: Place, window: float) -> Optional[Span]:
+    def _span(self, place: Place, window: float) -> Span | None:
         """Return the shortest span of a window at least, up to the latest count."""
         flow = self._flows().get(place)
         counts = list(flow.counts) if flow is not None else []
@@ -199,11 +199,10 @@ class RateJudge(Judge):
                 return span
         return None
 
-    def _bottleneck(self, parts: StreamParts, window: float) -> Optional[Tuple[Place, float]]:
-        """Follow slow parts upstream to the first one; None as long as that is not certain.
+    def _bottleneck(self, parts: StreamParts, window: float) -> tuple[Place, float] | None:
+        """Follow slow parts upstream to the first one, with the rate that it would need.
 
-        Returns:
-            The first slow part, and the rate that it would need.
+        None as long as that is not certain.
         """
         place, needed, seen = parts.goal, self.limit(parts.claim), {parts.goal}
         while True:
@@ -247,7 +246,7 @@ class RateJudge(Judge):
         given, sent = self._known(sender, place, parts)
         return given / sent if given and sent else 1.0
 
-    def _known(self, sender: Place, place: Place, parts: StreamParts) -> Tuple[float, float]:
+    def _known(self, sender: Place, place: Place, parts: StreamParts) -> tuple[float, float]:
         """Usual rates of both; 0 where there was no message while the stream was fast enough."""
         usual = self.history(parts.claim.claim_id).usual
         return usual.get(sender, 0.0), usual.get(place, 0.0)
@@ -268,10 +267,10 @@ class AgeJudge(Judge):
         flow = self._flows().get(place)
         return flow is not None and len(flow.samples) == SAMPLES and not self._ages(place)
 
-    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
+    def falls_short(self, place: Place, limit: float) -> bool | None:
         return _are_above(self._ages(place), limit)
 
-    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
+    def judge(self, parts: StreamParts, now: float) -> Judgement | None:
         history, limit = self.history(parts.claim.claim_id), self.limit(parts.claim)
         since = history.changed
         ages = self._ages(parts.goal, since)
@@ -289,20 +288,16 @@ class AgeJudge(Judge):
             place, needed, f"{what}: it is {age:.3g} s old, at most {limit:g} s was asked for"
         )
 
-    def _ages(self, place: Place, since: float = _NEVER) -> List[float]:
+    def _ages(self, place: Place, since: float = _NEVER) -> list[float]:
         """Known ages of the latest messages of a place that were sent after a moment."""
         flow = self._flows().get(place)
         samples = flow.samples if flow is not None else ()
         return [each.age for each in samples if each.age is not None and each.asked >= since]
 
-    def _bottleneck(self, parts: StreamParts, since: float) -> Tuple[Place, float]:
-        """Follow the oldest messages upstream; find the part that adds most to its stated latency.
-
-        Returns:
-            That part, and the seconds that it adds.
-        """
+    def _bottleneck(self, parts: StreamParts, since: float) -> tuple[Place, float]:
+        """Follow the oldest messages upstream to the part that adds most to its stated latency."""
         place, seen = parts.goal, {parts.goal}
-        found: List[Tuple[float, int, Place, float]] = []
+        found: list[tuple[float, int, Place, float]] = []
         while True:
             ages = self._ages(place, since)
             age = statistics.median(ages)
@@ -320,10 +315,10 @@ class AgeJudge(Judge):
             place = base
 
     def _stamped_senders(
-        self, place: Place, parts: StreamParts, since: float, seen: Set[Place]
-    ) -> Dict[Place, float]:
+        self, place: Place, parts: StreamParts, since: float, seen: set[Place]
+    ) -> dict[Place, float]:
         """Typical ages of the suppliers of a place, or of theirs if they have no stamps."""
-        found: Dict[Place, float] = {}
+        found: dict[Place, float] = {}
         waiting = [place]
         while waiting:
             for each in [one for senders in parts.suppliers(waiting.pop()) for one in senders]:
@@ -338,7 +333,7 @@ class AgeJudge(Judge):
         return found
 
 
-def _are_above(ages: List[float], limit: float) -> Optional[bool]:
+def _are_above(ages: list[float], limit: float) -> bool | None:
     """Whether most of all ages, and of the first and last third, are above a limit."""
     if len(ages) < SAMPLES:
         return None

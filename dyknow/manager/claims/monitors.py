@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
+from typing import Callable, Hashable, Iterable
 
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
@@ -49,7 +49,7 @@ class _Shortfall:
 
     judge: Judge
     judgement: Judgement
-    good_since: Optional[float] = None
+    good_since: float | None = None
 
 
 class QualityMonitor:
@@ -67,11 +67,11 @@ class QualityMonitor:
         self._clock = clock
         self._topics = topics
         self._ages = AgeJudge(lambda: meter.flows, self._stated_latency)
-        self._judges: Tuple[Judge, ...] = (RateJudge(lambda: meter.flows), self._ages)
-        self._shortfalls: Dict[str, Dict[str, _Shortfall]] = {}
+        self._judges: tuple[Judge, ...] = (RateJudge(lambda: meter.flows), self._ages)
+        self._shortfalls: dict[str, dict[str, _Shortfall]] = {}
         self._failures = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER)
 
-    def windows(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+    def windows(self, claims: Iterable[Claim]) -> dict[Place, float]:
         """Seconds over which places are judged."""
         judged = [
             (place, judge.window(judge.limit(claim)))
@@ -85,7 +85,7 @@ class QualityMonitor:
             for shortfalls in self._shortfalls.values()
             for each in shortfalls.values()
         ]
-        found: Dict[Place, float] = {}
+        found: dict[Place, float] = {}
         for place, window in judged:
             found[place] = max(found.get(place, window), window)
         return found
@@ -111,19 +111,19 @@ class QualityMonitor:
         """Whether messages of a claim's stream have come whose age is unknown."""
         return self._ages.is_unknown(goal_of(claim))
 
-    def faults(self, claim: Claim) -> List[str]:
+    def faults(self, claim: Claim) -> list[str]:
         """Say which parts keep a claim's stream from its limits."""
         shortfalls = self._shortfalls.get(claim.claim_id, {})
         parts = sorted(shortfalls.keys() & {*claim.nodelets, *claim.sources})
         return [shortfalls[name].judgement.what for name in parts]
 
-    def unfit(self, claims: Iterable[Claim]) -> FrozenSet[str]:
+    def unfit(self, claims: Iterable[Claim]) -> frozenset[str]:
         """Nodelets and topics that deliver too little for one of these claims."""
         return frozenset(
             name for claim in claims for name in self._shortfalls.get(claim.claim_id, ())
         )
 
-    def paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
+    def paused(self, claims: Iterable[Claim]) -> frozenset[str]:
         """Labels of which no nodelet is to be made for these claims, for a while."""
         ids = {claim.claim_id for claim in claims}
         found = [key.split(" ", 1) for key in self._failures.paused]
@@ -135,7 +135,7 @@ class QualityMonitor:
         shortfalls = frozenset((key, *sorted(each)) for key, each in self._shortfalls.items())
         return shortfalls, self._failures.paused
 
-    def _limits(self, claim: Claim) -> List[Judge]:
+    def _limits(self, claim: Claim) -> list[Judge]:
         return [judge for judge in self._judges if judge.limit(claim) > 0]
 
     def _stated_latency(self, place: Place) -> float:
@@ -175,7 +175,7 @@ class QualityMonitor:
             elif now - each.good_since >= (_WINDOWS - 1) * each.judge.window(needed):
                 del shortfalls[name]
 
-    def _forget(self, claim_ids: Set[str]) -> None:
+    def _forget(self, claim_ids: set[str]) -> None:
         """Forget all other claims, and nodelets that are gone."""
         for judge in self._judges:
             judge.keep(claim_ids)
@@ -216,19 +216,19 @@ class StreamMonitor:
         self._meter = FlowMeter(host, graph, clock, running)
         self._failures = Backoff(clock, _FIRST_PAUSE_OF_ALL)
         #: When the stream of a claim was changed last.
-        self._changed: Dict[str, float] = {}
+        self._changed: dict[str, float] = {}
         #: Silent nodelets and topics, each with a sentence about it.
-        self.silent: Dict[str, str] = {}
+        self.silent: dict[str, str] = {}
         #: Which claims get less than they demand, and because of which parts.
         self.quality = QualityMonitor(self._meter, graph, clock, topics)
 
     @property
-    def unresponsive(self) -> FrozenSet[str]:
+    def unresponsive(self) -> frozenset[str]:
         """Nodelets that do not answer."""
         return self._meter.unresponsive
 
     @property
-    def unhealthy(self) -> FrozenSet[str]:
+    def unhealthy(self) -> frozenset[str]:
         """Silent and unresponsive parts."""
         return self.unresponsive | frozenset(self.silent)
 
@@ -245,7 +245,7 @@ class StreamMonitor:
         self.quality.judge(claims)
         counted = set(map(name_of, self._meter.flows)) - set(map(name_of, came))
         self.silent = {name: why for name, why in self.silent.items() if name in counted}
-        fallen: Set[str] = set()
+        fallen: set[str] = set()
         for claim in watched:
             fallen.update(self._judge_silence(self._meter.parts(claim)))
         for name in sorted(fallen):
@@ -257,9 +257,7 @@ class StreamMonitor:
     def restart(self, claim: Claim, rewired: Iterable[str] = ()) -> str:
         """Restart with a claim's stream that was changed just now; returns the claim's detail.
 
-        Args:
-            claim: as it is now.
-            rewired: its nodelets that were connected elsewhere.
+        ``rewired`` are its nodelets that were connected elsewhere.
         """
         rewired = set(rewired)
         self._meter.restart(rewired)
@@ -295,7 +293,7 @@ class StreamMonitor:
     # Transformations that failed lately: nothing is made of them for a while
 
     @property
-    def paused(self) -> FrozenSet[str]:
+    def paused(self) -> frozenset[str]:
         """Labels of which nothing is to be made now."""
         return self._failures.paused
 
@@ -315,7 +313,7 @@ class StreamMonitor:
 
     # Silence
 
-    def _silence_periods(self, watched: Iterable[Claim]) -> List[Tuple[Place, float]]:
+    def _silence_periods(self, watched: Iterable[Claim]) -> list[tuple[Place, float]]:
         """Seconds between two counts where silence is judged."""
         found = [
             (place, max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD))
@@ -330,7 +328,7 @@ class StreamMonitor:
         ]
         return found
 
-    def _judge_silence(self, parts: StreamParts) -> Set[str]:
+    def _judge_silence(self, parts: StreamParts) -> set[str]:
         limit = parts.claim.request.max_silence
         fallen = set()
         for place in sorted(parts.topics):

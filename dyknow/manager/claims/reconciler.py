@@ -18,7 +18,7 @@ import logging
 import time
 import uuid
 from dataclasses import replace
-from typing import Callable, List, Optional, Tuple
+from typing import Callable
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.guards import NO_GUARDS, Guards
@@ -128,10 +128,6 @@ class StreamReconciler:
     def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
         """Use the cheapest plan of today, if it is cheaper than the stream or that is broken.
 
-        Args:
-            claim_id: whose stream it is.
-            dry_run: only plan.
-
         Raises:
             UnknownClaim: the claim is unknown, or has ended.
             NoPlanFound: nothing supplies it now.
@@ -168,14 +164,10 @@ class StreamReconciler:
         self._table.end(claim_id, ClaimState.EXPIRED, reason)
 
     def renew(self, claim_id: str, lease: float) -> Claim:
-        """Let a claim live for ``lease`` seconds from now; 0 for until it is released.
-
-        Raises:
-            UnknownClaim: the claim is unknown, or has ended.
-        """
+        """Let a claim live for ``lease`` seconds from now; 0 for until it is released."""
         return self._table.renew(claim_id, lease)
 
-    def claims(self) -> List[Claim]:
+    def claims(self) -> list[Claim]:
         """Return every claim, those that ended lately included, by id."""
         return self._table.all()
 
@@ -184,22 +176,18 @@ class StreamReconciler:
         for claim in self._table.living():
             self._table.report(claim.claim_id, news)
 
-    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[List[Bindings], bool]:
+    def find_bindings(self, tag: str, datatype: str = "") -> tuple[list[Bindings], bool]:
         """Find the names for which a stream of a tag is there or can be made.
 
-        Returns:
-            The names that the tag's variables stand for in each way, sorted, and whether these are
-            all.
-
-        Raises:
-            InvalidTag: the tag is not a term.
+        Returns the names that its variables stand for in each way, sorted, and whether these are
+        all.
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
         self._planner.look()
         with self._lock.reading():
             return self._planner.bindings(demand)
 
-    def _drafted(self, claim: Claim) -> Tuple[Claim, Proposal]:
+    def _drafted(self, claim: Claim) -> tuple[Claim, Proposal]:
         """Plan a new claim's stream; returns the claim with the topic that it may share."""
         with self._lock.reading():
             claim = replace(claim, topic=self._planner.common_topic(claim))
@@ -210,7 +198,7 @@ class StreamReconciler:
         is_there = claim.topic == self._planner.common_topic(claim)
         return is_there and self._planner.still_fits(claim, proposal)
 
-    def _redrafted(self, claim_id: str) -> Tuple[Claim, Proposal]:
+    def _redrafted(self, claim_id: str) -> tuple[Claim, Proposal]:
         """Plan a claim's stream again: a cheaper way if there is one."""
         with self._lock.reading():
             claim = self._table.get(claim_id)
@@ -222,12 +210,7 @@ class StreamReconciler:
             return claim, self._planner.propose(claim, lenient=True)
 
     def _explained(self, claim: Claim, proposal: Proposal) -> Acquired:
-        """Answer a dry run: labels of new nodelets, and names of those that would be used.
-
-        Raises:
-            NoPlanFound: nothing supplies it.
-            StreamTypeMismatch: its messages have no header, for ``max_age``.
-        """
+        """Answer a dry run: labels of new nodelets, and names of those that would be used."""
         plan = proposal.answer
         if isinstance(plan, NoPlan):
             raise self._refusal(claim, plan)
@@ -244,7 +227,7 @@ class StreamReconciler:
 
     # Reconciling
 
-    def work(self) -> Optional[float]:
+    def work(self) -> float | None:
         """Reconcile while there are claims, or nodelets of claims.
 
         One more round follows the end of the last claim, and releases its nodelets.
@@ -307,7 +290,7 @@ def open_reconciler(
     run: Callable[[str, Callable[[], object]], None] = at_once,
     clock: Clock = STEADY,
     sleep: Callable[[float], None] = time.sleep,
-    running: Optional[Callable[[], float]] = None,
+    running: Callable[[], float] | None = None,
     on_change: Callable[[], object] = lambda: None,
     on_event: Callable[[ClaimEvent], object] = lambda event: None,
 ) -> StreamReconciler:
@@ -343,7 +326,6 @@ def _small_streams_first(claim: Claim) -> int:
     """Sort a claim that uses another claim's stream behind that one.
 
     A lost part that a client listens to is then replaced where that client listens, and its other
-    users follow. In the other order the replacement would publish elsewhere, and a relay would
-    have to bring its stream to the client.
+    users follow, without a relay.
     """
     return len(claim.nodelets)

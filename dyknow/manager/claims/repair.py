@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Dict, FrozenSet, Hashable, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Hashable, Iterable, Sequence
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
@@ -30,12 +30,7 @@ _FIRST_PAUSE = 1.0
 
 @dataclass(frozen=True)
 class Fault:
-    """Why a stream has to be repaired.
-
-    Attributes:
-        what: in words.
-        severed: whether nothing can flow; else messages may flow, but cannot be relied on.
-    """
+    """Why a stream has to be repaired; unless ``severed``, messages may flow unreliably."""
 
     what: str
     severed: bool = True
@@ -57,11 +52,11 @@ class Repair:
         #: Transformation of which no nodelet could be made since the present repair began.
         self._failed_label = ""
         #: Claims without a plan: the planner's signature at the time, and the fault.
-        self._unplannable: Dict[str, Tuple[Hashable, str]] = {}
+        self._unplannable: dict[str, tuple[Hashable, str]] = {}
 
     # Faults
 
-    def diagnose(self, claim: Claim) -> Optional[Fault]:
+    def diagnose(self, claim: Claim) -> Fault | None:
         """Return the fault of a claim's stream; None if it is whole."""
         if not claim.topic:
             return Fault("it has no stream yet")
@@ -103,7 +98,7 @@ class Repair:
             for consumer in consumers
         )
 
-    def _weaknesses(self, record: Record) -> List[str]:
+    def _weaknesses(self, record: Record) -> list[str]:
         """Say why a nodelet that runs cannot be relied on."""
         if record.name in self._monitor.silent:
             return [self._monitor.silent[record.name]]
@@ -118,20 +113,11 @@ class Repair:
     def make(self, claim: Claim, plan: Plan, lenient: bool = False) -> Acquired:
         """Make a claim's stream by a plan.
 
-        Another plan is made where types turn out wrong, or parts went while others came up, or a
-        nodelet manager does not answer.
-
-        Args:
-            claim: whose stream it is.
-            plan: what to try first.
-            lenient: use transformations that failed lately too, if nothing else will do.
-
-        Raises:
-            StreamTypeMismatch: every way carries another type than is needed.
-            DyKnowError: a step failed; every change is undone.
+        Another plan is made where types turn out wrong, parts went while others came up, or a
+        nodelet manager does not answer. An error that is raised has undone every change.
         """
-        wrong: Dict[str, StreamTypeMismatch] = {}
-        late: FrozenSet[str] = frozenset()
+        wrong: dict[str, StreamTypeMismatch] = {}
+        late: frozenset[str] = frozenset()
         attempts = 0
         while True:
             own = self._planner.own(claim, late)
@@ -182,11 +168,7 @@ class Repair:
     # Repairing
 
     def repair(self, claim_id: str) -> None:
-        """Repair a claim's stream, if something is wrong with it and there is a way.
-
-        Raises:
-            DyKnowError: the fault cannot be found.
-        """
+        """Repair a claim's stream, if something is wrong with it and there is a way."""
         claim = self._table.find(claim_id)
         if claim is None:
             return
@@ -258,11 +240,11 @@ class Repair:
             state = ClaimState.PENDING
         elif not fault.severed:
             state = ClaimState.DEGRADED
-        changes: Dict[str, Any] = {"state": state, "detail": detail}
+        changes: dict[str, Any] = {"state": state, "detail": detail}
         if state is ClaimState.PENDING and claim.is_made:
             if self._collector.take_apart(claim):
                 own = {each.name for each in self._planner.own(claim)}
-                wiring: Dict[str, Dict[str, str]] = {name: {} for name in own & set(claim.wiring)}
+                wiring: dict[str, dict[str, str]] = {name: {} for name in own & set(claim.wiring)}
                 changes.update(wiring=wiring, goal=("", ""), sources=(), bindings=())
             else:
                 still = "but a part of it cannot be disconnected yet"

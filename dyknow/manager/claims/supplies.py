@@ -6,18 +6,7 @@
 from __future__ import annotations
 
 from math import inf
-from typing import (
-    AbstractSet,
-    Dict,
-    Iterable,
-    List,
-    Mapping,
-    NamedTuple,
-    Sequence,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import AbstractSet, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.claims.ends import Inlet, Way, is_relay, supplied, ways_to_bind
@@ -49,24 +38,20 @@ class OwnNodelet(NamedTuple):
     present: Bindings = ()
 
 
-def instance_of(part: Union[New, PlanStep]) -> Instance:
+def instance_of(part: New | PlanStep) -> Instance:
     """Return the instance that a part of a plan belongs to."""
     label = part.label if isinstance(part, New) else part.action.label
     return label, part.bindings
 
 
-def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> Dict[Instance, str]:
+def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> dict[Instance, str]:
     """Choose nodelets for the steps of a plan, by instance; the other instances need new ones.
 
-    Those that stay as they are come first, since nothing that they supply changes.
-
-    Args:
-        plan: the plan.
-        own: nodelets that can be connected elsewhere, the preferred ones first.
-        ontology: knows which names mean the same individual.
+    The preferred ones come first in ``own``. Those that stay as they are take precedence, since
+    nothing that they supply changes.
     """
     left = list(own)
-    found: Dict[Instance, str] = {}
+    found: dict[Instance, str] = {}
     for stays in (True, False):
         for instance in map(instance_of, plan.steps):
             if instance in found:
@@ -93,26 +78,20 @@ def live_streams(
     published: Iterable[Transformation],
     topology: Topology,
     ontology: Subsumption,
-) -> List[TaggedStream]:
+) -> list[TaggedStream]:
     """List the streams that a plan can use as they are.
 
-    A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
-    in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
-    These streams bind the nodelet's variables. The stated latency of a stream adds to that of
-    the latest one that feeds its nodelet; one that states no rate is as fast as the slowest one.
-
-    Args:
-        records: the nodelets that can be relied on.
-        published: transformations of type topic whose topic has a publisher.
-        topology: all publishers of each topic: only the tags that hold for all of them count.
-        ontology: hierarchy of names.
+    A nodelet's out-ports supply their tags only while each of its tagged in-ports is connected to
+    a stream that satisfies it. These streams bind the nodelet's variables. The stated latency of a
+    stream adds to that of the latest one that feeds its nodelet; one that states no rate is as
+    fast as the slowest one. Only tags that hold for all publishers of a topic count.
     """
-    streams: List[TaggedStream] = []
-    on_topic: Dict[str, Tuple[Tuple[Term, ...], str]] = {}  # tags and type
-    latencies: Dict[str, float] = {}
-    rates: Dict[str, float] = {}  # infinite if none is stated
+    streams: list[TaggedStream] = []
+    on_topic: dict[str, tuple[tuple[Term, ...], str]] = {}  # tags and type
+    latencies: dict[str, float] = {}
+    rates: dict[str, float] = {}  # infinite if none is stated
 
-    def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
+    def supply(stream: Live, tags: tuple[Term, ...]) -> None:
         if stream.topic:
             tags = topology.common_tags(stream.topic, tags)
             known, _ = on_topic.get(stream.topic, ((), ""))
@@ -136,7 +115,7 @@ def live_streams(
                 Inlet(demand, (on_topic.get(topic, ((), "")),))
                 for topic, (_, demand) in zip(fed, demands)
             ]
-            ways: List[Way] = ways_to_bind([record.given], inlets, ontology)
+            ways: list[Way] = ways_to_bind([record.given], inlets, ontology)
             if not ways:
                 continue  # an in-port is not fed
             waiting.remove(record)
@@ -150,7 +129,7 @@ def live_streams(
     return streams
 
 
-def _demands(record: Record) -> List[Tuple[str, Demand]]:
+def _demands(record: Record) -> list[tuple[str, Demand]]:
     """List the tagged in-ports of a nodelet, each with its demand."""
     assert record.transformation is not None
     return [
@@ -160,7 +139,7 @@ def _demands(record: Record) -> List[Tuple[str, Demand]]:
     ]
 
 
-def _outputs(record: Record) -> List[TaggedStream]:
+def _outputs(record: Record) -> list[TaggedStream]:
     assert record.transformation is not None
     seen = {port.name: port.datatype for port in record.ports}
     found = []
@@ -182,20 +161,14 @@ def _outputs(record: Record) -> List[TaggedStream]:
 
 def with_upstream(
     records: Mapping[str, Record], ordinary: AbstractSet[str], nodelets: Iterable[str]
-) -> Tuple[Dict[str, Dict[str, str]], Set[str]]:
+) -> tuple[dict[str, dict[str, str]], set[str]]:
     """Find everything that feeds nodelets.
 
-    Args:
-        records: the nodelets by name.
-        ordinary: topics on which ordinary nodes publish, perhaps besides nodelets.
-        nodelets: where to begin.
-
-    Returns:
-        These nodelets and all upstream of them, with the topics of the ports between them, and the
-        topics of ordinary nodes.
+    Returns these nodelets and all upstream of them, with the topics of the ports between them, and
+    the topics of ordinary nodes (``ordinary`` ones even beside nodelets).
     """
-    wiring: Dict[str, Dict[str, str]] = {name: {} for name in sorted(nodelets)}
-    sources: Set[str] = set()
+    wiring: dict[str, dict[str, str]] = {name: {} for name in sorted(nodelets)}
+    sources: set[str] = set()
     waiting = list(wiring)
     while waiting:
         name = waiting.pop()
@@ -218,7 +191,7 @@ def with_upstream(
     return wiring, sources
 
 
-def _publishers(records: Mapping[str, Record], topic: str) -> List[Tuple[str, str]]:
+def _publishers(records: Mapping[str, Record], topic: str) -> list[tuple[str, str]]:
     return [
         (record.name, port)
         for record in records.values()

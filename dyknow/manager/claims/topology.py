@@ -19,21 +19,7 @@ import copy
 import itertools
 import math
 from functools import cached_property
-from typing import (
-    AbstractSet,
-    Callable,
-    Collection,
-    Dict,
-    FrozenSet,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import AbstractSet, Callable, Collection, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from dyknow.datatypes import same_type
 from dyknow.manager.claim import Claim
@@ -55,7 +41,7 @@ from dyknow.model.transformation import Transformation
 #: Possibilities that are distinguished; beyond, no supply is certain.
 _MOST_POSSIBILITIES = 16
 #: A stream about which nothing is known.
-_UNKNOWN: Tuple[Sent, ...] = (((), ""),)
+_UNKNOWN: tuple[Sent, ...] = (((), ""),)
 #: An in-port whose demand is not met.
 _CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), _UNKNOWN)
 
@@ -71,11 +57,11 @@ class DependentNodelets:
     ) -> None:
         self._producers = producers
         self._ontology = ontology
-        self._nodelets: List[NodeletEnds] = []
-        self._inputs: List[Dict[str, Tuple[Consumer, Tuple[str, ...]]]] = []
-        self._places: Dict[str, List[_Key]] = {}
-        self._possible: Dict[_Key, Tuple[Producer, ...]] = {}
-        self._beside: Dict[_Key, List[List[Way]]] = {}
+        self._nodelets: list[NodeletEnds] = []
+        self._inputs: list[dict[str, tuple[Consumer, tuple[str, ...]]]] = []
+        self._places: dict[str, list[_Key]] = {}
+        self._possible: dict[_Key, tuple[Producer, ...]] = {}
+        self._beside: dict[_Key, list[list[Way]]] = {}
 
     def __len__(self) -> int:
         """Count the nodelets."""
@@ -87,7 +73,7 @@ class DependentNodelets:
         self._inputs.append({})
         return len(self._nodelets) - 1
 
-    def place_consumer(self, consumer: Consumer, topics: Tuple[str, ...]) -> None:
+    def place_consumer(self, consumer: Consumer, topics: tuple[str, ...]) -> None:
         """Say where an in-port may be."""
         self._inputs[consumer.ends][consumer.port] = consumer, topics
 
@@ -96,11 +82,11 @@ class DependentNodelets:
         self._places.setdefault(topic, []).append((number, port))
 
     @property
-    def topics(self) -> FrozenSet[str]:
+    def topics(self) -> frozenset[str]:
         """Topics on which out-ports with variables may be."""
         return frozenset(self._places)
 
-    def on(self, topic: str) -> List[Producer]:
+    def on(self, topic: str) -> list[Producer]:
         """Return what out-ports with variables may send on a topic."""
         return [each for key in self._places.get(topic, ()) for each in self._possible[key]]
 
@@ -133,16 +119,16 @@ class DependentNodelets:
                 self._possible[key] = found
         return is_changed
 
-    def _ways(self, number: int, inlets: Iterable[Inlet]) -> List[Way]:
+    def _ways(self, number: int, inlets: Iterable[Inlet]) -> list[Way]:
         return ways_to_bind(self._nodelets[number].known, inlets, self._ontology)
 
-    def _inlets(self, number: int, but: str = "") -> List[Tuple[Inlet, ...]]:
+    def _inlets(self, number: int, but: str = "") -> list[tuple[Inlet, ...]]:
         """List the streams that the in-ports of a nodelet, ``but`` one, may receive together."""
-        choices: List[List[Optional[Inlet]]] = []
+        choices: list[list[Inlet | None]] = []
         for port, (consumer, topics) in self._inputs[number].items():
             if port == but or not consumer.variables:
                 continue
-            found: Dict[Tuple[Sent, ...], None] = {}
+            found: dict[tuple[Sent, ...], None] = {}
             for topic in topics:
                 if self._nodelets[number].is_by_hand and not self._producers(topic):
                     found[_UNKNOWN] = None
@@ -156,9 +142,9 @@ class DependentNodelets:
             for combination in itertools.product(*(each or [None] for each in choices))
         ]
 
-    def _sent(self, topic: str) -> List[Tuple[Sent, ...]]:
+    def _sent(self, topic: str) -> list[tuple[Sent, ...]]:
         """List the streams that may be on a topic together."""
-        by_source: Dict[Tuple[str, str], Dict[Producer, None]] = {}
+        by_source: dict[tuple[str, str], dict[Producer, None]] = {}
         for producer in self._producers(topic):
             by_source.setdefault(producer[:2], {})[producer] = None
         if math.prod(map(len, by_source.values())) > _MOST_POSSIBILITIES:
@@ -168,7 +154,7 @@ class DependentNodelets:
             for combination in itertools.product(*by_source.values())
         ]
 
-    def topics_of(self, place: Tuple[str, str]) -> List[str]:
+    def topics_of(self, place: tuple[str, str]) -> list[str]:
         """Return the topics on which an out-port with variables may be: nodelet and port."""
         return [
             topic
@@ -176,15 +162,15 @@ class DependentNodelets:
             if any(self._possible[key][0][:2] == place for key in keys)
         ]
 
-    def supplies(self) -> Dict[Tuple[str, str], FrozenSet[Producer]]:
+    def supplies(self) -> dict[tuple[str, str], frozenset[Producer]]:
         """Return the streams of the out-ports with variables, by nodelet and port."""
-        found: Dict[Tuple[str, str], FrozenSet[Producer]] = {}
+        found: dict[tuple[str, str], frozenset[Producer]] = {}
         for possible in self._possible.values():
             place = possible[0].nodelet, possible[0].port
             found[place] = found.get(place, frozenset()).union(possible)
         return found
 
-    def ways(self, nodelet: str) -> Optional[List[Way]]:
+    def ways(self, nodelet: str) -> list[Way] | None:
         """Return the ways in which a nodelet's variables are bound; None if that is unknown."""
         numbers = [
             number
@@ -194,9 +180,9 @@ class DependentNodelets:
         possible = [inlets for number in numbers for inlets in self._inlets(number)]
         return self._ways(numbers[0], possible[0]) if len(possible) == 1 else None
 
-    def heard(self) -> Dict[str, Heard]:
+    def heard(self) -> dict[str, Heard]:
         """Return what each nodelet has received by now, where that is certain."""
-        found: Dict[str, Heard] = {}
+        found: dict[str, Heard] = {}
         for number, ends in enumerate(self._nodelets):
             possible = self._inlets(number) if ends.listening else []
             ways = self._ways(number, possible[0]) if len(possible) == 1 else []
@@ -207,7 +193,7 @@ class DependentNodelets:
                 found[name] = Heard(ends.listening, bound) if is_more else NOTHING_HEARD
         return found
 
-    def ports_beside(self, consumer: Consumer) -> List[str]:
+    def ports_beside(self, consumer: Consumer) -> list[str]:
         """Return the in-ports that have to be changed with one, since they share variables."""
         variables, size = consumer.variables, -1
         inputs = [each for each, topics in self._inputs[consumer.ends].values() if topics]
@@ -235,7 +221,7 @@ class DependentNodelets:
         )
 
 
-def _bound(pattern: Producer, ways: List[Way]) -> Producer:
+def _bound(pattern: Producer, ways: list[Way]) -> Producer:
     tags = supplied(pattern.tags, ways)
     is_open = any(not tag.substitute(way).is_ground for way in ways[:1] for tag in pattern.tags)
     return pattern._replace(tags=tags, is_unbound=is_open)
@@ -257,10 +243,7 @@ def wanted_type(claim: Claim) -> str:
 
 
 def may_share(claim: Claim, other: Claim) -> bool:
-    """Whether every stream that satisfies ``other``, now or later, satisfies ``claim``.
-
-    Then one topic serves both clients.
-    """
+    """Whether every stream that satisfies ``other``, now or later, satisfies ``claim``."""
     mine, theirs = claim.request, other.request
     return (
         parse_tag(mine.tag) == parse_tag(theirs.tag)
@@ -281,25 +264,21 @@ class Topology:
         nodelets: Iterable[NodeletEnds],
         described: Mapping[str, Sequence[Transformation]],
         claims: Iterable[Claim],
-        perhaps: Mapping[Tuple[str, str], Collection[str]],
+        perhaps: Mapping[tuple[str, str], Collection[str]],
         ontology: Subsumption,
     ) -> None:
         """Enter every producer and consumer.
 
-        Args:
-            nodelets: those that may send or receive.
-            described: transformations of type topic, by topic.
-            claims: those whose clients listen.
-            perhaps: further topics on which ports may be, by nodelet and port.
-            ontology: hierarchy of names.
+        ``described`` has transformations of type topic by topic, ``perhaps`` further topics on
+        which ports may be, by nodelet and port.
         """
         self._described = described
         self._perhaps = perhaps
         self._ontology = ontology
         self._nodelets = tuple(nodelets)
         self._claims = tuple(claims)
-        self._producers: Dict[str, List[Producer]] = {}
-        self._consumers: Dict[str, List[Consumer]] = {}
+        self._producers: dict[str, list[Producer]] = {}
+        self._consumers: dict[str, list[Consumer]] = {}
         for claim in self._claims:
             client = Consumer("", claim.claim_id, demand_of([claim]))
             self._consumers.setdefault(claim.topic, []).append(client)
@@ -334,14 +313,10 @@ class Topology:
         new: Sequence[NodeletEnds],
         nodelets: Iterable[NodeletEnds] = (),
     ) -> Topology:
-        """Return a topology with other nodelets, which shares the rest with this one.
+        """Return a topology without ``gone`` and with ``new`` nodelets.
 
-        Nothing can be shared where the streams of nodelets depend on their inputs.
-
-        Args:
-            gone: nodelets that it has no longer.
-            new: nodelets that it has besides.
-            nodelets: all that it has, if their order matters.
+        It shares the rest with this one unless streams of nodelets depend on their inputs.
+        ``nodelets`` are all that it has, if their order matters.
         """
         nodelets = [*nodelets] or [each for each in self._nodelets if each not in gone] + [*new]
         if (
@@ -368,12 +343,12 @@ class Topology:
             found._enter(ends)
         return found
 
-    def _all(self, topics: Tuple[str, ...], end: Union[Producer, Consumer]) -> Iterable[str]:
+    def _all(self, topics: tuple[str, ...], end: Producer | Consumer) -> Iterable[str]:
         """Return the topics on which a port may be."""
         further = self._perhaps.get((end.nodelet, end.port), ())
         return sorted({*topics, *further} - {""}) if further else topics
 
-    def _described_on(self, topic: str) -> List[Producer]:
+    def _described_on(self, topic: str) -> list[Producer]:
         """Return the ordinary nodes that the library describes, as one producer."""
         ports = [each.ports[0] for each in self._described.get(topic, ())]
         tags = tuple(term for port in ports for term in read_tags(port.tags))
@@ -395,7 +370,7 @@ class Topology:
             if misled:
                 self.dependent.bind()
 
-    def listened_to(self, topics: Mapping[str, str]) -> List[str]:
+    def listened_to(self, topics: Mapping[str, str]) -> list[str]:
         """Return those ports, each with its topic, on whose topic nodelets have variables."""
         return [
             port
@@ -403,7 +378,7 @@ class Topology:
             if any(consumer.ends >= 0 for consumer in self.consumers(topic))
         ]
 
-    def producers(self, topic: str) -> List[Producer]:
+    def producers(self, topic: str) -> list[Producer]:
         """Return the producers of a topic; its description stands for nodelets without tags."""
         return [
             *self._described_on(topic),
@@ -415,12 +390,12 @@ class Topology:
         """Whether the library describes what ordinary nodes send on a topic."""
         return topic in self._described
 
-    def ports_of(self, consumer: Consumer) -> List[str]:
+    def ports_of(self, consumer: Consumer) -> list[str]:
         """Return the in-ports of a nodelet that are connected elsewhere together with one."""
         together = self.dependent.ports_beside(consumer) if consumer.ends >= 0 else []
         return together or [consumer.port]
 
-    def consumers(self, topic: str) -> List[Consumer]:
+    def consumers(self, topic: str) -> list[Consumer]:
         """Return the consumers of a topic."""
         return self._consumers.get(topic, [])
 
@@ -430,7 +405,7 @@ class Topology:
             producer.tags, producer.datatype, demand, self._ontology
         )
 
-    def ways_to_serve(self, producer: Producer, claim: Claim) -> List[Way]:
+    def ways_to_serve(self, producer: Producer, claim: Claim) -> list[Way]:
         """List the names that the variables of a claim may stand for in a producer's stream."""
         demand = demand_of([claim])
         return list(ways_to_meet(producer.tags, producer.datatype, demand, self._ontology))
@@ -442,17 +417,13 @@ class Topology:
         return self.dependent.fits(producer, consumer)
 
     def mismatches(
-        self, topics: Optional[Iterable[str]] = None
-    ) -> Iterable[Tuple[str, Producer, Consumer]]:
-        """Return each topic, producer and consumer that may meet there and do not fit.
-
-        Args:
-            topics: where to look; everywhere by default.
-        """
+        self, topics: Iterable[str] | None = None
+    ) -> Iterable[tuple[str, Producer, Consumer]]:
+        """Return each topic, producer and consumer that may meet there and do not fit."""
         return self._all_mismatches if topics is None else self._mismatches(topics)
 
     @cached_property
-    def _all_mismatches(self) -> Tuple[Tuple[str, Producer, Consumer], ...]:
+    def _all_mismatches(self) -> tuple[tuple[str, Producer, Consumer], ...]:
         return tuple(self._mismatches(self._consumers))
 
     @cached_property
@@ -460,14 +431,14 @@ class Topology:
         """The messages that bound the variables of nodelets, where they are certain."""
         return self.dependent.heard()
 
-    def _mismatches(self, topics: Iterable[str]) -> Iterator[Tuple[str, Producer, Consumer]]:
+    def _mismatches(self, topics: Iterable[str]) -> Iterator[tuple[str, Producer, Consumer]]:
         for topic in sorted(set(topics)):
             for consumer in self.consumers(topic):
                 for producer in self.producers(topic):
                     if not self.fits(producer, consumer):
                         yield topic, producer, consumer
 
-    def common_tags(self, topic: str, tags: Tuple[Term, ...]) -> Tuple[Term, ...]:
+    def common_tags(self, topic: str, tags: tuple[Term, ...]) -> tuple[Term, ...]:
         """Return those of a stream's tags that hold for everything that is sent on its topic."""
         producers = self.producers(topic)
         return tuple(

@@ -15,18 +15,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import (
-    Dict,
-    FrozenSet,
-    Hashable,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    Optional,
-    Set,
-    Tuple,
-)
+from typing import Hashable, Iterable, Iterator, Mapping
 
 from dyknow import names
 from dyknow.errors import UnknownNodelet, WrongStream
@@ -46,20 +35,13 @@ Config = Mapping[str, str]
 
 
 class World:
-    """Nodelets, claims and descriptions of ordinary topics, at one moment.
-
-    Attributes:
-        records: the nodelets by name, in the order of their names.
-        claims: those that have not ended, by id.
-        described: transformations of type topic, by global topic.
-        topology: producers and consumers of each topic.
-    """
+    """Nodelets, claims and descriptions of ordinary topics, at one moment."""
 
     def __init__(
         self,
         records: Mapping[str, Record],
-        claims: Tuple[Claim, ...],
-        described: Mapping[str, Tuple[Transformation, ...]],
+        claims: tuple[Claim, ...],
+        described: Mapping[str, tuple[Transformation, ...]],
         ends: Mapping[str, NodeletEnds],
         topology: Topology,
     ) -> None:
@@ -70,30 +52,26 @@ class World:
         self._ends = ends
 
     def get(self, name: str) -> Record:
-        """Return the record of a nodelet.
-
-        Raises:
-            UnknownNodelet: there is none of that name.
-        """
+        """Return the record of a nodelet; raises UnknownNodelet."""
         found = self.records.get(name)
         if found is None:
             raise UnknownNodelet(name, self.records)
         return found
 
     @cached_property
-    def needed(self) -> FrozenSet[str]:
+    def needed(self) -> frozenset[str]:
         """Nodelets that claims are made of."""
         return frozenset(name for claim in self.claims for name in claim.wiring)
 
     @cached_property
-    def relays(self) -> FrozenSet[str]:
+    def relays(self) -> frozenset[str]:
         """Nodelets that are relays."""
         return frozenset(
             name for name, each in self.records.items() if is_relay(each.transformation)
         )
 
     @cached_property
-    def described_nodes(self) -> FrozenSet[str]:
+    def described_nodes(self) -> frozenset[str]:
         """Labels of the external nodes that run and that the library describes."""
         return frozenset(
             each.label
@@ -102,33 +80,27 @@ class World:
         )
 
     @property
-    def descriptions(self) -> List[Transformation]:
+    def descriptions(self) -> list[Transformation]:
         """Transformations of type topic, with global topics."""
         return [each for found in self.described.values() for each in found]
 
     @cached_property
-    def _made(self) -> FrozenSet[str]:
+    def _made(self) -> frozenset[str]:
         """Nodelets that were made for claims."""
         return frozenset(name for name, each in self.records.items() if each.claimed)
 
-    def taken_topics(self, but: str = "") -> Set[str]:
+    def taken_topics(self, but: str = "") -> set[str]:
         """Topics on which clients of claims, ``but`` one, listen."""
         return {each.topic for each in self.claims if each.topic and each.claim_id != but}
 
     # The world as it would be
 
     def with_nodelet(
-        self,
-        record: Record,
-        is_replaced: bool = False,
-        is_forgetful: bool = False,
+        self, record: Record, is_replaced: bool = False, is_forgetful: bool = False
     ) -> Topology:
-        """Return the topology if a nodelet were as its record says.
+        """Return the topology if a nodelet were as a record says, besides its present or instead.
 
-        Args:
-            record: the nodelet; it counts besides its present record.
-            is_replaced: whether it counts instead of its present record.
-            is_forgetful: whether nodelets count as if they remembered nothing.
+        With ``is_forgetful``, nodelets count as if they remembered nothing.
         """
         ports = (
             replace(port, topic=record.topics.get(port.name, port.topic)) for port in record.ports
@@ -154,7 +126,7 @@ class World:
 
     # Consequences of a connection
 
-    def fitting(self, record: Record) -> Dict[str, str]:
+    def fitting(self, record: Record) -> dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
         topics = dict(record.topics)
         topology = self.with_nodelet(record)
@@ -182,24 +154,14 @@ class World:
 
     def in_the_way(
         self, record: Record, config: Config, is_forgetful: bool = False
-    ) -> Dict[str, Dict[str, str]]:
-        """List the ports to disconnect before a nodelet's ports may be connected so.
+    ) -> dict[str, dict[str, str]]:
+        """List the ports to disconnect, by nodelet, before a nodelet's ports may be connected so.
 
-        Once that is done there may be more: it depends on the rest.
-
-        Args:
-            record: the nodelet.
-            config: topics by port.
-            is_forgetful: whether nodelets count as if they remembered nothing.
-
-        Returns:
-            For each nodelet its ports, each with an empty topic.
-
-        Raises:
-            WrongStream: it must not be connected so in any case.
+        Once that is done there may be more: it depends on the rest. Raises WrongStream if it must
+        not be connected so in any case.
         """
         changed = replace(record, topics={**record.topics, **config})
-        cut: Dict[str, Dict[str, str]] = {}
+        cut: dict[str, dict[str, str]] = {}
         topics = set(config.values()) - {""}
         topology = self.with_nodelet(changed, is_forgetful=is_forgetful)
         for topic, producer, consumer in topology.mismatches(topics):
@@ -220,13 +182,12 @@ class World:
             cut.setdefault(consumer.nodelet, {}).update(ports)
         return cut
 
-    def stale(self) -> Dict[str, Dict[str, str]]:
+    def stale(self) -> dict[str, dict[str, str]]:
         """List the nodelets that receive another individual than they remember.
 
-        Returns:
-            For each nodelet its ports that share the variables, with their topics.
+        Returns for each its ports that share the variables, with their topics.
         """
-        found: Dict[str, Dict[str, str]] = {}
+        found: dict[str, dict[str, str]] = {}
         wrong = [each for each in self.topology.mismatches() if each[2].ends >= 0]
         if not wrong:
             return found
@@ -238,7 +199,7 @@ class World:
                 found.setdefault(consumer.nodelet, {}).update(ports)
         return found
 
-    def _first(self, changed: Record, is_forgetful: bool) -> List[Tuple[str, Producer, Consumer]]:
+    def _first(self, changed: Record, is_forgetful: bool) -> list[tuple[str, Producer, Consumer]]:
         """Return the first of the ``_changed`` consumers along each stream; all of a circle."""
         found = list(self._changed(changed, is_forgetful))
         fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
@@ -246,14 +207,10 @@ class World:
 
     def _changed(
         self, changed: Record, is_forgetful: bool
-    ) -> Iterator[Tuple[str, Producer, Consumer]]:
+    ) -> Iterator[tuple[str, Producer, Consumer]]:
         """Yield each consumer of a nodelet whose stream would change.
 
         Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
-
-        Args:
-            changed: a nodelet as it would be.
-            is_forgetful: whether nodelets count as if they remembered nothing.
         """
         before = self.forgetful if is_forgetful else self.topology
         after = self.with_nodelet(changed, True, is_forgetful)
@@ -276,26 +233,21 @@ class WorldReader:
     """Reads the world: unchanged parts are not read again."""
 
     def __init__(
-        self,
-        graph: Graph,
-        table: ClaimTable,
-        library: Library,
-        host: Host,
-        namespace: str,
+        self, graph: Graph, table: ClaimTable, library: Library, host: Host, namespace: str
     ) -> None:
         self._graph = graph
         self._table = table
         self._library = library
         self._host = host
         self._namespace = namespace
-        self._world: Optional[World] = None
+        self._world: World | None = None
         self._world_at: Hashable = None
-        self._read: Dict[str, Tuple[Record, NodeletEnds]] = {}
+        self._read: dict[str, tuple[Record, NodeletEnds]] = {}
         self._ends: Mapping[str, NodeletEnds] = {}
         self._basis: object = None
-        self._described: Dict[str, Tuple[Transformation, ...]] = {}
-        self._described_at: Optional[int] = None
-        self._perhaps: Dict[Tuple[str, str], Tuple[str, ...]] = {}
+        self._described: dict[str, tuple[Transformation, ...]] = {}
+        self._described_at: int | None = None
+        self._perhaps: dict[tuple[str, str], tuple[str, ...]] = {}
 
     def now(self) -> World:
         """Return the world of this moment."""
@@ -306,7 +258,7 @@ class WorldReader:
             return known
         records = {record.name: record for record in self._graph.all()}
         acting, is_certain = self._acting(records.values())
-        read: Dict[str, Tuple[Record, NodeletEnds]] = {}
+        read: dict[str, tuple[Record, NodeletEnds]] = {}
         for record in acting:
             found = self._read.get(record.name)
             if found is None or found[0] is not record:
@@ -320,22 +272,18 @@ class WorldReader:
         self._world, self._world_at = world, (at, perhaps) if is_certain else None
         return world
 
-    def fitting(self, record: Record) -> Dict[str, str]:
+    def fitting(self, record: Record) -> dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
         return self.now().fitting(record)
 
-    def expect(self, perhaps: Mapping[Tuple[str, str], Iterable[str]]) -> None:
+    def expect(self, perhaps: Mapping[tuple[str, str], Iterable[str]]) -> None:
         """Count ports on further topics: where late connections may put them."""
         self._perhaps = {place: tuple(topics) for place, topics in perhaps.items()}
 
     # Inside
 
-    def _acting(self, records: Iterable[Record]) -> Tuple[List[Record], bool]:
-        """Nodelets that run, and those that may run without having been seen.
-
-        Returns:
-            These, and whether that is certain as long as no record changes.
-        """
+    def _acting(self, records: Iterable[Record]) -> tuple[list[Record], bool]:
+        """Nodelets that may run, and whether that is certain as long as no record changes."""
         records = [each for each in records if each.state is not State.FAILED]
         if not any(record.state is State.LOST for record in records):
             return records, True
@@ -349,9 +297,9 @@ class WorldReader:
         ]
         return acting, False
 
-    def _descriptions(self, revision: int) -> Mapping[str, Tuple[Transformation, ...]]:
+    def _descriptions(self, revision: int) -> Mapping[str, tuple[Transformation, ...]]:
         if self._described_at != revision:
-            found: Dict[str, Tuple[Transformation, ...]] = {}
+            found: dict[str, tuple[Transformation, ...]] = {}
             for each in self._library.topics():
                 topic = names.join(self._namespace, each.source)
                 topic = each.source if each.source[:1] == "/" else topic
@@ -362,9 +310,9 @@ class WorldReader:
     def _topology(
         self,
         ends: Mapping[str, NodeletEnds],
-        described: Mapping[str, Tuple[Transformation, ...]],
+        described: Mapping[str, tuple[Transformation, ...]],
         claims: Iterable[Claim],
-        perhaps: Mapping[Tuple[str, str], Tuple[str, ...]],
+        perhaps: Mapping[tuple[str, str], tuple[str, ...]],
     ) -> Topology:
         """Return the topology; it shares unchanged parts with the last one."""
         clients = [claim for claim in claims if claim.topic]
