@@ -96,7 +96,8 @@ class Assembly:
             ordinary: topics that the library describes and ordinary nodes publish.
         """
         self._manager = context.manager
-        self._world = context.world
+        #: The world after the latest change of this plan, or pause.
+        self._world = context.world()
         self._lock = context.lock
         self._monitor = context.monitor
         self._context = context
@@ -131,10 +132,10 @@ class Assembly:
                 self._take(step)
             claim = self._publish(self._plan.goal)
         except BaseException:
-            self._transaction.undo(self._world().needed)
+            self._transaction.undo(self._context.world().needed)
             raise
         reused = self._reused & self._wiring.keys()
-        fed, sources = with_upstream(self._world().records, self._ordinary, reused)
+        fed, sources = with_upstream(self._world.records, self._ordinary, reused)
         for name, topics in fed.items():
             self._wiring.setdefault(name, {}).update(topics)
         claim = replace(
@@ -152,7 +153,7 @@ class Assembly:
     def _reserve(self) -> None:
         """Keep the nodelets that the plan counts on, and their feeders, from being destroyed."""
         used = {live.nodelet for live in self._plan.live if live.nodelet}
-        fed, _ = with_upstream(self._world().records, self._ordinary, used)
+        fed, _ = with_upstream(self._world.records, self._ordinary, used)
         self._lock.reserve([*self._movable, *fed])
 
     # Steps
@@ -163,16 +164,16 @@ class Assembly:
         name = self._own.get(instance, "")
         if name:
             self._reused.add(name)
-            self._check_types(self._world().get(name), step)
+            self._check_types(self._world.get(name), step)
             for port, source in step.inputs:
-                self._await(source, self._world().get(name).topics.get(port, ""), inputs[port])
+                self._await(source, self._world.get(name).topics.get(port, ""), inputs[port])
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
             types = {port: self._type_of(source) for port, source in step.inputs}
             typed = {port: (topic, types[port]) for port, topic in inputs.items()}
             name = self._spawn(transformation, typed, self._outputs(instance), given)
-            self._check_types(self._world().get(name), step)
+            self._check_types(self._world.get(name), step)
         self._made[instance] = name
         self._connect(name, self._inputs(step))
 
@@ -201,7 +202,7 @@ class Assembly:
         if not claim.topic and present in self._taken_topics() and datatype not in ANY:
             # The clients there want something else, and their stream may change.
             name, port = self._relay(goal, present), "out"
-            topic = self._world().get(name).topics[port]
+            topic = self._world.get(name).topics[port]
         elif present != topic:
             if not name or not self._may_move(name, present):
                 name, port = self._relay(goal, present, topic), "out"
@@ -216,7 +217,7 @@ class Assembly:
     def _relay(self, goal: Source, present: str, topic: str = "") -> str:
         """Relay a stream that stays on its topic to ``topic``, or a new one; name the relay."""
         # The tags that hold for all messages there.
-        tags = self._world().topology.common_tags(present, self._tags_of(goal))
+        tags = self._world.topology.common_tags(present, self._tags_of(goal))
         datatype = self._type_of(goal)
         made = relay(present, datatype, tuple(map(str, tags)))
         name = self._spawn(made, {"in": (present, datatype)}, () if topic else ("out",))
@@ -230,24 +231,26 @@ class Assembly:
 
         Else it goes afterwards, without a gap.
         """
-        tags, producers = set(self._tags_of(goal)), self._world().topology.producers(topic)
+        tags, producers = set(self._tags_of(goal)), self._world.topology.producers(topic)
         if any(set(each.tags) != tags for each in producers):
             self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Disconnect every other publisher of the client's topic: it was replaced."""
-        for record in self._world().records.values():
+        for record in self._world.records.values():
             if record.name == publisher or record.transformation is None:
                 continue
             ports = dict.fromkeys(ports_on(record, OUT, topic), "")
             stays = record.is_fixed or record.name in self._monitor.unresponsive
             if ports and record.state is State.RUNNING and not stays:
                 self._transaction.connect(record.name, ports)
+        self._world = self._context.world()
 
     # Parts of a step
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self._transaction.connect(name, config)
+        self._world = self._context.world()
         self._wiring.setdefault(name, {}).update(config)
 
     def _spawn(
@@ -302,7 +305,7 @@ class Assembly:
         name = self._name_of(source)
         if name not in self._spawned or old in ("", new) or not self._flows(old):
             return
-        record, clock = self._world().get(name), self._context.clock
+        record, clock = self._world.get(name), self._context.clock
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
         with contextlib.ExitStack() as closing:
@@ -315,6 +318,7 @@ class Assembly:
                     return
                 with self._lock.pause():
                     self._context.sleep(_STEP)
+                self._world = self._context.world()
 
     def _counter(
         self, record: Record, port: str, closing: contextlib.ExitStack
@@ -334,7 +338,7 @@ class Assembly:
         """Whether a healthy nodelet publishes on a topic."""
         return any(
             ports_on(record, OUT, topic)
-            for record in self._world().records.values()
+            for record in self._world.records.values()
             if record.state is State.RUNNING and record.name not in self._monitor.unhealthy
         )
 
@@ -342,12 +346,12 @@ class Assembly:
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
         if name in self._spawned or not topic:
             return True
-        if not self._world().get(name).claimed or topic in self._taken_topics():
+        if not self._world.get(name).claimed or topic in self._taken_topics():
             return False
         own = {*self._movable, *self._spawned}
         return not any(
             ports_on(record, IN, topic)
-            for record in self._world().records.values()
+            for record in self._world.records.values()
             if record.name not in own and record.state is State.RUNNING
         )
 
@@ -365,7 +369,7 @@ class Assembly:
                 self._sources.add(source.topic)
                 return source.topic
             self._reused.add(name)
-        topic = self._world().get(name).topics.get(source.port, "")
+        topic = self._world.get(name).topics.get(source.port, "")
         if topic in self._ordinary:
             self._sources.add(topic)
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
@@ -376,14 +380,14 @@ class Assembly:
     def _is_mixed(self, source: New, topic: str) -> bool:
         """Whether something else may be sent on a supplier's topic as well."""
         tags = self._tags_of(source)
-        return self._world().topology.common_tags(topic, tags) != tags
+        return self._world.topology.common_tags(topic, tags) != tags
 
     def _type_of(self, source: Source) -> str:
         """ROS type of a supplier's messages; empty while it is not known."""
         name = self._name_of(source)
         if isinstance(source, Live) and not name:
             return source.datatype
-        record = self._world().get(name)
+        record = self._world.get(name)
         known = [(port.name, port.datatype) for port in record.ports]
         if record.transformation is not None:
             known += [(port.name, port.datatype) for port in record.transformation.ports]
@@ -393,12 +397,12 @@ class Assembly:
         """Tags of a supplier's stream, without those whose variables are not bound."""
         name = self._name_of(source)
         if name:
-            transformation = self._world().get(name).transformation
+            transformation = self._world.get(name).transformation
         else:
             transformation = self._manager.library.get(source.label)
         ports = transformation.ports if transformation is not None else ()
         tags = next((port.tags for port in ports if port.name == source.port or not name), ())
-        possible = self._world().topology.dependent.supplies().get((name, source.port))
+        possible = self._world.topology.dependent.supplies().get((name, source.port))
         if possible is None:
             return tuple(term for term in read_tags(tags) if term.is_ground)
         return next(iter(possible)).tags if len(possible) == 1 else ()
@@ -416,14 +420,14 @@ class Assembly:
 
     def _taken_topics(self) -> set[str]:
         """Topics on which the clients of other claims listen."""
-        return self._world().taken_topics(but=self._claim.claim_id)
+        return self._world.taken_topics(but=self._claim.claim_id)
 
     def _free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port, but none that a successor has taken over."""
         taken = self._taken_topics() | {self._claim.topic}
         taken |= {
             each.topic
-            for record in self._world().records.values()
+            for record in self._world.records.values()
             for each in record.ports
             if each.direction == OUT and record.name != name
         }
@@ -431,7 +435,7 @@ class Assembly:
 
     def _free_names(self, label: str) -> Iterator[str]:
         """Yield global names for nodelets of a transformation: /bottom_camera_1, _2 ..."""
-        records = self._world().records.values()
+        records = self._world.records.values()
         taken = {topic for record in records for topic in record.topics.values()}
         taken |= self._taken_topics() | {self._claim.topic}
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")

@@ -90,10 +90,10 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 2_700
-    assert len(functions) <= 460
-    assert len(calls) <= 42
-    assert 0 < len(locks) <= 100
+    assert sum(calls.values()) <= 2_550
+    assert len(functions) <= 455
+    assert len(calls) <= 40
+    assert 0 < len(locks) <= 96
 
 
 def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
