@@ -21,7 +21,7 @@ import re
 from typing import Dict, List, NamedTuple, Set, Tuple
 
 from dyknow.graphviz import quote
-from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, PlanStep, Source
+from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
 from dyknow.manager.specifications.tags import Bindings, written_bindings
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
@@ -54,15 +54,35 @@ def as_tree(answer: Answer) -> str:
     lines = [f"{answer.demand}: cost {answer.cost} ({_how_good(answer)})"]
     if answer.latency or answer.demand.max_age:
         lines[0] += f", latency {answer.latency:g} s as stated"
-    entries = _entries(answer)
-    last_ones = _last_ones(entries)
-    open_depths: Set[int] = set()
-    for number, entry in enumerate(entries):
-        lead = "".join("│  " if depth in open_depths else "   " for depth in range(entry.depth))
-        branch = "└─ " if number in last_ones else "├─ "
-        (open_depths.discard if number in last_ones else open_depths.add)(entry.depth)
-        port = f"{entry.port} ← " if entry.port else ""
-        lines.append(f"{lead}{branch}{port}{entry.what} ({entry.how})")
+    steps = {(step.action.label, step.bindings): step for step in answer.steps}
+    charges = dict(answer.charges)
+    waiting: List[Tuple[str, bool, str, Source]] = [("", True, "", answer.goal)]
+    seen: Set[Tuple[str, Bindings]] = set()
+    while waiting:
+        lead, is_last, port, source = waiting.pop()
+        inputs: Tuple[Tuple[str, Source], ...] = ()
+        if isinstance(source, Live):
+            name = source.nodelet or source.topic
+            how = f"runs as {name}" if source.nodelet else _TOPIC
+            how += _charged(charges.pop(name, 0))
+            what = f"{source.label}.{source.port}" if source.nodelet else name
+        else:
+            key = source.label, source.bindings
+            action, how = steps[key].action, _ABOVE
+            if key not in seen:
+                seen.add(key)
+                inputs = steps[key].inputs
+                how = f"new, cost {action.cost}" if action.cost else "at no cost"
+                how += _charged(action.charge)
+            names = written_bindings(source.bindings)
+            what = f"{source.label}.{source.port}" + (f" [{names}]" if names else "")
+        arrow = f"{port} ← " if port else ""
+        lines.append(f"{lead}{'└─ ' if is_last else '├─ '}{arrow}{what} ({how})")
+        lead += "   " if is_last else "│  "
+        below = [(lead, False, in_port, supplier) for in_port, supplier in inputs]
+        if below:
+            below[-1] = (lead, True, *inputs[-1])
+        waiting += reversed(below)
     return "\n".join(lines)
 
 
@@ -122,11 +142,6 @@ def _how_good(plan: Plan) -> str:
     return f"{known}; its time was over" if plan.is_cut_short else known
 
 
-def _what(label: str, port: str, bindings: Bindings) -> str:
-    names = written_bindings(bindings)
-    return f"{label}.{port} [{names}]" if names else f"{label}.{port}"
-
-
 def _nodelet_and_port(what: str) -> Tuple[str, str]:
     """Take ``label.port [bindings]`` apart."""
     found = _BOUND.match(what)
@@ -135,49 +150,5 @@ def _nodelet_and_port(what: str) -> Tuple[str, str]:
     return name + bindings, port
 
 
-def _entries(plan: Plan) -> List[Entry]:
-    steps: Dict[Tuple[str, Bindings], PlanStep] = {
-        (step.action.label, step.bindings): step for step in plan.steps
-    }
-    charges = dict(plan.charges)
-    entries: List[Entry] = []
-    seen: Set[Tuple[str, Bindings]] = set()
-    waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]
-    while waiting:
-        depth, port, source = waiting.pop()
-        if isinstance(source, Live):
-            name = source.nodelet or source.topic
-            how = f"runs as {name}" if source.nodelet else _TOPIC
-            what = f"{source.label}.{source.port}" if source.nodelet else name
-            entries.append(Entry(depth, port, what, how + _charged(charges.pop(name, 0))))
-            continue
-        key = source.label, source.bindings
-        step = steps[key]
-        how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
-        how += _charged(step.action.charge)
-        if key in seen:
-            how = _ABOVE
-        what = _what(source.label, source.port, source.bindings)
-        entries.append(Entry(depth, port, what, how))
-        if key not in seen:
-            seen.add(key)
-            for in_port, supplier in reversed(step.inputs):
-                waiting.append((depth + 1, in_port, supplier))
-    return entries
-
-
 def _charged(charge: int) -> str:
     return f", charged {charge}" if charge else ""
-
-
-def _last_ones(entries: List[Entry]) -> Set[int]:
-    """Numbers of the lines that are the last below their parent."""
-    last: Set[int] = set()
-    seen: Set[int] = set()
-    for number in range(len(entries) - 1, -1, -1):
-        depth = entries[number].depth
-        seen = {each for each in seen if each <= depth}
-        if depth not in seen:
-            last.add(number)
-        seen.add(depth)
-    return last

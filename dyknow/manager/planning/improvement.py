@@ -71,34 +71,44 @@ class Improved(NamedTuple):
     is_cut_short: bool = False
 
 
-def allowed(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool]:
-    """Return a rather cheap draft that is sound and in time, or the soonest, and if it is so.
+class Allowed(NamedTuple):
+    """A draft that is sound and in time if there is one, else the soonest one that was found."""
+
+    draft: Draft
+    is_found: bool
+    is_proven: bool = True
+
+
+def allowed(request: Request, bounds: Bounds, draft: Draft) -> Allowed:
+    """Return a rather cheap draft that is sound and in time, instead of the cheapest tree.
 
     A fixed number of steps limits the search, not the clock, which must not decide whether there
-    is a plan. The given draft is the cheapest tree.
+    is a plan.
     """
     least, _ = bounds.least(False)
     cost = draft.cost
     for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
         found = Search(request, bounds, least, below)
         found.run(_EACH_RISE)
+        is_proven = found.is_complete
         graph = AndOrGraph(request, found)
         way = graph.derive(graph.followed(graph.cheapest(graph.costs)[0]))
         if 0 not in way and any(graph.twins):
             improvement = _Improvement(graph, False, Budget(_EACH_RISE / STEPS, lambda: 0.0))
             no_rest = [0] * len(graph.costs)
-            way = graph.derive(improvement.branched(0, no_rest, sum(graph.costs) + 1, 0)[0])
+            plan, is_exact = improvement.branched(0, no_rest, sum(graph.costs) + 1, 0)
+            is_proven = is_proven and is_exact
+            way = graph.derive(plan)
         if 0 in way:
-            return graph.drafted(way), True
-    if request.limit is None:
-        return draft, False
-    every = range(len(graph.costs))
-    way = graph.derive(every)
-    is_in_time = 0 in way
-    if not is_in_time:
-        graph.limit = sys.maxsize
-        way = graph.derive(every)
-    return (graph.drafted(way), is_in_time) if 0 in way else (draft, False)
+            return Allowed(graph.drafted(way), True)
+    if request.limit is not None:
+        every = range(len(graph.costs))
+        for limit in (request.limit, sys.maxsize):
+            graph.limit = limit
+            way = graph.derive(every)
+            if 0 in way:
+                return Allowed(graph.drafted(way), limit == request.limit, is_proven)
+    return Allowed(draft, False, is_proven)
 
 
 def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> Improved:

@@ -26,7 +26,6 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.planning import problem
 from dyknow.manager.planning.and_or_graph import Draft, drafted, is_sound
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.improvement import STEPS, Budget, Improved, allowed, improve
@@ -38,6 +37,7 @@ from dyknow.manager.planning.problem import (
     NO_LABELS,
     NO_WISHES,
     NOT_PREFERRED,
+    Action,
     Answer,
     Charge,
     Demand,
@@ -80,14 +80,12 @@ class Planner:
     def __init__(
         self, ontology: Subsumption = NO_ONTOLOGY, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Start with an empty library."""
         names = Names(ontology)
         self._reader = Reader(names)
         self._library = OperatorIndex(names, {}, {}, {})
         self._clock = clock
 
     def __len__(self) -> int:
-        """Count the transformations that can be planned with."""
         return len(self._library.actions)
 
     def add(self, transformations: Iterable[Transformation]) -> None:
@@ -138,11 +136,13 @@ class Planner:
             if not search.goal.answers:
                 return no_plan(request, search)
             draft = drafted(request, search.chosen)
-        if not is_sound(request, draft) or _is_late(request, draft):
-            draft, is_allowed = allowed(request, bounds, draft)
-            if not is_allowed:
-                latency = _latency(request, draft) if demand.max_age else 0.0
-                return NoPlan(demand, (), not demand.max_age, latency)
+        is_late = demand.max_age and not demand.is_soon(_latency(request, draft))
+        if is_late or not is_sound(request, draft):
+            draft, is_found, is_proven = allowed(request, bounds, draft)
+            if not is_found and demand.max_age:
+                return NoPlan(demand, (), False, _latency(request, draft))
+            if not is_found:
+                return NoPlan(demand, (), is_proven, is_cut_short=not is_proven)
         return _written(request, improve(request, bounds, draft, Budget(budget, self._clock)))
 
     def charges(
@@ -262,7 +262,7 @@ class _Writer:
         source = head.live or New(head.action.label, head.port, bindings)
         return source, head.texts, self._begun.get(chosen, 0) + head.latency
 
-    def step(self, instance: Instance, part: problem.Action) -> PlanStep:
+    def step(self, instance: Instance, part: Action) -> PlanStep:
         """Return the step of an instance."""
         action = instance.action
         sources = [self.source(node) for node in instance.needs]
@@ -313,7 +313,7 @@ def _written(request: Request, improved: Improved) -> Plan:
         if action not in freed and request.is_free(action, instance.theta):
             freed.add(action)  # one nodelet is there: a second one has to be made
             cost = 0
-        part = problem.Action(action.label, cost, request.charges.get(action, 0))
+        part = Action(action.label, cost, request.charges.get(action, 0))
         steps.append(writer.step(instance, part))
     demand = request.demand
     goal, texts, latency = writer.source(Need(request.goal, ()))
@@ -336,7 +336,3 @@ def _written(request: Request, improved: Improved) -> Plan:
 
 def _latency(request: Request, draft: Draft) -> float:
     return _written(request, Improved(draft, 0)).latency
-
-
-def _is_late(request: Request, draft: Draft) -> bool:
-    return request.limit is not None and not request.demand.is_soon(_latency(request, draft))

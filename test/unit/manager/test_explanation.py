@@ -42,13 +42,6 @@ def test_a_plan_is_a_tree_that_a_person_can_read(plan: Plan) -> None:
     )
 
 
-def test_what_runs_is_named() -> None:
-    running = Live("/b", "planes", "/mine", "subsampler", "")
-    assert as_tree(Plan(demand("Planes(field)"), running, (), 0)).endswith(
-        "└─ subsampler.planes (runs as /mine)"
-    )
-
-
 def test_shared_parts_are_told_once_and_depth_does_not_matter() -> None:
     depth = 300
     steps = [PlanStep(Action("level 0", 1), ())]
