@@ -11,7 +11,7 @@ import pytest
 
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Demand, Live, NoPlan, Plan, TaggedStream
+from dyknow.manager.planning.problem import Answer, Demand, Live, Plan, TaggedStream
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -53,23 +53,17 @@ def test_the_longest_path_counts() -> None:
     first = "Ball(field) [at most 0.06 s old]: cost 5 (proven least), latency 0.06 s as stated"
     assert tree.split("\n")[0] == first
     assert "latency 0.06 s" in tree_as_dot(tree)
-
-
-def test_without_a_limit_the_latency_is_told_and_decides_nothing() -> None:
-    answer = ball(0.0)
+    answer = ball(0.0)  # without a limit the latency is told and decides nothing
     assert labels(answer) == ["camera", "network"]
-    assert as_tree(answer).split("\n")[0] == (
-        "Ball(field): cost 2 (proven least), latency 0.23 s as stated"
-    )
+    first = "Ball(field): cost 2 (proven least), latency 0.23 s as stated"
+    assert as_tree(answer).split("\n")[0] == first
 
 
 def test_when_everything_is_too_late_the_least_latency_is_told() -> None:
     answer = ball(0.05)
-    assert isinstance(answer, NoPlan)
-    assert str(answer) == (
-        "no plan for Ball(field) [at most 0.05 s old]: the soonest plan found takes 0.06 s"
-    )
-    assert as_tree(answer).endswith("└─ the soonest plan found takes 0.06 s")
+    why = "the soonest plan found takes 0.06 s"
+    assert str(answer) == f"no plan for Ball(field) [at most 0.05 s old]: {why}"
+    assert as_tree(answer).endswith(f"└─ {why}")
 
 
 @pytest.mark.parametrize(
@@ -99,14 +93,6 @@ def test_of_several_out_ports_the_soonest_one_supplies() -> None:
     answer = planner.plan(Demand(frozenset((parse_tag("Image(field)"),)), max_age=0.05))
     assert isinstance(answer, Plan)
     assert answer.goal.port == "half"
-
-
-def test_latencies_of_what_is_gone_are_forgotten() -> None:
-    planner = Planner()
-    planner.add(LIBRARY)
-    planner.add([make("network", ["Image(field)"], "Ball(field)", 1, 0.0)])
-    answer = planner.plan(Demand(frozenset((parse_tag("Ball(field)"),)), max_age=0.05))
-    assert labels(answer) == ["camera", "network"]
 
 
 def test_of_several_out_ports_one_supplies_that_is_fast_enough() -> None:
