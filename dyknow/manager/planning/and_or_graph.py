@@ -40,8 +40,17 @@ def drafted(request: Request, chosen: Dict[Need, Instance]) -> Draft:
 
 def is_sound(request: Request, draft: Draft) -> bool:
     """Whether no nodelet is both an instance with fast inputs and one with others."""
-    nodelets = [each.nodelet for each in draft.order if request.demand.min_rate]
+    nodelets = [_nodelet(request, each) for each in draft.order if request.demand.min_rate]
     return len({*nodelets}) == len(nodelets)
+
+
+def _nodelet(request: Request, instance: Instance) -> Tuple[Operator, Theta]:
+    """Return what is equal for instances that are one nodelet.
+
+    Private variables distinguish nodelets, but are bound only where a plan is written.
+    """
+    is_base = request.is_strict or not instance.action.has_private
+    return instance.action.base if is_base else instance.action, instance.theta
 
 
 def _cost(request: Request, instances: Iterable[Instance]) -> int:
@@ -98,9 +107,9 @@ class AndOrGraph:
         self.users = _turned(self.needs, len(self._nodes))
         by_nodelet: Dict[Tuple[Operator, Theta], List[int]] = {}
         for number, each in enumerate(order):
-            by_nodelet.setdefault(each.nodelet, []).append(number)
+            by_nodelet.setdefault(_nodelet(request, each), []).append(number)
         self.twins = [
-            [twin for twin in by_nodelet[each.nodelet] if twin != number]
+            [twin for twin in by_nodelet[_nodelet(request, each)] if twin != number]
             for number, each in enumerate(order)
         ]
         self._latencies = {

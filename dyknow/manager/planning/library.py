@@ -100,13 +100,13 @@ class Operator:
         variables: the names of its variables, with their types.
         shares: for each in-port those of the variables that its pattern wants, in that order.
         heads: the tagged out-ports.
-        has_bindings: whether any in-port has a variable.
+        has_private: whether a variable occurs in one in-port alone.
         slow: the same action with inputs of any rate, if its inputs have to be fast.
     """
 
     __slots__ = (
         "cost",
-        "has_bindings",
+        "has_private",
         "heads",
         "inputs",
         "label",
@@ -126,7 +126,7 @@ class Operator:
     types: Tuple[Types, ...]
     shares: Tuple[Tuple[int, ...], ...]
     heads: Tuple[Head, ...]
-    has_bindings: bool
+    has_private: bool
     slow: Optional[Operator]
 
     @property
@@ -377,8 +377,8 @@ class Reader:
         variables: Tuple[str, ...] = ()
         types: Tuple[Types, ...] = ()
         shares: Tuple[Tuple[int, ...], ...] = ((),) * len(ports)
-        has_bindings = "?" in "".join([text for port in ports for text in port.tags])
-        if has_bindings:
+        has_private = False
+        if "?" in "".join([text for port in ports for text in port.tags]):
             variables, of_names, shares = _variables(
                 tuple([tuple([term[1:] for term in read_tags(port.tags)]) for port in ports]),
                 tuple([term[1:] for port in outs for term in read_tags(port.tags)]),
@@ -386,6 +386,8 @@ class Reader:
             )
             canonical = self._names.canonical
             types = tuple([frozenset(map(canonical, each)) for each in of_names])
+            terms = [term for port in ports for term in read_tags(port.tags)]
+            has_private = not {v for term in terms for v in term.variables}.issubset(variables)
         inputs = tuple(
             [
                 self._pattern(port, [variables[at] for at in share], [types[at] for at in share])
@@ -402,7 +404,7 @@ class Reader:
             types,
             shares,
             (),
-            has_bindings,
+            has_private,
             None,
         )
         action.heads = tuple([self._head(action, port) for port in outs])

@@ -126,6 +126,17 @@ class Planner:
         library, streams = self._library, list(live)
         charges = _charges(library, demand, streams, exclude, wishes)
         request = Request(library, demand, streams, exclude, paused, free, charges, feeders)
+        answer = self._answer(request, budget)
+        if isinstance(answer, Plan) and _has_twins(answer):
+            request.is_strict = True
+            strict = self._answer(request, budget)
+            if isinstance(strict, Plan):
+                return strict._replace(least_cost=min(strict.least_cost, answer.least_cost))
+            return strict
+        return answer
+
+    def _answer(self, request: Request, budget: float) -> Answer:
+        demand = request.demand
         bounds = Bounds(request)
         least, actions = bounds.least()
         if bounds.is_simple and request.goal in least:
@@ -177,6 +188,13 @@ class Planner:
         written = request.names.written
         found = [tuple(zip(variables, map(written, node.theta))) for node in search.goal.answers]
         return sorted(found), search.is_complete
+
+
+def _has_twins(plan: Plan) -> bool:
+    """Whether a nodelet is made twice: with fast inputs and with others."""
+    if not plan.demand.min_rate:
+        return False
+    return len({(step.action.label, step.bindings) for step in plan.steps}) < len(plan.steps)
 
 
 def _choices(request: Request, actions: Dict[Pattern, Operator]) -> Dict[Need, Instance]:
@@ -268,7 +286,7 @@ class _Writer:
         sources = [self.source(node) for node in instance.needs]
         self._begun[instance] = max([latency for _, _, latency in sources], default=0)
         inputs = tuple([(port, source) for port, (source, _, _) in zip(action.ports, sources)])
-        if not action.has_bindings:
+        if not action.variables and not action.has_private:
             return PlanStep(part, inputs)
         joined = dict(zip(action.variables, instance.theta))
         bindings: Dict[str, str] = {}

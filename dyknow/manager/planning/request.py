@@ -78,7 +78,10 @@ class Request:
         kept: actions of which a nodelet is free, each with the names that it has to keep.
         charges: charges of actions besides their costs.
         live: the actions of live streams.
+        is_strict: whether private variables count as one where an action has fast inputs or not.
     """
+
+    is_strict = False
 
     def __init__(
         self,

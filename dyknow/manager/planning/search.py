@@ -53,11 +53,6 @@ class Instance:
         """Equal for equal instances of several searches."""
         return self.action, self.theta
 
-    @property
-    def nodelet(self) -> Tuple[Operator, Theta]:
-        """Equal for instances that are one nodelet."""
-        return self.action.base, self.theta
-
 
 class Subgoal:
     """A pattern of which some names are known.
