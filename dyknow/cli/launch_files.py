@@ -65,12 +65,9 @@ def arguments_of(file: str) -> List[str]:
 def unknown_arguments(
     files: Sequence[str], loaded: Sequence[str], given: Sequence[str]
 ) -> List[str]:
-    """Say which arguments were given that no launch file speaks of; roslaunch ignores those.
+    """Say which of the given `NAME:=VALUE` no launch file speaks of; roslaunch ignores those.
 
-    Args:
-        files: the launch files that the user named.
-        loaded: those, and all that they include.
-        given: `NAME:=VALUE`.
+    ``files`` are the launch files that the user named, ``loaded`` those and all that they include.
     """
     spoken_of = set(re.findall(r"\w+", " ".join(map(_text, loaded))))
     declared = {name for file in files for name in arguments_of(file)}
@@ -84,9 +81,7 @@ def unknown_arguments(
 def explain(sources: Sequence[Source], error: BaseException) -> str:
     """Say in one line why launch files cannot be read, with file and line where these are known.
 
-    Args:
-        sources: the launch files. They are read again.
-        error: what roslaunch raised, or an expression in a launch file.
+    The files are read again. ``error`` was raised by roslaunch, or by an expression in a file.
     """
     text = one_line(_message(error))
     loader = _read_again(sources)
@@ -97,9 +92,7 @@ def explain(sources: Sequence[Source], error: BaseException) -> str:
 def place_of_node(sources: Sequence[Source], node: Any) -> str:
     """Return `FILE:LINE` of one of roslaunch's nodes, or as much of that as is known.
 
-    Args:
-        sources: the launch files. They are read again.
-        node: the node.
+    The files are read again.
     """
     return _read_again(sources).nodes.get((node.filename, node.name), str(node.filename))
 

@@ -239,13 +239,7 @@ def session(options: argparse.Namespace, files: Sequence[str]) -> Iterator[str]:
 def read(
     options: argparse.Namespace, files: Sequence[str], given: Sequence[str], run_id: str = ""
 ) -> ROSLaunchParent:
-    """Make roslaunch's parent and let it read launch files.
-
-    Args:
-        options: the arguments of `dyknow launch`.
-        files: the launch files; `-` for standard input.
-        given: their arguments, `NAME:=VALUE`.
-        run_id: id of the run.
+    """Make roslaunch's parent and let it read launch files; `-` stands for standard input.
 
     Raises:
         CannotLaunch: they cannot be read.

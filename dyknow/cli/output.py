@@ -129,7 +129,6 @@ def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[st
 
 
 def count(number: int, thing: str) -> str:
-    """Write a count: `1 nodelet`, `2 nodelets`."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 

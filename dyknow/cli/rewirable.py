@@ -54,11 +54,7 @@ does:
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
-    """Become a program; returns the exit code only if that fails.
-
-    Args:
-        words: the program and its arguments; by default the process's.
-    """
+    """Become a program, by default the process's words; returns only if that fails."""
     command = list(sys.argv[1:] if words is None else words)
     if not command:
         print(_USAGE, file=sys.stderr)
@@ -76,9 +72,6 @@ def main(words: Optional[Sequence[str]] = None) -> int:
 def become(command: Sequence[str]) -> NoReturn:
     """Replace this process with a program whose node is re-wirable, as far as it can be.
 
-    Args:
-        command: the program and its arguments.
-
     Raises:
         CannotRun: the program does not exist.
     """
@@ -88,9 +81,8 @@ def become(command: Sequence[str]) -> NoReturn:
     if interpreter(program) is not None:
         become_script([program, *command[1:]])
     environment = dict(os.environ)
-    library, trouble = find_library(), obstacle(program)
-    if library is None:
-        trouble = NO_LIBRARY
+    library = find_library()
+    trouble = NO_LIBRARY if library is None else obstacle(program)
     if trouble or library is None:
         print(f"rewirable: '{command[0]}' runs as it is: {trouble}", file=sys.stderr, flush=True)
     else:
@@ -119,9 +111,6 @@ def _preload(library: str, environment: Dict[str, str]) -> None:
 def become_script(command: Sequence[str]) -> NoReturn:
     """Replace this process with a Python script whose node is re-wirable.
 
-    Args:
-        command: the script's path and its arguments.
-
     Raises:
         CannotRun: it cannot be started.
     """
@@ -146,7 +135,6 @@ def obstacle(program: str) -> str:
 
 
 def find_library() -> Optional[str]:
-    """Return the path of the library in the workspaces that are set up; None if there is none."""
     return find_in_workspaces("lib", LIBRARY)
 
 

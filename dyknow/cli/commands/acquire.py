@@ -244,8 +244,8 @@ class _Holding:
 
 def _acquired_json(claim: StreamStatus, answer: Optional[Acquisition]) -> Dict[str, Any]:
     """Write the claim and the cost of its plan, which is null while the claim waits."""
-    costs = {name: getattr(answer, name, None) for name in ("cost", "least_cost")}
-    return {**stream_json(claim), **costs}
+    cost, least_cost = (None, None) if answer is None else (answer.cost, answer.least_cost)
+    return {**stream_json(claim), "cost": cost, "least_cost": least_cost}
 
 
 def _describe(claim: StreamStatus, answer: Optional[Acquisition] = None) -> Iterable[str]:

@@ -102,7 +102,6 @@ _SHARED = re.compile(
     *_PROGRAM,
 )
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
-    from dyknow.ros.process.programs import find_program
     from dyknow.ros.wire.master import Master
 
     path = find_program(arguments.package, arguments.executable)
