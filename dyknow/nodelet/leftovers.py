@@ -26,7 +26,7 @@ from dyknow.nodelet.handle import PlainNodeHandle, Service
 from dyknow.nodelet.memory import break_cycles, return_free_memory
 from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.timers import Timer
-from dyknow.periodic import STEADY, Clock, PeriodicWorker, attempt, in_background
+from dyknow.periodic import PeriodicWorker, attempt, in_background
 
 if TYPE_CHECKING:
     from dyknow.nodelet.loader import Loader
@@ -64,10 +64,9 @@ class _Leftover:
 class Leftovers:
     """The nodelets of one loader that were unloaded and are not gone yet."""
 
-    def __init__(self, give_back: Callable[[], object] = return_free_memory) -> None:
+    def __init__(self) -> None:
         self._lock = state_lock("leftovers")
         self._left: List[_Leftover] = []
-        self._give_back = give_back
         self._closed = threading.Event()
         self._is_examining = False
 
@@ -80,10 +79,9 @@ class Leftovers:
     ) -> None:
         """Free an unloaded nodelet once none of its code runs, and call ``hooks`` then."""
         left = _Leftover(name, nodelet, age, hooks)
-        is_gone = left.is_gone()
+        remaining = [] if left.is_gone() else [left]
         with self._lock:
-            if not is_gone:
-                self._left.append(left)
+            self._left += remaining
             starts, self._is_examining = not self._is_examining, True
         if starts:
             in_background("freeing nodelets", self._examine)
@@ -104,9 +102,9 @@ class Leftovers:
             gone = [each for each in list(self._left) if each.is_gone()]
             with self._lock:
                 self._left = [each for each in self._left if each not in gone]
-                self._is_examining = bool(self._left)
                 is_over = not self._left
-            self._give_back()
+                self._is_examining = not is_over
+            return_free_memory()
             if is_over:
                 return
 
@@ -115,12 +113,7 @@ class StuckCallbacks:
     """Announces the nodelets of a process with callbacks that do not return, and the remains."""
 
     def __init__(
-        self,
-        loader: Loader,
-        host: str,
-        after: float,
-        announce: Callable[[str], None],
-        clock: Clock = STEADY,
+        self, loader: Loader, host: str, after: float, announce: Callable[[str], None]
     ) -> None:
         """Prepare; callbacks are reported ``after`` so many seconds.
 
@@ -134,7 +127,7 @@ class StuckCallbacks:
         self._due: Dict[str, float] = {}  # age at which a nodelet is announced again
         self._remains_due: Dict[str, float] = {}
         what = "looking for callbacks that do not return"
-        self._worker = PeriodicWorker(what, self.check, after / _ROUNDS, clock=clock)
+        self._worker = PeriodicWorker(what, self.check, after / _ROUNDS)
         self.start = self._worker.start
         self.close = self._worker.close
 
@@ -147,7 +140,12 @@ class StuckCallbacks:
             self._announce(name)
         running = self._loader.leftovers.running()
         for name in _due_now(self._remains_due, running, self._after):
-            _log.warning("%s; %s", _remains_text(name, running[name]), self._cure)
+            _log.warning(
+                "%s; it ends with its process alone: rosnode kill %s, which a DyKnow manager "
+                "starts again with the other nodelets; spawn such a nodelet isolated",
+                _remains_text(name, running[name]),
+                self._host,
+            )
 
     def detail(self, nodelet: str) -> str:
         """Describe a nodelet's callback that does not return; empty if it has none."""
@@ -160,13 +158,6 @@ class StuckCallbacks:
 
     def _ages(self) -> Dict[str, float]:
         return {each.name: each.callback_age() for each in self._loader.contexts()}
-
-    @property
-    def _cure(self) -> str:
-        return (
-            f"it ends with its process alone: rosnode kill {self._host}, which a DyKnow manager "
-            "starts again with the other nodelets; spawn such a nodelet isolated"
-        )
 
 
 def _remains_text(name: str, age: float) -> str:

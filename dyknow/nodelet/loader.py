@@ -160,8 +160,12 @@ class Loader:
             LoadFailed: the nodelet raised; nothing of it is left.
             UnloadedMeanwhile: it was unloaded before it was up.
         """
+
+        def is_ending() -> bool:
+            return name in self._entries and self._entries[name].state is _State.UNLOADING
+
         with self._changed:
-            self._changed.wait_for(lambda: not self._is_ending(name), _UNLOAD_PATIENCE)
+            self._changed.wait_for(lambda: not is_ending(), _UNLOAD_PATIENCE)
             if name in self._entries:
                 raise NameTaken(name, self._entries[name].state.value)
             context = Context(self.runtime, name, remappings, my_argv)
@@ -283,9 +287,6 @@ class Loader:
         if entry.nodelet is not None:
             nodelet, entry.nodelet = weakref.ref(entry.nodelet), None
             self.leftovers.add(name, nodelet, entry.age, entry.context.last_hooks)
-
-    def _is_ending(self, name: str) -> bool:
-        return name in self._entries and self._entries[name].state is _State.UNLOADING
 
     def _unload_self(self, name: str, entry: _Entry) -> None:
         # By its entry: another nodelet may have the name by now.
