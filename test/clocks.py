@@ -10,6 +10,7 @@ import time
 from typing import Callable, Dict, Optional, Tuple
 
 from dyknow.periodic import Clock
+from dyknow.simulated import SimulatedClock
 
 #: Seconds until a test gives up waiting for threads.
 PATIENCE = 10.0
@@ -23,24 +24,11 @@ def eventually(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-class HandClock(Clock):
-    """A clock on which a wait returns at once and moves the time forward instead.
-
-    Attributes:
-        time: seconds; returned by a call as well.
-    """
-
-    def __init__(self, time: float = 0.0) -> None:
-        self.time = time
+class HandClock(SimulatedClock):
+    """A simulated clock that can be called for the time as well."""
 
     def __call__(self) -> float:
         return self.time
-
-    def now(self) -> float:
-        return self.time
-
-    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
-        self.time += seconds or 0.0
 
 
 class SteppedClock(Clock):
