@@ -27,10 +27,7 @@ from dyknow.guards import Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.loading import Loading
-from dyknow.manager.record import (
-    NOTHING_HEARD,
-    Record,
-)
+from dyknow.manager.record import NOTHING_HEARD, Record
 from dyknow.manager.specifications.given import completed, names_of
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
@@ -113,14 +110,11 @@ class Lifecycle:
             )
             self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
-            isolated = (
-                request.isolated
-                or kind.is_node
-                or (transformation.isolated and not request.manager)
-            )
+            by_default = transformation.isolated and not request.manager
+            isolated = request.isolated or kind.is_node or by_default
             if suspicion and not isolated:
                 _log.warning("%s is given a process of its own; %s", request.name, suspicion)
-            isolated = isolated or bool(suspicion)
+                isolated = True
             kind = kind.alone if isolated else kind
             topics = (*config.values(), *near)
             alone = request.name if isolated else ""
@@ -144,8 +138,7 @@ class Lifecycle:
                         self._host.retire(manager)
                 raise
             except BaseException as error:
-                self._take_down(record)
-                self._graph.remove(record.name)
+                self.clear(record)
                 if isinstance(error, DyKnowError):
                     raise SpawnFailed(record.name, error) from error
                 raise
@@ -208,8 +201,7 @@ class Lifecycle:
                     raise HostTimeout(
                         f"'{name}' is not destroyed yet: {error}; {later}"
                     ) from error
-            self._dispose(record)
-            self._graph.remove(name)
+            self.forget(record)
 
     def finish_destroying(self, record: Record) -> None:
         """Destroy a nodelet whose nodelet manager did not answer when it should be destroyed."""
@@ -218,8 +210,7 @@ class Lifecycle:
         except HostError as error:
             _log.warning("%s: %s", record.name, error)
             return
-        self._dispose(record)
-        self._graph.remove(record.name)
+        self.forget(record)
         _log.info("%s, which was to be destroyed, is destroyed now", record.name)
 
     def clear(self, record: Record) -> None:
@@ -228,7 +219,7 @@ class Lifecycle:
         self._graph.remove(record.name)
 
     def forget(self, record: Record) -> None:
-        """Forget a nodelet that a third party unloaded on purpose."""
+        """Forget a nodelet that is gone, with its parameters and its process."""
         self._dispose(record)
         self._graph.remove(record.name)
 
@@ -284,14 +275,11 @@ class Lifecycle:
         return resolved
 
     def _take_down(self, record: Record) -> None:
-        self._drop(record)
-        self._dispose(record)
-
-    def _drop(self, record: Record) -> None:
         try:
             self._host.unload(record.manager, record.name)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
+        self._dispose(record)
 
     def _dispose(self, record: Record) -> None:
         if record.is_spawned and record.transformation is not None:
