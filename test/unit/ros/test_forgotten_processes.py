@@ -17,11 +17,13 @@ from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.manager.host import Crash, HostReport
 from dyknow.manager.suspects import MEMORY, Suspects
-from dyknow.model.graph import NodeletKind
+from dyknow.model.graph import NodeletKind, State
+from dyknow.ros.hosting import fixed_nodelets
 from dyknow.ros.hosting import launcher as launcher_module
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.external import External
+from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
@@ -108,6 +110,32 @@ def test_an_older_state_never_replaces_a_newer_one(
     listener.close()
     listener.follow(lambda: ["/late"])
     assert subscribed == set()
+
+
+def test_fixed_nodelets_have_services_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publication of the model that is late must not offer them once more."""
+    offered: Set[str] = set()
+
+    def services(proxy: Any) -> Any:
+        offered.add(proxy.name)
+        return SimpleNamespace(close=lambda: offered.discard(proxy.name))
+
+    monkeypatch.setattr(fixed_nodelets, "ProxyServices", services)
+    record = SimpleNamespace(name="/n", is_fixed=True, is_spawned=True, state=State.STARTING)
+    records = [record, SimpleNamespace(is_fixed=False)]
+    manager: Any = SimpleNamespace(graph=SimpleNamespace(all=lambda: records))
+    fixed = FixedNodelets(manager)
+    for state, expected in (
+        (State.STARTING, set()),
+        (State.RUNNING, {"/n"}),
+        (State.LOST, {"/n"}),
+    ):
+        record.state = state
+        fixed.follow()
+        assert offered == expected
+    fixed.close()
+    fixed.follow()
+    assert offered == set()
 
 
 def test_old_accusations_take_no_memory() -> None:
