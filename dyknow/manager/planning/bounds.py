@@ -13,7 +13,7 @@ D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing 
 from __future__ import annotations
 
 import heapq
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from dyknow.manager.planning.library import Operator
 from dyknow.manager.planning.patterns import Pattern
@@ -24,17 +24,11 @@ _BITS = 32
 _RANK = (1 << _BITS) - 1
 
 
-class _Supplier(NamedTuple):
-    """An action, or many makers that were not looked at: its cost, needs and supplies."""
-
-    action: Optional[Operator]
-    cost: int
-    needs: Tuple[Pattern, ...]
-    serves: List[Pattern]
-
-
 class Bounds:
     """The reach of the goal, and its least costs.
+
+    Suppliers are actions, or many makers that were not looked at. They have places in several
+    lists: an object for each would have to be visited by the garbage collector.
 
     Attributes:
         users: for each pattern that is reached, the places of the suppliers that need it.
@@ -48,48 +42,75 @@ class Bounds:
         self._goal = request.goal
         self.is_simple = not request.goal.wanted
         self.users: Dict[Pattern, List[int]] = {request.goal: []}
-        self._suppliers: List[_Supplier] = []
-        users, suppliers = self.users, self._suppliers
-        found: Dict[Operator, _Supplier] = {}
+        self._actions: List[Optional[Operator]] = []
+        self._costs: List[int] = []
+        self._needs: List[Tuple[Pattern, ...]] = []
+        #: What a supplier serves: the first pattern, and more where there are any.
+        self._first: List[Pattern] = []
+        self._more: Dict[int, List[Pattern]] = {}
+        users = self.users
+        places: Dict[Operator, int] = {}
         patterns = [request.goal]
         for pattern in patterns:  # grows meanwhile
             fact = request.cheapest_fact(pattern)
             if fact is not None:
-                known = found.get(fact.action)
-                if known is None:
-                    known = found[fact.action] = _Supplier(fact.action, fact.cost, (), [])
-                    suppliers.append(known)
-                known.serves.append(pattern)
+                self._serve(pattern, places, fact.action, fact.cost, ())
             if not is_whole:
                 if fact is not None and not pattern.wanted and request.is_met(pattern, fact):
                     continue
                 crowd = request.crowd(pattern) if pattern.wanted else None
                 if crowd is not None:  # they are looked at when more is known
-                    suppliers.append(_Supplier(None, crowd, (), [pattern]))
+                    self._add(pattern, None, crowd, ())
                     continue
             for action, _ in request.offers(pattern):
-                supplier = found.get(action)
-                if supplier is not None:
-                    if supplier.serves[-1] is not pattern:
-                        supplier.serves.append(pattern)
-                    continue
                 needs = action.inputs
                 if len(needs) > 1:
                     needs = tuple(dict.fromkeys(needs))
+                if not self._serve(pattern, places, action, request.floor(action), needs):
+                    continue
                 if action.variables:
                     self.is_simple = False
                 for need in needs:
-                    if need in users:
-                        users[need].append(len(suppliers))
-                    else:
+                    if need not in users:
                         patterns.append(need)
-                        users[need] = [len(suppliers)]
-                supplier = found[action] = _Supplier(
-                    action, request.floor(action), needs, [pattern]
-                )
-                suppliers.append(supplier)
-        self.size = len([each for each in suppliers if each.needs])
-        self.most = sum([each.cost for each in suppliers])
+                        users[need] = []
+                    users[need].append(places[action])
+        self.size = len([each for each in self._needs if each])
+        self.most = sum(self._costs)
+
+    def _serve(
+        self,
+        pattern: Pattern,
+        places: Dict[Operator, int],
+        action: Operator,
+        cost: int,
+        needs: Tuple[Pattern, ...],
+    ) -> bool:
+        """Let an action supply a pattern; return whether it is new."""
+        place = places.get(action)
+        if place is None:
+            places[action] = len(self._costs)
+            self._add(pattern, action, cost, needs)
+        elif pattern is not self._first[place]:
+            more = self._more.setdefault(place, [])
+            if not more or more[-1] is not pattern:
+                more.append(pattern)
+        return place is None
+
+    def _add(
+        self,
+        pattern: Pattern,
+        action: Optional[Operator],
+        cost: int,
+        needs: Tuple[Pattern, ...],
+    ) -> None:
+        self._first.append(pattern)
+        self._actions.append(action)
+        self._costs.append(cost)
+        self._needs.append(needs)
+
+    def _served(self, place: int) -> Tuple[Pattern, ...]:
+        return (self._first[place], *self._more.get(place, ()))
 
     def least(
         self, use_sum: bool = True, below: Optional[int] = None
@@ -104,20 +125,19 @@ class Bounds:
         Returns:
             Both by pattern, without those that cannot be supplied.
         """
-        suppliers, users = self._suppliers, self.users
-        by_rank = list(range(len(suppliers)))
+        actions, costs, users = self._actions, self._costs, self.users
+        by_rank = list(range(len(actions)))
         if self.is_simple and use_sum:
             # Labels decide between equal costs, where the supplier of a demand matters.
-            actions = [each.action for each in suppliers]
             labels = [
                 each.label + "\0" * (each.slow is not None) if each else "" for each in actions
             ]
             by_rank.sort(key=labels.__getitem__)
-        ranks = [0] * len(suppliers)
+        ranks = [0] * len(actions)
         for rank, place in enumerate(by_rank):
             ranks[place] = rank
-        missing = [len(each.needs) for each in suppliers]
-        total = [each.cost for each in suppliers]
+        missing = list(map(len, self._needs))
+        total = list(costs)
         heap = [
             total[place] << _BITS | ranks[place] for place, left in enumerate(missing) if not left
         ]
@@ -127,17 +147,17 @@ class Bounds:
         chosen: Dict[Pattern, Operator] = {}
         while heap:
             key = pop(heap)
-            price, supplier = key >> _BITS, suppliers[by_rank[key & _RANK]]
+            price, place = key >> _BITS, by_rank[key & _RANK]
             if below is not None and price >= below:
                 break
-            for pattern in supplier.serves:
+            for pattern in self._served(place):
                 if pattern in value:
                     continue
                 value[pattern] = price
-                chosen[pattern] = supplier.action  # type: ignore[assignment]
+                chosen[pattern] = actions[place]  # type: ignore[assignment]
                 for user in users[pattern]:
                     # Patterns come in the order of their values: the last is the maximum.
-                    total[user] = price + (total[user] if use_sum else suppliers[user].cost)
+                    total[user] = price + (total[user] if use_sum else costs[user])
                     missing[user] -= 1
                     if not missing[user]:
                         push(heap, total[user] << _BITS | ranks[user])
@@ -155,11 +175,11 @@ class Bounds:
         """
         found: Dict[Pattern, int] = {}
         rest = below
-        suppliers: Dict[Pattern, List[Tuple[int, _Supplier]]] = {}
-        for each in self._suppliers:
-            floor = max([least.get(need, below) for need in each.needs], default=0) + each.cost
-            for pattern in each.serves:
-                suppliers.setdefault(pattern, []).append((floor, each))
+        suppliers: Dict[Pattern, List[Tuple[int, int]]] = {}
+        for place, needs in enumerate(self._needs):
+            floor = max([least.get(need, below) for need in needs], default=0)
+            for pattern in self._served(place):
+                suppliers.setdefault(pattern, []).append((floor + self._costs[place], place))
         heap = [(0, 0, self._goal)]
         pushed = 0
         while heap:
@@ -167,14 +187,15 @@ class Bounds:
             if pattern in found:
                 continue
             found[pattern] = price
-            for floor, each in suppliers.get(pattern, ()):
-                if each.action is None:
-                    rest = min(rest, price + each.cost)
+            for floor, place in suppliers.get(pattern, ()):
+                cost = price + self._costs[place]
+                if self._actions[place] is None:
+                    rest = min(rest, cost)
                 elif price + floor < below:
-                    for need in each.needs:
+                    for need in self._needs[place]:
                         if need not in found:
                             pushed += 1
-                            heapq.heappush(heap, (price + each.cost, pushed, need))
+                            heapq.heappush(heap, (cost, pushed, need))
         if rest < below:
             found = {pattern: min(price, rest) for pattern, price in found.items()}
         return found, rest

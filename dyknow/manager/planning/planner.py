@@ -29,7 +29,7 @@ from typing import (
 from dyknow.manager.planning.and_or_graph import Draft, drafted, is_sound
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.improvement import STEPS, Budget, Improved, allowed, improve
-from dyknow.manager.planning.library import Operator, OperatorIndex, Reader
+from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names, Pattern
 from dyknow.manager.planning.problem import (
     AVOIDED,
@@ -269,6 +269,7 @@ class _Writer:
         self._request = request
         self._chosen = draft.chosen
         self._bindings: Dict[Instance, Bindings] = {}
+        self._unbound: Dict[Head, New] = {}
         #: When nodelets have their inputs, in microseconds.
         self._begun: Dict[Instance, int] = {}
 
@@ -277,7 +278,11 @@ class _Writer:
         chosen = self._chosen[node]
         head = self._request.source(chosen.action, chosen.theta, node)
         bindings = self._bindings.get(chosen, ())
-        source = head.live or New(head.action.label, head.port, bindings)
+        source = head.live or self._unbound.get(head)
+        if source is None or bindings:
+            source = New(head.action.label, head.port, bindings)
+            if not bindings:
+                self._unbound[head] = source
         return source, head.texts, self._begun.get(chosen, 0) + head.latency
 
     def step(self, instance: Instance, part: Action) -> PlanStep:
