@@ -259,11 +259,25 @@ def _cut_plain(text: str, names: Dict[str, int], variables: re.Pattern[str]) -> 
 def _substitutions(
     node: Node, pieces: Dict[Tuple[str, bool], _Pieces], terms: _Terms
 ) -> Iterator[Node]:
+    fixed = {
+        key: _joined(cut, key[1])
+        for key, cut in pieces.items()
+        if not any(isinstance(piece, int) for piece in cut)
+    }
     for choice in product(*terms):
 
         def render(text: str, is_value: bool, choice: Tuple[str, ...] = choice) -> str:
-            cut = pieces[text, is_value]
-            filled = [choice[piece] if isinstance(piece, int) else piece for piece in cut]
-            return placeholders.join(filled) if is_value else "".join(map(str, filled))
+            key = (text, is_value)
+            if key in fixed:
+                return fixed[key]
+            filled: _Pieces = [
+                choice[each] if isinstance(each, int) else each for each in pieces[key]
+            ]
+            return _joined(filled, is_value)
 
         yield node.rendered(render)
+
+
+def _joined(pieces: _Pieces, is_value: bool) -> str:
+    texts = [piece for piece in pieces if not isinstance(piece, int)]
+    return placeholders.join(texts) if is_value else "".join(map(str, texts))

@@ -33,7 +33,7 @@ from dyknow.manager.specifications.limits import SpecificationLimits
 BLANK = " \t\r\n"
 """XML's white space, which is stripped from both ends of every value and term."""
 
-_CHUNK = 2**18
+_CHUNK = 2**16
 
 #: Reasons of expat when an element is not closed.
 _UNFINISHED = (
@@ -187,7 +187,7 @@ class XmlReader:
         """
         data = self._utf8(text)
         view = memoryview(data)
-        longest = self._limits.string_length + 2 * _CHUNK
+        longest = self._limits.string_length + 2**19
         try:
             for start in range(0, len(data), _CHUNK):
                 self._parser.Parse(view[start : start + _CHUNK], False)
@@ -301,7 +301,7 @@ class XmlReader:
     def _end_text(self, rule: Element, node: Node) -> None:
         text = "".join(self._texts)
         self._texts.clear()
-        if node.get("type") == "yaml":
+        if node.attributes.get("type") == "yaml":
             # The indentation of YAML has a meaning, relative to that of its first line.
             text = dedent(text)
         node.text = text.strip(BLANK)
