@@ -9,8 +9,10 @@ import itertools
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from clocks import HandClock
 
 from dyknow.errors import PeerTimeout
+from dyknow.periodic import ControlLoop
 from dyknow.ros.manager.tenure import PATIENCE, VARIABLE, Tenure, TenureVerdict
 
 NAME = "/dyknow_manager"
@@ -161,3 +163,23 @@ def test_an_end_on_purpose_removes_only_its_own_entry(pair: Tuple[Side, Side]) -
     assert younger.tenure.look() is TenureVerdict.HOLD
     younger.tenure.give_back()
     assert f"{NAME}/tenure" not in younger.master.values
+
+
+def test_the_loop_looks_until_the_name_is_decided(pair: Tuple[Side, Side]) -> None:
+    elder, younger = pair
+    clock, done = HandClock(), []
+    loop = ControlLoop(clock=clock)
+    younger.tenure.watch(
+        loop, younger.uri, lambda: done.append("leave"), lambda: done.append("come back")
+    )
+
+    def looks(until: float) -> int:
+        count = 0
+        for moment in loop.advance(until):
+            clock.time = moment
+            count += 1
+        return count
+
+    assert (looks(3.0), done) == (3, [])
+    elder.look()
+    assert (looks(100.0), done) == (1, ["leave"])
