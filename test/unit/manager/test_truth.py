@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
 import pytest
-from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, Field, specification, transformation
+from unit.manager.field import CHAIN, IMAGE, Field, specification, transformation
 
-from dyknow.errors import HostError, NoPlanFound, SpawnFailed
+from dyknow.errors import HostError, SpawnFailed
 from dyknow.manager.claim import ClaimEvent
 from dyknow.model.streams import ClaimState
 
@@ -197,17 +197,6 @@ def test_a_topic_that_is_described_as_something_else_is_used_no_more(field: Fiel
     assert connected(field, "/detector_1")["joints"] == "/other/joints"
 
 
-def test_a_client_of_a_topic_is_told_when_its_description_goes(field: Field) -> None:
-    claim = field.acquire("Joints(nao)").claim
-    assert claim.topic == "/joint_states"
-    field.manager.remove_transformation("joints")
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.PENDING
-    field.manager.add_transformation(LIBRARY)
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-
-
 # What people do
 
 
@@ -309,19 +298,6 @@ def test_ordinary_nodes_are_heard_beside_a_relay_only_while_somebody_describes_t
 # Plain nodelets, which come up again when they are connected elsewhere
 
 
-def loaded(lab: Field, name: str) -> List[Dict[str, str]]:
-    """Record the topics of a nodelet's ports each time that it starts."""
-    seen: List[Dict[str, str]] = []
-
-    def note(operation: str, argument: str) -> None:
-        if (operation, argument) == ("loaded", name):
-            topics = connected(lab, name).items()
-            seen.append({port: topic for port, topic in topics if "/disconnected/" not in topic})
-
-    lab.host.fail = note
-    return seen
-
-
 def add_plain(lab: Field, ports: Dict[str, Tuple[str, Sequence[str]]]) -> None:
     lab.host.sources["lab/plain"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
     lab.host.cpp.add("lab/plain")
@@ -348,15 +324,3 @@ def test_claims_are_made_of_nodelets_with_live_ports(lab: Field) -> None:
     lab.host.stock = False
     lab.host.processes.clear()  # a nodelet manager with our library is there by now
     assert lab.acquire("Sum(all)").claim.state is ClaimState.ACTIVE
-
-
-def test_a_claim_that_cannot_be_met_any_more_waits_whatever_others_get(lab: Field) -> None:
-    with pytest.raises(NoPlanFound):
-        lab.acquire("BGR(bottom)")
-    assert [claim.topic for claim in lab.living()] == [""]
-
-
-def test_the_goal_of_the_case_study_is_one_stream_for_all_who_ask_for_it(field: Field) -> None:
-    claims = [field.acquire(GOAL).claim for _ in range(3)]
-    assert len({claim.topic for claim in claims}) == 1
-    assert field.labels() == CHAIN
