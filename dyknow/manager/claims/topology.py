@@ -81,11 +81,6 @@ class DependentNodelets:
         """Say that an out-port with variables may be on a topic."""
         self._places.setdefault(topic, []).append((number, port))
 
-    @property
-    def topics(self) -> frozenset[str]:
-        """Topics on which out-ports with variables may be."""
-        return frozenset(self._places)
-
     def on(self, topic: str) -> list[Producer]:
         """Return what out-ports with variables may send on a topic."""
         return [each for key in self._places.get(topic, ()) for each in self._possible[key]]

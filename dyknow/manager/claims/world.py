@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Hashable, Iterable, Iterator, Mapping
+from typing import Collection, Hashable, Iterable, Iterator, Mapping
 
 from dyknow import names
 from dyknow.errors import UnknownNodelet, WrongStream
@@ -49,7 +49,7 @@ class World:
         self.claims = claims
         self.described = described
         self.topology = topology
-        self._ends = ends
+        self.ends = ends
 
     def get(self, name: str) -> Record:
         """Return the record of a nodelet; raises UnknownNodelet."""
@@ -106,7 +106,7 @@ class World:
             replace(port, topic=record.topics.get(port.name, port.topic)) for port in record.ports
         )
         new = ends_of(replace(record, ports=tuple(ports)))
-        present = self._ends.get(record.name)
+        present = self.ends.get(record.name)
         gone = [present] if is_replaced and present is not None else []
         if is_forgetful:
             new = new._replace(heard=())
@@ -117,11 +117,11 @@ class World:
     @cached_property
     def forgetful(self) -> Topology:
         """The topology if nodelets remembered nothing."""
-        remembering = [each for each in self._ends.values() if each.heard]
+        remembering = [each for each in self.ends.values() if each.heard]
         return self.topology.changed(
             remembering,
             [each._replace(heard=()) for each in remembering],
-            [each._replace(heard=()) for each in self._ends.values()],
+            [each._replace(heard=()) for each in self.ends.values()],
         )
 
     # Consequences of a connection
@@ -240,37 +240,45 @@ class WorldReader:
         self._library = library
         self._host = host
         self._namespace = namespace
-        self._world: World | None = None
+        self._world = World({}, (), {}, {}, Topology((), {}, (), {}, library.ontology))
         self._world_at: Hashable = None
-        self._read: dict[str, tuple[Record, NodeletEnds]] = {}
-        self._ends: Mapping[str, NodeletEnds] = {}
         self._basis: object = None
-        self._described: dict[str, tuple[Transformation, ...]] = {}
+        self._described: Mapping[str, tuple[Transformation, ...]] = {}
         self._described_at: int | None = None
         self._perhaps: dict[tuple[str, str], tuple[str, ...]] = {}
 
     def now(self) -> World:
         """Return the world of this moment."""
         # The revisions come first: a change meanwhile is read the next time.
-        at = (self._library.revision, self._graph.revision, self._table.living())
-        known, perhaps = self._world, self._perhaps
-        if known is not None and self._world_at == (at, perhaps):
-            return known
+        at = (self._library.revision, self._graph.revision, self._table.living(), self._perhaps)
+        if self._world_at == at:
+            return self._world
+        revision, _, claims, perhaps = at
+        if self._described_at != revision:
+            self._described, self._described_at = self._descriptions(), revision
+        described, last = self._described, self._world
         records = {record.name: record for record in self._graph.all()}
         acting, is_certain = self._acting(records.values())
-        read: dict[str, tuple[Record, NodeletEnds]] = {}
-        for record in acting:
-            found = self._read.get(record.name)
-            if found is None or found[0] is not record:
-                found = (record, ends_of(record))
-            read[record.name] = found
-        self._read = read
-        ends = {name: each for name, (_, each) in read.items()}
-        described, claims = self._descriptions(at[0]), tuple(at[2])
-        topology = self._topology(ends, described, claims, perhaps)
-        world = World(records, claims, described, ends, topology)
-        self._world, self._world_at = world, (at, perhaps) if is_certain else None
-        return world
+        ends = {
+            name: (record is last.records.get(name) and last.ends.get(name)) or ends_of(record)
+            for name, record in records.items()
+            if name in acting
+        }
+        clients = [claim for claim in claims if claim.topic]
+        listening = [(each.claim_id, each.topic, each.datatype, each.request) for each in clients]
+        basis = (listening, described, perhaps)
+        gone = [each for name, each in last.ends.items() if ends.get(name) != each]
+        new = [each for name, each in ends.items() if last.ends.get(name) != each]
+        topology = last.topology
+        if self._basis != basis:
+            ontology = self._library.ontology
+            topology = Topology(ends.values(), described, clients, perhaps, ontology)
+        elif gone or new:
+            topology = topology.changed(gone, new, ends.values())
+        self._basis = basis
+        self._world = World(records, claims, described, ends, topology)
+        self._world_at = at if is_certain else None
+        return self._world
 
     def fitting(self, record: Record) -> dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
@@ -280,54 +288,24 @@ class WorldReader:
         """Count ports on further topics: where late connections may put them."""
         self._perhaps = {place: tuple(topics) for place, topics in perhaps.items()}
 
-    # Inside
-
-    def _acting(self, records: Iterable[Record]) -> tuple[list[Record], bool]:
+    def _acting(self, records: Collection[Record]) -> tuple[set[str], bool]:
         """Nodelets that may run, and whether that is certain as long as no record changes."""
-        records = [each for each in records if each.state is not State.FAILED]
-        if not any(record.state is State.LOST for record in records):
-            return records, True
-        states = self._host.states()
-        incarnations = {name: state.incarnation for name, state in states.items()}
-        acting = [
-            record
-            for record in records
-            if record.state is not State.LOST
-            or incarnations.get(record.manager) == record.incarnation
-        ]
-        return acting, False
+        names_ = {each.name for each in records if each.state is not State.FAILED}
+        lost = [each for each in records if each.state is State.LOST]
+        states = self._host.states() if lost else {}
+        for each in lost:
+            state = states.get(each.manager)
+            if state is None or state.incarnation != each.incarnation:
+                names_.discard(each.name)
+        return names_, not lost
 
-    def _descriptions(self, revision: int) -> Mapping[str, tuple[Transformation, ...]]:
-        if self._described_at != revision:
-            found: dict[str, tuple[Transformation, ...]] = {}
-            for each in self._library.topics():
-                topic = names.join(self._namespace, each.source)
-                topic = each.source if each.source[:1] == "/" else topic
-                found[topic] = (*found.get(topic, ()), each._replace(source=topic))
-            self._described, self._described_at = found, revision
-        return self._described
-
-    def _topology(
-        self,
-        ends: Mapping[str, NodeletEnds],
-        described: Mapping[str, tuple[Transformation, ...]],
-        claims: Iterable[Claim],
-        perhaps: Mapping[tuple[str, str], tuple[str, ...]],
-    ) -> Topology:
-        """Return the topology; it shares unchanged parts with the last one."""
-        clients = [claim for claim in claims if claim.topic]
-        listening = [(each.claim_id, each.topic, each.datatype, each.request) for each in clients]
-        basis = (listening, described, perhaps)
-        last, before = self._world, self._ends
-        self._ends = ends
-        if last is None or self._basis != basis:
-            self._basis = basis
-            return Topology(ends.values(), described, clients, perhaps, self._library.ontology)
-        gone = [each for name, each in before.items() if ends.get(name) != each]
-        new = [each for name, each in ends.items() if before.get(name) != each]
-        if not gone and not new:
-            return last.topology
-        return last.topology.changed(gone, new, ends.values())
+    def _descriptions(self) -> dict[str, tuple[Transformation, ...]]:
+        found: dict[str, tuple[Transformation, ...]] = {}
+        for each in self._library.topics():
+            topic = names.join(self._namespace, each.source)
+            topic = each.source if each.source[:1] == "/" else topic
+            found[topic] = (*found.get(topic, ()), each._replace(source=topic))
+        return found
 
 
 def _is_at(end: Producer | Consumer, name: str, config: Config, topic: str) -> bool:
