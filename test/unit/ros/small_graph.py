@@ -11,7 +11,7 @@ import socket
 import struct
 import threading
 from io import BytesIO
-from typing import Any, Dict, Iterator, List
+from typing import Dict, List
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
@@ -24,20 +24,20 @@ _pids = itertools.count(1000)
 class _XmlRpc:
     """Answers the functions of an object, in the form of ROS."""
 
-    def __init__(self, functions: Dict[str, Any]) -> None:
+    def __init__(self, functions):
         self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
         for name, function in functions.items():
             self._server.register_function(_in_form(function), name)
         self.uri = f"http://127.0.0.1:{self._server.server_address[1]}/"
         threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
 
-    def close(self) -> None:
+    def close(self):
         self._server.shutdown()
         self._server.server_close()
 
 
-def _in_form(function: Any) -> Any:
-    def answer(*arguments: Any) -> Any:
+def _in_form(function):
+    def answer(*arguments):
         value = function(*arguments)
         return (1, "", value) if value is not None else (-1, "unknown", 0)
 
@@ -47,7 +47,7 @@ def _in_form(function: Any) -> Any:
 class SmallMaster:
     """A master that looks up nodelet managers by name."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.nodes: Dict[str, SmallManager] = {}
         self._served = _XmlRpc(
             {
@@ -62,14 +62,14 @@ class SmallMaster:
         )
         self.uri = self._served.uri
 
-    def _service(self, name: str, service: str) -> Any:
+    def _service(self, name, service):
         kind = getattr(self.nodes.get(name), "kind", "")
         return self._of(name, "service") if service == ("get_counts" if kind else "list") else None
 
-    def _of(self, name: str, what: str) -> Any:
+    def _of(self, name, what):
         return getattr(self.nodes[name], what) if name in self.nodes else None
 
-    def close(self) -> None:
+    def close(self):
         self._served.close()
 
 
@@ -85,7 +85,7 @@ class SmallManager:
         error: sent in the header of each connection; empty: there is none.
     """
 
-    def __init__(self, kind: str = "") -> None:
+    def __init__(self, kind=""):
         self.kind = kind
         self.nodelets: List[str] = []
         self.pid = next(_pids)
@@ -108,7 +108,7 @@ class SmallManager:
         self._open: List[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
-    def close(self) -> None:
+    def close(self):
         """End, as a process that is killed."""
         self.goes_on.set()
         self._node.close()
@@ -116,12 +116,12 @@ class SmallManager:
         self._listener.close()
         self.lose_connections()
 
-    def lose_connections(self) -> None:
+    def lose_connections(self):
         while self._open:
             with contextlib.suppress(OSError):
                 self._open.pop().shutdown(socket.SHUT_RDWR)
 
-    def _accept(self) -> None:
+    def _accept(self):
         with contextlib.suppress(OSError):
             while True:
                 connection, _ = self._listener.accept()
@@ -129,7 +129,7 @@ class SmallManager:
                 self.connections += 1
                 threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _serve(self, connection):
         with contextlib.suppress(OSError, struct.error), connection:
             self._read(connection)
             service = GetCounts if self.kind else NodeletList
@@ -149,7 +149,7 @@ class SmallManager:
                 connection.sendall(b"\1" + struct.pack("<I", len(answer)) + answer)
 
     @staticmethod
-    def _read(connection: socket.socket) -> None:
+    def _read(connection):
         """Read data that begins with its length."""
         (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
         if length:
@@ -157,7 +157,7 @@ class SmallManager:
 
 
 @contextlib.contextmanager
-def small_graph() -> Iterator[SmallMaster]:
+def small_graph():
     """A master, closed with all that registered."""
     master = SmallMaster()
     try:

@@ -30,15 +30,15 @@ class Surroundings:
         open: what is subscribed to or bonded with at present.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.connects: Dict[str, Callable[[], None]] = {}
         self.open: List[str] = []
 
-    def subscribe(self, topic: str, *unused: Any) -> Any:
+    def subscribe(self, topic, *unused):
         self.open.append(topic)
         manager = topic.rsplit("/", 1)[0]
 
-        def connections() -> int:
+        def connections():
             self.connects.get(manager, lambda: None)()
             return 1
 
@@ -46,28 +46,28 @@ class Surroundings:
             get_num_connections=connections, unregister=lambda: self.open.remove(topic)
         )
 
-    def bond(self, manager: str) -> Any:
+    def bond(self, manager):
         self.open.append(manager)
         return SimpleNamespace(bond_id=manager, close=lambda: self.open.remove(manager))
 
 
 @pytest.fixture
-def around(monkeypatch: pytest.MonkeyPatch) -> Surroundings:
+def around(monkeypatch):
     around = Surroundings()
     monkeypatch.setattr(rospy, "Subscriber", around.subscribe)
     monkeypatch.setattr(stream_session, "ClientBond", around.bond)
     return around
 
 
-def open_session(manager: str) -> StreamSession:
+def open_session(manager):
     client: Any = SimpleNamespace(manager=manager, list_streams=lambda: ())
     return StreamSession.open(client)
 
 
-def test_a_manager_that_is_slow_to_connect_holds_up_no_other(around: Surroundings) -> None:
+def test_a_manager_that_is_slow_to_connect_holds_up_no_other(around):
     waiting, connected = threading.Event(), threading.Event()
 
-    def connect() -> None:
+    def connect():
         waiting.set()
         assert connected.wait(PATIENCE)
 
@@ -93,10 +93,8 @@ def test_a_manager_that_is_slow_to_connect_holds_up_no_other(around: Surrounding
     assert around.open == []
 
 
-def test_a_session_that_cannot_be_opened_leaves_nothing(
-    around: Surroundings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*unused: Any) -> Any:
+def test_a_session_that_cannot_be_opened_leaves_nothing(around, monkeypatch):
+    def refuse(*unused):
         raise rospy.ROSException("the master is away")
 
     with monkeypatch.context() as patch:
@@ -116,21 +114,21 @@ DEGRADED = replace(ACTIVE, state=ClaimState.DEGRADED, detail="a part is in doubt
 
 
 @pytest.fixture
-def events() -> List[StreamEvent]:
+def events():
     return []
 
 
 @pytest.fixture
-def stream(events: List[StreamEvent], monkeypatch: pytest.MonkeyPatch) -> AcquiredStream:
+def stream(events, monkeypatch):
     monkeypatch.setattr("rospy.get_time", lambda: 0.0)
     return AcquiredStream(mock.Mock(), mock.Mock(), ACTIVE, 30.0, events.append)
 
 
-def event(status: StreamStatus) -> StreamEvent:
+def event(status):
     return StreamEvent(0.0, ACTIVE, status, "because")
 
 
-def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
+def test_a_snapshot_from_before_an_event_does_not_win(stream):
     asked_at = stream.events
     stream.on_event(event(DEGRADED))
     stream.on_status(ACTIVE, asked_at)
@@ -139,10 +137,8 @@ def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) ->
     assert stream.state is ClaimState.ACTIVE
 
 
-def test_a_callback_may_release_and_late_events_revive_nothing(
-    stream: AcquiredStream, events: List[StreamEvent]
-) -> None:
-    def release(news: StreamEvent) -> None:
+def test_a_callback_may_release_and_late_events_revive_nothing(stream, events):
+    def release(news):
         events.append(news)
         stream.release()
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from typing import Iterator, Tuple
+from typing import Tuple
 
 import pytest
 from clocks import HandClock
@@ -20,13 +20,13 @@ LONG = 30.0
 class NameServer:
     """A name server that answers when the test allows it; of "known" at once."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.asked = threading.Semaphore(0)
         self.count = 0
         self.answers = threading.Event()
         self.addresses: Tuple[str, ...] = ("192.0.2.1",)
 
-    def look_up(self, host: str) -> Tuple[str, ...]:
+    def look_up(self, host):
         if host == "known":
             return ("192.0.2.2",)
         self.count += 1
@@ -38,15 +38,15 @@ class NameServer:
 
 
 @pytest.fixture
-def server() -> Iterator[NameServer]:
+def server():
     server = NameServer()
     yield server
     server.answers.set()
 
 
 def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(
-    server: NameServer,
-) -> None:
+    server,
+):
     addresses = Addresses(server.look_up)
     assert addresses.of("192.0.2.7", 0.0) == ("192.0.2.7",)
     assert addresses.of("::1", 0.0) == ("::1",)
@@ -62,7 +62,7 @@ def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(
     assert server.count == 1
 
 
-def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) -> None:
+def test_a_name_that_is_none_says_so_and_is_asked_for_again(server):
     server.addresses = ()
     server.answers.set()
     addresses = Addresses(server.look_up)
@@ -74,7 +74,7 @@ def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) 
         Addresses().of("x" * 300, LONG)  # it can be no name
 
 
-def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServer) -> None:
+def test_an_old_address_serves_while_the_name_server_is_silent(server):
     clock = HandClock()
     server.answers.set()
     addresses = Addresses(server.look_up, clock)

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import io
-from typing import Any, Optional
 
 import genpy
 import pytest
@@ -21,11 +20,11 @@ NOW = 1000.25
 
 
 @pytest.fixture(autouse=True)
-def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+def clock(monkeypatch):
     monkeypatch.setattr(rospy, "get_rostime", lambda: genpy.Time.from_sec(NOW))
 
 
-def serialised(message: Any) -> rospy.AnyMsg:
+def serialised(message):
     """A message as a subscriber of any type receives it."""
     buffer = io.BytesIO()
     message.serialize(buffer)
@@ -39,7 +38,7 @@ def serialised(message: Any) -> rospy.AnyMsg:
 @pytest.mark.parametrize(
     ("stamp", "age"), [(1000.0, 0.25), (999.5, 0.75), (1001.0, -0.75), (0, None)]
 )
-def test_of_stamped_messages(kind: Any, stamp: float, age: Optional[float]) -> None:
+def test_of_stamped_messages(kind, stamp, age):
     message = kind(header=Header(seq=7, stamp=genpy.Time.from_sec(stamp)))
     assert age_of(message) == pytest.approx(age)
     assert age_of_serialised(serialised(message)) == pytest.approx(age)
@@ -49,13 +48,13 @@ def test_of_stamped_messages(kind: Any, stamp: float, age: Optional[float]) -> N
 @pytest.mark.parametrize(
     "message", [Header(stamp=genpy.Time(999)), String("a text of some length")]
 )
-def test_of_messages_without_a_header(message: Any) -> None:
+def test_of_messages_without_a_header(message):
     assert age_of(message) is None
     assert age_of_serialised(serialised(message)) is None
     assert is_stamped(message._type) is False
 
 
-def test_of_what_is_not_known_or_not_a_stamp() -> None:
+def test_of_what_is_not_known_or_not_a_stamp():
     for unknown in ("", "*", "nowhere/Nothing", "a/b/c"):
         assert is_stamped(unknown) is None
     assert age_of(PointStamped(header=Header(stamp=5.0))) is None

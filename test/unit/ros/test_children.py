@@ -11,7 +11,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterable, List
+from typing import Any, List
 
 import pytest
 from unit.ros.small_graph import SmallManager, small_graph
@@ -35,7 +35,7 @@ PATIENCE = 10.0
 class FakeLauncher:
     """Notes what is done, in order; its processes are up at once, and cannot be started."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path):
         self.path = path
         self.found: List[ChildRecord] = []
         self.cleaned: List[str] = []
@@ -45,38 +45,38 @@ class FakeLauncher:
         self.is_free = self.is_up = self.is_rewirable = lambda *unused: True
         self.registered = lambda name: ""
 
-    def running(self) -> List[ChildRecord]:
+    def running(self):
         return self.found
 
-    def clean_up(self, child: ChildRecord) -> None:
+    def clean_up(self, child):
         self.cleaned.append(child.name)
 
-    def launch(self, child: ChildRecord, command: object) -> object:
+    def launch(self, child, command):
         self.at_launch = child_records.read(self.path)
         self.launched.set()
         raise OSError("no process")
 
 
 @pytest.fixture
-def launcher(tmp_path: Path) -> FakeLauncher:
+def launcher(tmp_path):
     return FakeLauncher(str(tmp_path / "children.json"))
 
 
 @pytest.fixture
-def children(launcher: Any) -> Children:
+def children(launcher):
     return Children(PeerContext(Master("/manager")), launcher, "/", launcher.path)
 
 
 class SlowDisk:
     """A disk that accepts records only when allowed."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.writing = threading.Event()
         self.go_on = threading.Event()
         self.writers = self.most_writers = 0
         self.fails = False
 
-    def write(self, path: str, records: Iterable[ChildRecord]) -> None:
+    def write(self, path, records):
         self.writers += 1
         self.most_writers = max(self.most_writers, self.writers)
         self.writing.set()
@@ -87,13 +87,13 @@ class SlowDisk:
 
 
 @pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
+def disk(monkeypatch):
     disk = SlowDisk()
     monkeypatch.setattr(child_records, "write", disk.write)
     return disk
 
 
-def test_a_slow_disk_holds_up_writers_alone(children: Children, disk: SlowDisk) -> None:
+def test_a_slow_disk_holds_up_writers_alone(children, disk):
     writers = [in_background("adopting", children.adopt) for _ in range(4)]
     assert disk.writing.wait(PATIENCE)
     assert children.all() == children.crashes() == []
@@ -104,9 +104,7 @@ def test_a_slow_disk_holds_up_writers_alone(children: Children, disk: SlowDisk) 
     assert disk.most_writers == 1
 
 
-def test_records_that_the_disk_refused_are_written_later_and_logged_once(
-    children: Children, disk: SlowDisk, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_records_that_the_disk_refused_are_written_later_and_logged_once(children, disk, caplog):
     disk.fails = True
     disk.go_on.set()
     children.adopt()
@@ -119,9 +117,7 @@ def test_records_that_the_disk_refused_are_written_later_and_logged_once(
         assert disk.writing.is_set() is is_due
 
 
-def test_a_record_is_there_before_the_process_and_none_after_the_end(
-    children: Children, launcher: FakeLauncher
-) -> None:
+def test_a_record_is_there_before_the_process_and_none_after_the_end(children, launcher):
     children.want(NodeletKind.PYTHON, 1)
     assert launcher.launched.wait(PATIENCE)
     assert [each.name for each in launcher.at_launch] == ["/dyknow_nodelet_manager"]
@@ -130,9 +126,7 @@ def test_a_record_is_there_before_the_process_and_none_after_the_end(
         children.want(NodeletKind.PYTHON, 1)
 
 
-def test_children_that_died_without_a_manager_are_cleaned_up(
-    children: Children, launcher: FakeLauncher
-) -> None:
+def test_children_that_died_without_a_manager_are_cleaned_up(children, launcher):
     here = ProcessId.of(os.getpid())
     assert here is not None
     gone = ProcessId(here.pid, here.started + 1)
@@ -149,18 +143,14 @@ def test_children_that_died_without_a_manager_are_cleaned_up(
 
 
 @pytest.mark.parametrize("text", ["", "[]", '[{"name": "/lives"}]'])
-def test_children_that_run_are_taken_over_without_a_record(
-    children: Children, launcher: FakeLauncher, text: str
-) -> None:
+def test_children_that_run_are_taken_over_without_a_record(children, launcher, text):
     launcher.found = [ChildRecord("/lives", NodeletKind.CPP, "", ProcessId.of(os.getpid()))]
     Path(launcher.path).write_text(text)
     assert children.adopt() == ["/lives"]
     assert child_records.read(launcher.path) == launcher.found
 
 
-def test_records_name_processes_of_this_boot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_records_name_processes_of_this_boot(tmp_path, monkeypatch):
     path = str(tmp_path / "children.json")
     assert child_records.read(path) == []
     records = [
@@ -178,16 +168,14 @@ def test_records_name_processes_of_this_boot(
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '[{"name": "/a"}]', "{}x"])
-def test_damaged_records_are_refused(tmp_path: Path, text: str) -> None:
+def test_damaged_records_are_refused(tmp_path, text):
     path = tmp_path / "children.json"
     path.write_text(text)
     with pytest.raises(ValueError):
         child_records.read(str(path))
 
 
-def test_a_name_is_free_if_no_process_may_bear_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):
     """One on a host that is cut off may run, and would be ended when the host is back."""
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     monkeypatch.setattr(launcher_module, "_ANSWER_TIMEOUT", 0.2)

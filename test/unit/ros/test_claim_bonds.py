@@ -22,7 +22,7 @@ PATIENCE = 10.0
 class FakeBonds:
     """Bonds of one topic; adding one can be held up."""
 
-    def __init__(self, topic: str, clock: Any) -> None:
+    def __init__(self, topic, clock):
         self.held: Set[str] = set()
         self.adding = threading.Event()
         self.go_on = threading.Event()
@@ -30,7 +30,7 @@ class FakeBonds:
         self.remove = self.held.discard
         self.close = self.held.clear
 
-    def add(self, bond_id: str, on_broken: Any) -> None:
+    def add(self, bond_id, on_broken):
         self.adding.set()
         assert self.go_on.wait(PATIENCE)
         if bond_id in self.held:
@@ -38,7 +38,7 @@ class FakeBonds:
         self.held.add(bond_id)
 
 
-def claim(claim_id: str, bond_id: str, ended: bool = False) -> Any:
+def claim(claim_id, bond_id, ended=False):
     request = StreamRequest("Tag", bond_id=bond_id)
     return SimpleNamespace(claim_id=claim_id, request=request, state=SimpleNamespace(ended=ended))
 
@@ -46,7 +46,7 @@ def claim(claim_id: str, bond_id: str, ended: bool = False) -> Any:
 class Table:
     """Claims that change, and the bonds that follow them."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.claims: List[Any] = []
         self.expired: List[str] = []
         self.bonds = ClaimBonds(
@@ -54,34 +54,34 @@ class Table:
         )
         self.fake: Any = self.bonds._bonds
 
-    def follow(self, *claims: Any) -> Set[str]:
+    def follow(self, *claims):
         self.claims = list(claims)
         self.bonds.follow()
         return set(self.fake.held)
 
 
 @pytest.fixture
-def table(monkeypatch: pytest.MonkeyPatch) -> Table:
+def table(monkeypatch):
     monkeypatch.setattr(claim_bonds, "Bonds", FakeBonds)
     monkeypatch.setattr(claim_bonds.rospy, "get_name", lambda: "/manager")
     return Table()
 
 
-def test_claims_that_name_a_bond_have_it_until_the_last_of_them_ends(table: Table) -> None:
+def test_claims_that_name_a_bond_have_it_until_the_last_of_them_ends(table):
     second = claim("2", "b")
     assert table.follow(claim("1", "b"), second, claim("3", ""), claim("4", "c", True)) == {"b"}
     assert table.follow(second) == {"b"}
     assert table.follow() == set()
 
 
-def test_a_broken_bond_ends_the_claims_that_name_it(table: Table) -> None:
+def test_a_broken_bond_ends_the_claims_that_name_it(table):
     table.follow(claim("2", "b"), claim("1", "b"), claim("3", "c"))
     table.bonds._on_broken("b")
     table.bonds._on_broken("b")
     assert table.expired == ["1", "2"]
 
 
-def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table: Table) -> None:
+def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table):
     table.fake.go_on.clear()
     making = threading.Thread(target=table.follow, args=(claim("1", "b"),))
     making.start()
@@ -96,11 +96,11 @@ def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table: Table) -> N
     assert table.fake.held == set()
 
 
-def test_claims_of_many_threads_have_their_bonds_in_the_end(table: Table) -> None:
+def test_claims_of_many_threads_have_their_bonds_in_the_end(table):
     changing = threading.Lock()
 
-    def work(number: int) -> None:
-        def change(added: List[Any], removed: List[Any]) -> None:
+    def work(number):
+        def change(added, removed):
             with changing:
                 kept = [each for each in table.claims if each not in removed]
                 table.claims = [*kept, *added]

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Iterator, List
+from typing import List
 
 import pytest
 from clocks import eventually
-from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, HostTimeout
 from dyknow.model.graph import NodeletKind
@@ -25,18 +25,18 @@ FAR = "/far"
 
 
 @pytest.fixture
-def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallMaster]:
+def graph(monkeypatch):
     monkeypatch.setattr(external, "_PERIOD", 0.05)
     with small_graph() as graph:
         yield graph
 
 
-def context(graph: SmallMaster) -> PeerContext:
+def context(graph):
     return PeerContext(Master("/test", graph.uri))
 
 
 @pytest.fixture
-def peer(graph: SmallMaster) -> Iterator[External]:
+def peer(graph):
     graph.nodes[FAR] = SmallManager()
     graph.nodes[FAR].nodelets = ["/b", "/a"]
     peer = External(context(graph), FAR)
@@ -46,11 +46,11 @@ def peer(graph: SmallMaster) -> Iterator[External]:
     peer.close()
 
 
-def test_no_call_waits_for_one_that_was_never_seen() -> None:
+def test_no_call_waits_for_one_that_was_never_seen():
     asked, answer = threading.Event(), threading.Event()
 
     class SilentMaster(Master):
-        def node(self, name: str) -> str:
+        def node(self, name):
             asked.set()
             answer.wait()
             return ""
@@ -70,9 +70,7 @@ def test_no_call_waits_for_one_that_was_never_seen() -> None:
     peers.close()
 
 
-def test_one_that_hangs_is_asked_again_by_its_thread_alone(
-    graph: SmallMaster, peer: External
-) -> None:
+def test_one_that_hangs_is_asked_again_by_its_thread_alone(graph, peer):
     manager, before = graph.nodes[FAR], peer.state.incarnation
     assert before == f"{manager.uri}@{manager.pid}"
     manager.goes_on.clear()
@@ -89,7 +87,7 @@ def test_one_that_hangs_is_asked_again_by_its_thread_alone(
     assert peer.list() == ["/a", "/b"]
 
 
-def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: External) -> None:
+def test_one_that_ended_is_gone_and_not_away(graph, peer):
     graph.nodes[FAR].close()
     with pytest.raises(HostError):
         peer.list()
@@ -103,7 +101,7 @@ def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: External)
         eventually(lambda: not peer.state.alive)
 
 
-def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: External) -> None:
+def test_a_lost_connection_is_no_other_process(graph, peer):
     before = peer.state.incarnation
     graph.nodes[FAR].lose_connections()
     with pytest.raises(HostError):
@@ -112,9 +110,7 @@ def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: Externa
     assert peer.state.incarnation == before
 
 
-def test_a_successor_is_never_taken_for_its_predecessor(
-    graph: SmallMaster, peer: External
-) -> None:
+def test_a_successor_is_never_taken_for_its_predecessor(graph, peer):
     before = peer.state.incarnation
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
     elder.close()
@@ -127,9 +123,7 @@ def test_a_successor_is_never_taken_for_its_predecessor(
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(
-    graph: SmallMaster, peer: External, hangs: bool
-) -> None:
+def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(graph, peer, hangs):
     elder = graph.nodes[FAR]
     if hangs:
         elder.goes_on.clear()
@@ -146,9 +140,7 @@ def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(
         elder.close()
 
 
-def test_another_process_at_the_same_address_is_left_alone(
-    graph: SmallMaster, peer: External
-) -> None:
+def test_another_process_at_the_same_address_is_left_alone(graph, peer):
     elder, newcomer = graph.nodes[FAR], SmallManager()
     elder.pid += 1
     graph.nodes[FAR] = newcomer
@@ -160,14 +152,14 @@ def test_another_process_at_the_same_address_is_left_alone(
         elder.close()
 
 
-def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: External) -> None:
+def test_a_master_that_is_away_changes_nothing(graph, peer):
     graph.close()
     peer.look()
     assert peer.state.responsive
     assert peer.list() == ["/a", "/b"]
 
 
-def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: External) -> None:
+def test_a_nodelet_is_where_it_was_seen_last(graph, peer):
     peers = Externals(context(graph), [FAR])
     peers.start()
     eventually(lambda: peers.hosting("/a"))
@@ -182,7 +174,7 @@ def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: External)
 
 
 @pytest.fixture
-def nodes(graph: SmallMaster, monkeypatch: pytest.MonkeyPatch) -> Iterator[Externals]:
+def nodes(graph, monkeypatch):
     monkeypatch.setattr(external, "_NODE_PATIENCE", 0.5)
     graph.nodes[FAR] = SmallManager("cpp_node")
     nodes = Externals(context(graph))
@@ -191,9 +183,7 @@ def nodes(graph: SmallMaster, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exter
     nodes.close()
 
 
-def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(
-    graph: SmallMaster, nodes: Externals
-) -> None:
+def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(graph, nodes):
     (node,) = nodes.all()
     assert (node.state.kind, node.state.own) == (NodeletKind.CPP_NODE, False)
     assert node.answers and node.list() == [FAR] and nodes.hosting(FAR) is node
@@ -208,9 +198,7 @@ def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-def test_a_node_that_does_not_answer_is_there_all_along(
-    graph: SmallMaster, nodes: Externals, hangs: bool
-) -> None:
+def test_a_node_that_does_not_answer_is_there_all_along(graph, nodes, hangs):
     (node,) = nodes.all()
     before = node.state.incarnation
     if hangs:
@@ -228,7 +216,7 @@ def test_a_node_that_does_not_answer_is_there_all_along(
     assert node.state.incarnation == before and node.list() == [FAR]
 
 
-def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph: SmallMaster) -> None:
+def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph):
     changes: List[str] = []
     graph.nodes["/manager"] = SmallManager()
     nodes = Externals(

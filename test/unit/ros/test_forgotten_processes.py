@@ -9,7 +9,7 @@ import os
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterator, Set, cast
+from typing import Any, Set, cast
 
 import pytest
 import rospy
@@ -33,7 +33,7 @@ from dyknow.ros.wire.master import Master
 
 
 @pytest.fixture
-def host() -> Iterator[RosHost]:
+def host():
     """A host with one node, whose process is gone."""
     with small_graph() as graph:
         graph.nodes["/n"] = SmallManager("node")
@@ -45,7 +45,7 @@ def host() -> Iterator[RosHost]:
         host.close()
 
 
-def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
+def test_what_is_kept_of_a_process_goes_with_it(host):
     report = host.poll()
     assert report.processes["/n"].kind is NodeletKind.NODE
     assert report.nodelets == {"/n": frozenset(["/n"])}
@@ -66,13 +66,11 @@ def test_what_is_kept_of_a_process_goes_with_it(host: RosHost) -> None:
 
 
 @pytest.mark.parametrize("kind", ["guards", "producers", "announcers"])
-def test_an_older_state_never_replaces_a_newer_one(
-    host: RosHost, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_older_state_never_replaces_a_newer_one(host, kind, monkeypatch):
     """Or a nodelet would be unprotected, or a producer silent, until the next look."""
     subscribed: Set[str] = set()
 
-    def subscribe(topic: str, *unused: object) -> Any:
+    def subscribe(topic, *unused):
         subscribed.add(topic)
         return SimpleNamespace(unregister=lambda: subscribed.discard(topic))
 
@@ -92,7 +90,7 @@ def test_an_older_state_never_replaces_a_newer_one(
         "announcers": ([], ["/n"], listener.follow, lambda: subscribed == {"/n/changes"}),
     }[kind]
 
-    def slowly() -> Any:
+    def slowly():
         has_read.set()
         assert may_go_on.wait(30.0)
         return older
@@ -112,11 +110,11 @@ def test_an_older_state_never_replaces_a_newer_one(
     assert subscribed == set()
 
 
-def test_fixed_nodelets_have_services_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fixed_nodelets_have_services_until_the_end(monkeypatch):
     """A publication of the model that is late must not offer them once more."""
     offered: Set[str] = set()
 
-    def services(proxy: Any) -> Any:
+    def services(proxy):
         offered.add(proxy.name)
         return SimpleNamespace(close=lambda: offered.discard(proxy.name))
 
@@ -138,7 +136,7 @@ def test_fixed_nodelets_have_services_until_the_end(monkeypatch: pytest.MonkeyPa
     assert offered == set()
 
 
-def test_old_accusations_take_no_memory() -> None:
+def test_old_accusations_take_no_memory():
     now = [0.0]
     suspects = Suspects(lambda: now[0])
     for number in range(50):
@@ -148,8 +146,8 @@ def test_old_accusations_take_no_memory() -> None:
 
 
 @pytest.fixture
-def launcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Launcher:
-    def start(command: Any, output: str, *rest: Any) -> ProcessId:
+def launcher(tmp_path, monkeypatch):
+    def start(command, output, *rest):
         Path(output).write_text("it runs\n")
         Path(output + ".owner").touch()
         return ProcessId(1, 1)
@@ -163,8 +161,8 @@ def launcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Launcher:
     return Launcher(master, owner, 0.0, {})
 
 
-def test_outputs_of_the_last_processes_are_kept(launcher: Launcher, tmp_path: Path) -> None:
-    def launch(name: str) -> ChildRecord:
+def test_outputs_of_the_last_processes_are_kept(launcher, tmp_path):
+    def launch(name):
         record = ChildRecord(name, NodeletKind.PYTHON)
         assert isinstance(launcher.launch(record)[1], LogTail)
         return record

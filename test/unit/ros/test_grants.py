@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Dict, List
 
 import pytest
 from clocks import HandClock
@@ -29,16 +29,16 @@ LONG = 30.0
 class Far:
     """A nodelet manager, as the client of a lease sees it."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.requests: List[Any] = []
         self.error: Exception | None = None
         self.clock = 5.0
         self.asked = threading.Condition()
 
-    def __call__(self, *unused: Any, **kwds: Any) -> Far:
+    def __call__(self, *unused, **kwds):
         return self
 
-    def call(self, timeout: float, **request: Any) -> Any:
+    def call(self, timeout, **request):
         with self.asked:
             self.requests.append(request)
             self.asked.notify_all()
@@ -47,23 +47,23 @@ class Far:
         self.clock += 1.0
         return SimpleNamespace(clock=self.clock)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
-    def wait_for(self, count: int) -> List[Any]:
+    def wait_for(self, count):
         with self.asked:
             assert self.asked.wait_for(lambda: len(self.requests) >= count, LONG)
             return list(self.requests)
 
 
 @pytest.fixture
-def far(monkeypatch: pytest.MonkeyPatch) -> Far:
+def far(monkeypatch):
     far = Far()
     monkeypatch.setattr(grants, "ServiceClient", far)
     return far
 
 
-def lease(clock: HandClock) -> Tuple[Lease, threading.Event]:
+def lease(clock):
     """A lease, and an event that is set when it has run out."""
     ended = threading.Event()
     context = PeerContext(
@@ -72,7 +72,7 @@ def lease(clock: HandClock) -> Tuple[Lease, threading.Event]:
     return Lease(context, "/far", lambda: True), ended
 
 
-def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far: Far) -> None:
+def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far):
     kept, _ = lease(HandClock())
     kept.grant()
     first, second, third = far.wait_for(3)[:3]
@@ -86,7 +86,7 @@ def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(fa
     kept.close()
 
 
-def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far: Far) -> None:
+def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far):
     """One may be held that an earlier life of the manager granted."""
     clock = HandClock()
     kept, ended = lease(clock)
@@ -104,7 +104,7 @@ def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far: Far) -> N
     kept.close()
 
 
-def test_a_pause_of_the_manager_does_not_count() -> None:
+def test_a_pause_of_the_manager_does_not_count():
     steady = HandClock()
     running = RunningClock(steady)
     for _ in range(10):
@@ -117,12 +117,12 @@ def test_a_pause_of_the_manager_does_not_count() -> None:
 class Parameters(Master):
     """A master's parameter server, which answers unless it is away."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__("/manager")
         self.values: Dict[str, Any] = {}
         self.is_away = False
 
-    def ask(self, question: str, *args: Any) -> Any:
+    def ask(self, question, *args):
         if self.is_away:
             raise PeerTimeout("the ROS master", 1.0)
         if question == "setParam":
@@ -141,7 +141,7 @@ STATE = ProcessState("/far", NodeletKind.PYTHON, "1")
 class Guarded:
     """Guards of one process, the parameters at the master, and a clock."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         guards = Guards(denied_topics=("/e_stop",), allowed_topics=(("/a/*",),), read_only=True)
         self.clock = HandClock()
         self.master = Parameters()
@@ -149,18 +149,16 @@ class Guarded:
         self.context = PeerContext(self.master, guards, running=self.clock)
         self.guarding = Guarding(self.context, "/far")
 
-    def hand_over(self, **change: Any) -> None:
+    def hand_over(self, **change):
         self.guarding.hand_over(replace(STATE, **change))
 
 
 @pytest.fixture
-def guarded() -> Guarded:
+def guarded():
     return Guarded()
 
 
-def test_guards_that_were_not_taken_are_handed_over_again(
-    guarded: Guarded, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_guards_that_were_not_taken_are_handed_over_again(guarded, caplog):
     guarded.master.is_away = True
     for _ in range(2):
         guarded.hand_over()
@@ -175,9 +173,7 @@ def test_guards_that_were_not_taken_are_handed_over_again(
 
 
 @pytest.mark.parametrize("change", [dict.clear, lambda found: found.update(denied_topics=[])])
-def test_guards_that_are_missing_or_changed_are_handed_over_again(
-    guarded: Guarded, change: Callable[[Dict[str, Any]], None]
-) -> None:
+def test_guards_that_are_missing_or_changed_are_handed_over_again(guarded, change):
     guarded.hand_over()
     given = dict(guarded.values[KEY])
     guarded.clock.time += GUARDS_PERIOD
@@ -191,7 +187,7 @@ def test_guards_that_are_missing_or_changed_are_handed_over_again(
     assert guarded.values[KEY] == given
 
 
-def test_other_processes_and_other_protected_nodelets_need_new_guards(guarded: Guarded) -> None:
+def test_other_processes_and_other_protected_nodelets_need_new_guards(guarded):
     for useless in ({"incarnation": ""}, {"rewirable": False}):  # dead, stock
         guarded.hand_over(**useless)
         assert guarded.values == {}

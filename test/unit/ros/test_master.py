@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Iterator
-
 import pytest
 import rosmaster.master
 
@@ -16,7 +14,7 @@ URI = "http://localhost:9/"
 
 
 @pytest.fixture
-def uri(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def uri(monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
     started = rosmaster.master.Master(port=0)
     started.start()
@@ -24,7 +22,7 @@ def uri(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     started.stop()
 
 
-def test_the_master_forgets_a_node_that_is_purged(uri: str) -> None:
+def test_the_master_forgets_a_node_that_is_purged(uri):
     """Else it would tell whoever has that address by then to end, as soon as the name is back."""
     dead = Master("/dead", uri)
     dead.ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
@@ -37,7 +35,7 @@ def test_the_master_forgets_a_node_that_is_purged(uri: str) -> None:
     assert asking.node("/dead") == ""
 
 
-def test_a_successor_stays(uri: str) -> None:
+def test_a_successor_stays(uri):
     Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
     other = "http://localhost:10/"
     Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", other)
@@ -47,7 +45,7 @@ def test_a_successor_stays(uri: str) -> None:
     assert asking.publishers("/topic") == {"/dead"}
 
 
-def test_a_topic_has_a_type_while_somebody_publishes_it(uri: str) -> None:
+def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     node = Master("/node", uri)
     node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
     node.ask("registerPublisher", "/top", "std_msgs/Header", URI)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from io import BytesIO
-from typing import Any
 
 import pytest
 import rospy
@@ -74,7 +73,7 @@ ACQUIRED = Acquisition(
 )
 
 
-def sent(message: Any, message_class: Any = None) -> Any:
+def sent(message, message_class=None):
     """Serialise and deserialise a message."""
     buffer = BytesIO()
     message.serialize(buffer)
@@ -98,13 +97,13 @@ def sent(message: Any, message_class: Any = None) -> Any:
         ("replanned", Replanned(("/n",), ("/o", "/p"), 1.5, "a plan", "as before")),
     ],
 )
-def test_a_value_arrives_unchanged(kind: str, value: Any) -> None:
+def test_a_value_arrives_unchanged(kind, value):
     further = [True] if kind == "acquire" else []
     message = getattr(messages, f"{kind}_message")(value, *further)
     assert getattr(messages, f"{kind}_from")(sent(message)) == value
 
 
-def test_fields_that_the_values_do_not_have() -> None:
+def test_fields_that_the_values_do_not_have():
     assert messages.transformation_message(RELAY).specification == RELAY.to_xml()
     for dry_run in (False, True):
         assert messages.acquire_message(REQUEST, dry_run).dry_run is dry_run
@@ -114,7 +113,7 @@ def test_fields_that_the_values_do_not_have() -> None:
         assert getattr(srv.AcquireStreamResponse, result.name) == result
 
 
-def test_a_request_to_spawn() -> None:
+def test_a_request_to_spawn():
     config = {"b": "/t", "a": ""}
     request = SpawnRequest("relay", "/n", config, True, True, "/m", PARAMETERS)
     arrived = sent(messages.spawn_message(request))
@@ -124,7 +123,7 @@ def test_a_request_to_spawn() -> None:
     assert messages.parameters_from(arrived.parameters) == PARAMETERS
 
 
-def test_the_counts_of_a_nodelet() -> None:
+def test_the_counts_of_a_nodelet():
     latched = replace(COUNTED, latched=True, age=0.25)
     arrived = sent(messages.counts_message("/n", NodeletStatistics(1.5, 2, 3, (latched, UNKNOWN))))
     assert (arrived.nodelet, arrived.uptime.to_sec()) == ("/n", 1.5)
@@ -135,13 +134,13 @@ def test_the_counts_of_a_nodelet() -> None:
     assert unknown.age != unknown.age
 
 
-def test_the_lists_of_a_request_are_sorted_sets() -> None:
+def test_the_lists_of_a_request_are_sorted_sets():
     message = messages.acquire_message(replace(REQUEST, exclude=("b", "a", "b")), False)
     assert messages.acquire_from(message).exclude == ("a", "b")
 
 
 @pytest.mark.parametrize("result", [each for each in Result if each is not Result.OK])
-def test_refusals(result: Result) -> None:
+def test_refusals(result):
     with pytest.raises(StreamRefused, match="no way") as caught:
         messages.acquisition_from(
             sent(messages.refusal_message(StreamRefused("no way", result, "7")))
@@ -149,7 +148,7 @@ def test_refusals(result: Result) -> None:
     assert (caught.value.result, caught.value.claim_id) == (result, "7")
 
 
-def test_a_model_on_its_topic_and_in_the_answer() -> None:
+def test_a_model_on_its_topic_and_in_the_answer():
     rospy.rostime.set_rostime_initialized(True)
     kept = ModelMessages()
     model = Model(7, 3, (NODELET, OTHER), (RELAY, THEIRS))
@@ -161,7 +160,7 @@ def test_a_model_on_its_topic_and_in_the_answer() -> None:
     assert answer.transformations == list(map(messages.transformation_message, (RELAY, THEIRS)))
 
 
-def test_parts_of_a_model_that_changed_are_serialised_again() -> None:
+def test_parts_of_a_model_that_changed_are_serialised_again():
     rospy.rostime.set_rostime_initialized(True)
     kept = ModelMessages()
     kept.response(Model(1, 1, (NODELET, OTHER), (RELAY,)))

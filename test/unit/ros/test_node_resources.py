@@ -12,7 +12,7 @@ import socket
 import struct
 import subprocess
 import sys
-from typing import Any, Iterator
+from typing import Any
 
 import pytest
 import rospy.topics
@@ -26,12 +26,12 @@ from dyknow.ros.process import descriptors
 _QUEUE_AT = 28
 
 
-def used() -> int:
+def used():
     return len(os.listdir("/proc/self/fd"))
 
 
 @pytest.fixture
-def limits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def limits(monkeypatch):
     monkeypatch.setattr(rospy.topics, "Poller", rospy.topics.Poller)
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     yield
@@ -39,7 +39,7 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("limits")
-def test_topics_hold_no_descriptor_and_the_limit_is_raised() -> None:
+def test_topics_hold_no_descriptor_and_the_limit_is_raised():
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
     descriptors.spare()
@@ -51,7 +51,7 @@ def test_topics_hold_no_descriptor_and_the_limit_is_raised() -> None:
 
 
 @pytest.mark.usefixtures("limits")
-def test_more_work_is_refused_before_descriptors_run_out() -> None:
+def test_more_work_is_refused_before_descriptors_run_out():
     descriptors.check_left()
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (used() + 20, hard))
@@ -62,7 +62,7 @@ def test_more_work_is_refused_before_descriptors_run_out() -> None:
             descriptors.check_left()
 
 
-def test_a_connection_whose_other_end_is_gone_is_found() -> None:
+def test_a_connection_whose_other_end_is_gone_is_found():
     poller = descriptors.Poller()
     here, there = socket.socketpair()
     other, stays = socket.socketpair()
@@ -79,14 +79,14 @@ def test_a_connection_whose_other_end_is_gone_is_found() -> None:
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[tcpros_base.TCPROSServer]:
+def server(monkeypatch):
     server = tcpros_base.TCPROSServer()
     monkeypatch.setattr(tcpros_base, "_tcpros_server", server)
     yield server
     server.shutdown()
 
 
-def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer) -> None:
+def test_the_queue_of_the_server_is_lengthened(server):
     descriptors.enlarge_queue()
     listener = server.tcp_ros_server.server_sock
     information = listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 64)
@@ -96,20 +96,20 @@ def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer)
 class Exhausted:
     """A socket whose process has no descriptor left, as often as its outcomes say."""
 
-    def __init__(self, *outcomes: Any) -> None:
+    def __init__(self, *outcomes):
         self.outcomes = list(outcomes)
 
-    def accept(self) -> str:
+    def accept(self):
         outcome = self.outcomes.pop(0)
         if isinstance(outcome, int):
             raise OSError(outcome, os.strerror(outcome))
         return str(outcome)
 
-    def getsockname(self) -> str:
+    def getsockname(self):
         return "here"
 
 
-def test_the_server_outlives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_server_outlives_a_lack_of_descriptors(monkeypatch):
     exhausted: Any = Exhausted("a", errno.EMFILE, "b", errno.EINVAL, errno.EMFILE)
     patient = descriptors.PatientSocket(exhausted)
     assert patient.getsockname() == "here"
@@ -117,7 +117,7 @@ def test_the_server_outlives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPat
     with pytest.raises(OSError, match="Invalid argument"):
         patient.accept()
 
-    def refuse(*unused: object) -> int:
+    def refuse(*unused):
         raise OSError(errno.EMFILE, "full")
 
     monkeypatch.setattr(os, "open", refuse)
@@ -152,7 +152,7 @@ print(resident() - before)
 """
 
 
-def test_nothing_stays_with_the_process() -> None:
+def test_nothing_stays_with_the_process():
     done = subprocess.run(
         [sys.executable, "-c", CODE], stdout=subprocess.PIPE, check=True, timeout=120
     )

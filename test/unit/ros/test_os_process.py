@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from clocks import eventually
@@ -64,7 +63,7 @@ print(told.get(), flush=True)
 """
 
 
-def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
+def start(tmp_path, command=SLEEP):
     """Start a process and wait until it is up."""
     output = tmp_path / "output"
     found = os_process.start(command, str(output), str(tmp_path))
@@ -74,7 +73,7 @@ def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
     return found
 
 
-def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path: Path) -> None:
+def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path):
     found = start(tmp_path)
     found.signal(signal.SIGSTOP)
     assert found.alive, "a stopped process is"
@@ -90,9 +89,7 @@ def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stubborn", [False, True])
-def test_what_a_child_forked_ends_with_it(
-    tmp_path: Path, stubborn: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_child_forked_ends_with_it(tmp_path, stubborn, monkeypatch):
     monkeypatch.setattr(os_process, "_REST_PATIENCE", 0.05)
     found = start(tmp_path, (*FORKS, "stubborn") if stubborn else FORKS)
     forked = ProcessId.of(int((tmp_path / "output").read_text().split()[1]))
@@ -105,15 +102,13 @@ def test_what_a_child_forked_ends_with_it(
         forked.signal(signal.SIGKILL)
 
 
-def test_a_forked_process_has_signals_of_its_own() -> None:
+def test_a_forked_process_has_signals_of_its_own():
     process = subprocess.run([sys.executable, "-c", HANDLES], timeout=30.0, stdout=-1, text=True)
     assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
 @pytest.mark.parametrize("has_pidfd", [True, False])
-def test_the_end_of_another_process_is_noticed(
-    has_pidfd: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_end_of_another_process_is_noticed(has_pidfd, monkeypatch):
     if not has_pidfd:
         monkeypatch.setattr(os_process, "_pidfd", lambda pid: None)
     with subprocess.Popen(SLEEP, stdout=subprocess.DEVNULL) as child:
@@ -126,13 +121,13 @@ def test_the_end_of_another_process_is_noticed(
 
 
 @pytest.mark.parametrize("command", [SLEEP, STUBBORN])
-def test_end_asks_and_then_forces(tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_end_asks_and_then_forces(tmp_path, command):
     found = start(tmp_path, command)
     found.end(0.2)
     assert not found.alive
 
 
-def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
+def test_processes_are_known_by_their_environment(tmp_path):
     name = ChildRecord("/robot/n", NodeletKind.CPP, "/robot/x")
     lock = str(tmp_path / "lock")  # others may run this test at the same time
     tag = {child_records.TAG: child_records.to_tag(name, lock)}
@@ -152,12 +147,12 @@ def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
         other.end(1.0)
 
 
-def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
+def test_an_owner_that_returns_in_time_is_an_owner(tmp_path):
     path = str(tmp_path / "lock")
     owner = OwnerLock(path)
     orphaned = threading.Event()
 
-    def wait() -> None:
+    def wait():
         wait_until_orphaned(path, 0.3)
         orphaned.set()
 
@@ -171,9 +166,7 @@ def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process holds it
 
 
-def test_there_is_one_owner_also_while_a_stopped_process_keeps_the_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_there_is_one_owner_also_while_a_stopped_process_keeps_the_lock(tmp_path, monkeypatch):
     monkeypatch.setattr(owner_module, "_CONTENTION", 0.05)
     path = str(tmp_path / "folder" / "lock")
     wait_until_orphaned(path, 0.01)  # a file that is not there has no owner
@@ -187,7 +180,7 @@ def test_there_is_one_owner_also_while_a_stopped_process_keeps_the_lock(
     owner.release()
 
 
-def _is_free(path: str) -> bool:
+def _is_free(path):
     with open(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -196,7 +189,7 @@ def _is_free(path: str) -> bool:
     return True
 
 
-def test_output_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_is_followed(tmp_path, capsys):
     path = tmp_path / "output"
     path.write_text("old\n")
     both, new = LogTail(str(path)), LogTail(str(path), at_end=True)

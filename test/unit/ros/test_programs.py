@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable, Iterator
+from typing import Callable
 
 import pytest
 from roslib.packages import find_node
@@ -21,7 +21,7 @@ Write = Callable[[str], Path]
 
 
 @pytest.fixture
-def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
+def workspace(tmp_path, monkeypatch):
     """A devel space with the package `lonely`; writes programs into it, or below its source."""
     source, devel = tmp_path / "src", tmp_path / "devel"
     (source / "lonely").mkdir(parents=True)
@@ -32,7 +32,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(source))
     _packages.cache_clear()
 
-    def write(name: str) -> Path:
+    def write(name):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("#!/usr/bin/env python3\n")
@@ -43,7 +43,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write
     _packages.cache_clear()
 
 
-def test_the_relay_of_a_devel_space_stands_for_the_script_in_the_source(workspace: Write) -> None:
+def test_the_relay_of_a_devel_space_stands_for_the_script_in_the_source(workspace):
     script = workspace("src/lonely/scripts/talk")
     assert find_program("lonely", "talk") == str(script)
     relay = workspace("devel/lib/lonely/talk")
@@ -53,7 +53,7 @@ def test_the_relay_of_a_devel_space_stands_for_the_script_in_the_source(workspac
     assert find_program("lonely", "talk") == str(relay)
 
 
-def test_a_path_below_the_package_is_that_program(workspace: Write) -> None:
+def test_a_path_below_the_package_is_that_program(workspace):
     workspace("devel/lib/lonely/talk")
     script = workspace("src/lonely/scripts/talk")
     assert find_program("lonely", "scripts/talk") == str(script)
@@ -66,7 +66,7 @@ def test_a_path_below_the_package_is_that_program(workspace: Write) -> None:
         find_script("lonely/../../elsewhere.py")
 
 
-def test_refusals_name_the_programs_or_the_package(workspace: Write) -> None:
+def test_refusals_name_the_programs_or_the_package(workspace):
     with pytest.raises(CannotRun, match="has no program 'talk'"):
         find_program("lonely", "talk")
     with pytest.raises(CannotRun, match="no package 'lost'"):

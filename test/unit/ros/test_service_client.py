@@ -13,7 +13,7 @@ import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, Callable, Iterator, List, Tuple
+from typing import Any, List, Tuple
 
 import pytest
 from clocks import eventually
@@ -42,7 +42,7 @@ SOON = 0.05
 
 
 @pytest.fixture
-def manager(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallManager]:
+def manager(monkeypatch):
     with small_graph() as graph:
         graph.nodes[NAME] = manager = SmallManager()
         manager.nodelets = ["/b", "/a"]
@@ -50,22 +50,20 @@ def manager(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallManager]:
         yield manager
 
 
-def make_client(**options: bool) -> ServiceClient:
+def make_client(**options):
     return ServiceClient(Master("/client"), f"{NAME}/list", NodeletList, **options)
 
 
 @pytest.fixture
-def client(manager: SmallManager) -> Iterator[ServiceClient]:
+def client(manager):
     with contextlib.closing(make_client(persistent=True)) as client:
         yield client
 
 
-def test_calls_of_a_persistent_client_share_a_connection(
-    manager: SmallManager, client: ServiceClient
-) -> None:
+def test_calls_of_a_persistent_client_share_a_connection(manager, client):
     answers = []
 
-    def call() -> None:
+    def call():
         for _ in range(20):
             answers.append(client.call(LONG).nodelets)
 
@@ -83,9 +81,7 @@ def test_calls_of_a_persistent_client_share_a_connection(
     assert client.call(LONG).nodelets == ["/b", "/a"]
 
 
-def test_a_hung_server_holds_up_the_first_call_alone(
-    manager: SmallManager, client: ServiceClient
-) -> None:
+def test_a_hung_server_holds_up_the_first_call_alone(manager, client):
     client.call(LONG)
     manager.goes_on.clear()
     with pytest.raises(PeerTimeout):
@@ -102,17 +98,15 @@ def test_a_hung_server_holds_up_the_first_call_alone(
     assert manager.connections == 1
 
 
-def test_the_wait_for_other_threads_counts_with_the_call(
-    client: ServiceClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_wait_for_other_threads_counts_with_the_call(client, monkeypatch):
     now = [time.monotonic()]
     deadlines: List[float] = []
 
-    def acquire(blocking: bool = True, timeout: float = 0.0) -> bool:
+    def acquire(blocking=True, timeout=0.0):
         now[0] += timeout  # the turn is free only when the time of the call is over
         return True
 
-    def answer(connection: TcprosConnection, deadline: float) -> Tuple[bool, bytes]:
+    def answer(connection, deadline):
         deadlines.append(deadline)
         raise socket.timeout
 
@@ -127,9 +121,7 @@ def test_the_wait_for_other_threads_counts_with_the_call(
 
 
 @pytest.mark.parametrize("persistent", [False, True])
-def test_a_process_of_another_version_is_reported_with_the_cure(
-    manager: SmallManager, persistent: bool
-) -> None:
+def test_a_process_of_another_version_is_reported_with_the_cure(manager, persistent):
     manager.error = "request from [/client]: md5sums do not match: [a] vs. [b]"
     with contextlib.closing(make_client(persistent=persistent)) as client:
         with pytest.raises(ServiceFailed, match="another version of DyKnow: restart it"):
@@ -140,8 +132,8 @@ def test_a_process_of_another_version_is_reported_with_the_cure(
 
 
 def test_a_client_that_must_not_reconnect_says_that_the_server_is_lost(
-    manager: SmallManager,
-) -> None:
+    manager,
+):
     client = make_client(persistent=True, reconnects=False)
     client.call(LONG)
     manager.lose_connections()
@@ -153,18 +145,18 @@ def test_a_client_that_must_not_reconnect_says_that_the_server_is_lost(
 # Several threads use, close and replace clients at the same time
 
 
-def of_a_service(manager: SmallManager) -> Iterator[Callable[[], object]]:
+def of_a_service(manager):
     client = make_client(persistent=True)
     yield lambda: sorted(client.call(LONG).nodelets)
     yield client.close
 
 
-def of_a_child(manager: SmallManager) -> Iterator[Callable[[], object]]:
+def of_a_child(manager):
     child = Child(PeerContext(Master("/test")), ChildRecord(NAME, NodeletKind.PYTHON))
     child.up = True
     numbers = itertools.count()
 
-    def ask() -> List[str]:
+    def ask():
         process = ProcessId(1, next(numbers) // 20)  # another one now and then
         child.record = replace(child.record, process=process)
         return child.list()
@@ -173,19 +165,19 @@ def of_a_child(manager: SmallManager) -> Iterator[Callable[[], object]]:
     yield child.close
 
 
-def of_an_external(manager: SmallManager) -> Iterator[Callable[[], object]]:
+def of_an_external(manager):
     external = External(PeerContext(Master("/test")), NAME)
     external.start()
     eventually(lambda: external.answers)
 
-    def ask() -> List[str]:
+    def ask():
         try:
             return external.list()
         except HostError:
             external.look_now()
             raise
 
-    def lose() -> None:
+    def lose():
         time.sleep(SOON)
         manager.lose_connections()
 
@@ -196,16 +188,14 @@ def of_an_external(manager: SmallManager) -> Iterator[Callable[[], object]]:
 
 @pytest.mark.usefixtures("impatient_interpreter")
 @pytest.mark.parametrize("made", [of_a_service, of_a_child, of_an_external])
-def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(
-    manager: SmallManager, made: Callable[[SmallManager], Iterator[Callable[[], Any]]]
-) -> None:
+def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(manager, made):
     steps = made(manager)
     ask, disturb = next(steps), next(steps)
     answers: List[object] = []
     failures: List[BaseException] = []
     end = time.monotonic() + 0.4
 
-    def repeat(work: Callable[[], object]) -> None:
+    def repeat(work):
         try:
             while (time.monotonic() < end or not any(answers)) and not failures:
                 with contextlib.suppress(HostError):
@@ -232,7 +222,7 @@ Link = Tuple[TcprosConnection, socket.socket]
 
 
 @pytest.fixture
-def link() -> Iterator[Link]:
+def link():
     with socket.create_server(("127.0.0.1", 0)) as server:
         connection = TcprosConnection("127.0.0.1", server.getsockname()[1], LONG)
         peer, _ = server.accept()
@@ -240,11 +230,11 @@ def link() -> Iterator[Link]:
             yield connection, peer
 
 
-def frame(body: bytes) -> bytes:
+def frame(body):
     return struct.pack("<I", len(body)) + body
 
 
-def test_frames_are_read_one_by_one_however_they_arrive(link: Link) -> None:
+def test_frames_are_read_one_by_one_however_they_arrive(link):
     connection, peer = link
     in_time = time.monotonic() + LONG
     peer.sendall(frame(b"one") + frame(b"") + b"\1" + frame(b"yes") + b"\0" + frame(b"no"))

@@ -10,12 +10,11 @@ import queue
 import socket
 import threading
 from io import BytesIO
-from typing import Iterator, List
 
 import pytest
 import rosgraph.network
 from std_msgs.msg import String
-from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.topic_reader import TopicFollower
@@ -32,14 +31,14 @@ class SmallPublisher(SmallManager):
         answers: cleared while requests are not answered.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.requests: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.readers: queue.SimpleQueue[socket.socket] = queue.SimpleQueue()
         self.answers = threading.Event()
         self.answers.set()
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _serve(self, connection):
         self._read(connection)
         self.requests.put(None)
         self.answers.wait()
@@ -48,7 +47,7 @@ class SmallPublisher(SmallManager):
         self.readers.put(connection)
 
 
-def send(reader: socket.socket, *texts: str) -> None:
+def send(reader, *texts):
     """Send messages in one piece."""
     sent = BytesIO()
     for text in texts:
@@ -58,19 +57,19 @@ def send(reader: socket.socket, *texts: str) -> None:
     reader.sendall(sent.getvalue())
 
 
-def is_left(reader: socket.socket) -> bool:
+def is_left(reader):
     reader.settimeout(LONG)
     return reader.recv(1) == b""
 
 
 @pytest.fixture
-def graph() -> Iterator[SmallMaster]:
+def graph():
     with small_graph() as graph:
         yield graph
 
 
 @pytest.fixture
-def publisher(graph: SmallMaster) -> SmallPublisher:
+def publisher(graph):
     graph.nodes["/talker"] = made = SmallPublisher()
     return made
 
@@ -78,7 +77,7 @@ def publisher(graph: SmallMaster) -> SmallPublisher:
 class Following:
     """A follower, and what it has handed on."""
 
-    def __init__(self, graph: SmallMaster, last_only: bool = False) -> None:
+    def __init__(self, graph, last_only=False):
         self.heard: queue.SimpleQueue[str] = queue.SimpleQueue()
         master = Master("/reader", graph.uri)
         self.follower = TopicFollower(
@@ -86,20 +85,18 @@ class Following:
         )
         self.follower.start()
 
-    def __enter__(self) -> Following:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *unused: object) -> None:
+    def __exit__(self, *unused):
         self.follower.close()
 
-    def next(self, count: int = 1) -> List[str]:
+    def next(self, count=1):
         return [self.heard.get(timeout=LONG) for _ in range(count)]
 
 
 @pytest.mark.parametrize("last_only", [False, True])
-def test_messages_are_handed_on_in_order_or_the_last_alone(
-    graph: SmallMaster, publisher: SmallPublisher, last_only: bool
-) -> None:
+def test_messages_are_handed_on_in_order_or_the_last_alone(graph, publisher, last_only):
     with Following(graph, last_only) as following:
         reader = publisher.readers.get(timeout=LONG)
         send(reader, "one", "two", "three")
@@ -111,8 +108,8 @@ def test_messages_are_handed_on_in_order_or_the_last_alone(
 
 
 def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(
-    graph: SmallMaster,
-) -> None:
+    graph,
+):
     with Following(graph) as following:
         assert not following.follower.is_connected
         graph.nodes["/talker"] = publisher = SmallPublisher()
@@ -124,9 +121,7 @@ def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(
 
 
 @pytest.mark.parametrize("is_made", [True, False])
-def test_the_next_connection_is_to_the_node_that_has_the_name_now(
-    graph: SmallMaster, publisher: SmallPublisher, is_made: bool
-) -> None:
+def test_the_next_connection_is_to_the_node_that_has_the_name_now(graph, publisher, is_made):
     if not is_made:
         publisher.answers.clear()
     with Following(graph) as following, contextlib.closing(publisher):
@@ -140,9 +135,7 @@ def test_the_next_connection_is_to_the_node_that_has_the_name_now(
         assert reader is None or is_left(reader)
 
 
-def test_a_callback_that_raises_does_not_end_it(
-    graph: SmallMaster, publisher: SmallPublisher, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_callback_that_raises_does_not_end_it(graph, publisher, caplog):
     with Following(graph) as following:
         following.follower._hand_on = lambda message: following.heard.put(message.data[3])
         send(publisher.readers.get(timeout=LONG), "no", "good")
