@@ -87,6 +87,23 @@ def test_a_tag_that_does_not_end_is_not_kept_for_ever(text):
     assert problems_of(text) == [(1, "a tag or comment here is too long")]
 
 
+def test_the_size_is_that_of_the_encoded_text():
+    text = GOOD.replace("a<", "é<")
+
+    assert (
+        len(parse(text, limits=SpecificationLimits(text_size=len(text) + 1)).transformations) == 1
+    )
+    assert problems_of(text, text_size=len(text)) == [
+        (0, f"the text has {len(text) + 1} bytes; expected at most {len(text)}")
+    ]
+
+
+def test_what_is_complete_before_the_end_of_the_reading_is_checked_too():
+    text = "<transformations>" + GOOD.replace("p/A", "") + "\n<?a?>\n" + "<a>" * 99
+
+    assert [line for line, _ in problems_of(text)] == [1, 2, 3, 3]
+
+
 def test_half_a_surrogate_pair_is_refused_with_its_line():
     text = GOOD.replace("<source>", "\n\ud800<source>")
 
