@@ -194,8 +194,8 @@ class Command:
     examples: str
     arguments: Sequence[Union[Argument, Group]]
     run: Run
-    problem: Problem = lambda arguments: ""
-    usage: Optional[str] = None
+    problem: Problem
+    usage: Optional[str]
 
 
 def command(
@@ -204,7 +204,9 @@ def command(
     description: str,
     examples: str,
     *arguments: Union[Argument, Group],
-    **more: Any,
+    problem: Problem = lambda arguments: "",
+    usage: Optional[str] = None,
 ) -> Callable[[Run], Command]:
     """Make a command of the function that runs it; the arguments are those of `Command`."""
-    return lambda run: Command(name, summary, description, examples, arguments, run, **more)
+    texts = (name, summary, description, examples)
+    return lambda run: Command(*texts, arguments, run, problem, usage)
