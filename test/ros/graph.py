@@ -43,7 +43,7 @@ class Ended(Running):
         if not self.has_ended:
             self.stop(signal.SIGCONT)
             self.stop()
-            self.ends_within(10.0)
+            self.ends_within(60.0)  # roslaunch gives its nodes 17 s to end
         super().__exit__()
 
 

@@ -38,6 +38,8 @@ STRETCH = 500
 #: Bytes that a process may grow in 1,000 operations.
 MOST = 1_000_000
 NODELETS, CLAIMS, PROCESSES = 10, 4, 3
+#: The output and the crash record of each nodelet manager, and the outputs of the last that ended.
+KEPT_OUTPUTS = 2 * 2 + 10
 LAUNCH = ("rosrun", "dyknow", "dyknow", "launch", "--skip-log-check")
 LAUNCH_FILE = str(Path(__file__).resolve().parent.parent / "launch" / "soak.launch")
 
@@ -68,18 +70,21 @@ class SoakTest(ManagerCase):
         self.counts: dict[str, int] = {}
         self.rest()
         readings: dict[int, dict[str, Any]] = {}
+        named: dict[int, set[str]] = {}
         began = time.monotonic()
         for number in range(1, OPERATIONS + 1):
             self.operate()
             if number % STRETCH == 0:
                 self.rest()
                 readings[number] = self.reading()
+                named[number] = self.at_the_master()
                 seconds = time.monotonic() - began
                 print(f"{number}: {seconds:.0f} s, {readings[number]}", flush=True)
         print(f"{self.counts}, {self.refused} refused")
-        self.judge(readings)
+        new = sorted(named[max(named)] - named[min(named)])
+        self.judge(readings, f"at the master now, but not at first: {new}")
 
-    def judge(self, readings: dict[int, dict[str, Any]]) -> None:
+    def judge(self, readings: dict[int, dict[str, Any]], remark: str) -> None:
         last = max(readings)
         early = [found for number, found in readings.items() if number <= WARM]
         late = [found for number, found in readings.items() if number > (WARM + last) / 2]
@@ -95,7 +100,7 @@ class SoakTest(ManagerCase):
                 before, after = max(each[key] for each in early), min(each[key] for each in late)
                 if after > before:
                     grown[key] = f"at most {before} at first, at least {after} at last"
-        self.assertEqual(grown, {})
+        self.assertEqual(grown, {}, remark)
 
     # Operations
 
@@ -258,16 +263,25 @@ class SoakTest(ManagerCase):
             found[f"{name} memory"] = process.memory_info().rss
             found[f"{name} descriptors"] = process.num_fds()
             found[f"{name} threads"] = process.num_threads()
-        state = rosgraph.Master(rospy.get_name()).getSystemState()
-        found["registrations"] = sum(len(nodes) for part in state for _, nodes in part)
-        found["parameters"] = len(rospy.get_param_names())
+        found["at the master"] = len(self.at_the_master())
         found["state files"] = len(list(Path(self.manager.state).rglob("*")))
         logs = Path(os.environ["ROS_HOME"], "log")
-        # Files that ROS writes for each node are not ours.
-        found["outputs of children"] = sum(
-            len(list(each.iterdir())) for each in logs.glob("dyknow-*")
-        )
+        # Files that ROS writes for each node are not ours; ours of the last that ended are kept.
+        outputs = [file for each in logs.glob("dyknow-*") for file in each.iterdir()]
+        found["outputs of children"] = max(0, len(outputs) - KEPT_OUTPUTS)
         return found
+
+    def at_the_master(self) -> set[str]:
+        """Return the registrations and the parameters, but those that roslaunch leaves."""
+        parts = rosgraph.Master(rospy.get_name()).getSystemState()
+        registered = {
+            f"{kind} {topic} of {node}"
+            for kind, part in zip(("publisher", "subscriber", "service"), parts)
+            for topic, nodes in part
+            for node in nodes
+        }
+        parameters = rospy.get_param_names()
+        return registered | {each for each in parameters if not each.startswith("/roslaunch/")}
 
 
 if __name__ == "__main__":
