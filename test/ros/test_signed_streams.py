@@ -14,7 +14,6 @@ from pathlib import Path
 import rospy
 import rostest
 from manager_suite import ManagerCase, eventually
-from roslib.packages import get_pkg_dir
 from signed_suite import (
     HEADER,
     RandomLife,
@@ -23,7 +22,6 @@ from signed_suite import (
     SignedPort,
     SignedTransformation,
     random_library,
-    soccer_library,
 )
 
 from dyknow.model.streams import StreamRequest
@@ -105,12 +103,6 @@ class SignedTest(ManagerCase):
     def seeds(self) -> range:
         first = rospy.get_param("~first_seed", 1)
         return range(first, first + rospy.get_param("~seeds", 1))
-
-    def test_the_soccer_library(self):
-        examples = Path(get_pkg_dir("dyknow")) / "examples"
-        for seed in self.seeds():
-            with self.subTest(seed=seed):
-                self.live(soccer_library(examples), seed)
 
     def test_random_libraries(self):
         for seed in self.seeds():
