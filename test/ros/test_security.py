@@ -282,39 +282,32 @@ class SharedGuardsTest(ManagerCase):
 
 
 class ProtectionTest(ManagerCase):
-    def test_the_stock_service_is_refused_until_it_is_released(self):
+    def test_the_stock_service_is_refused_until_it_is_released_whatever_restarts(self):
         manager = self.started()
         manager.client.spawn("relay", RELAY, is_protected=True)
+        manager.client.spawn("relay", "/two")
         self.assertIn("protected from unloading", refusal(CHILD))
-        self.assertEqual(listed(CHILD), [RELAY])
+        self.assertEqual(refusal(CHILD, "/two"), "")
         with self.assertRaises(Refused):
             manager.client.destroy(RELAY)
+        manager.kill_child()
+        eventually(lambda: listed(CHILD) == [RELAY], 20.0, "the nodelet is back")
+        for change in (lambda: None, manager.kill, manager.start):
+            change()
+            self.assertIn("protected from unloading", refusal(CHILD))
+        self.assertEqual(listed(CHILD), [RELAY])
         manager.client.set_protection(RELAY, False)
         eventually(lambda: refusal(CHILD) == "", 5.0, "it is released")
         eventually(lambda: manager.nodelet(RELAY) is None, 5.0, "the user's will is followed")
 
     def test_what_is_protected_later_and_destroyed_in_the_end(self):
         manager = self.started()
-        for name in ("/one", "/two"):
-            manager.client.spawn("relay", name)
+        manager.client.spawn("relay", "/one")
         manager.client.set_protection("/one", True)
         self.assertIn("protected from unloading", refusal(CHILD, "/one"))
-        self.assertEqual(refusal(CHILD, "/two"), "")
         manager.client.set_protection("/one", False)
         manager.client.destroy("/one")
         self.assertEqual(listed(CHILD), [])
-
-    def test_a_restarted_nodelet_manager_and_a_restarted_manager(self):
-        manager = self.started()
-        manager.client.spawn("relay", RELAY, is_protected=True)
-        manager.kill_child()
-        eventually(lambda: listed(CHILD) == [RELAY], 20.0, "the nodelet is back")
-        self.assertIn("protected from unloading", refusal(CHILD))
-        manager.kill()
-        self.assertIn("protected from unloading", refusal(CHILD))
-        manager.start()
-        self.assertIn("protected from unloading", refusal(CHILD))
-        self.assertEqual(listed(CHILD), [RELAY])
 
     def test_a_nodelet_manager_of_others(self):
         other = Manager("/other")
@@ -330,21 +323,21 @@ class LimitsTest(ManagerCase):
     def test_what_is_too_long_is_refused_and_not_logged(self):
         manager = self.started()
         manager.client.spawn("relay", "/relay")
-        for name, service_class in SERVICES.items():
-            call = rospy.ServiceProxy(f"{MANAGER}/{name}", service_class)
-            self.check(call, service_class)
-        call = rospy.ServiceProxy("/relay/set_config", SetConfig)
-        self.check(call, SetConfig)
-        for name, service_class in {
-            "load_nodelet": NodeletLoad,
-            "unload_nodelet": NodeletUnload,
-        }.items():
-            call = rospy.ServiceProxy(f"{CHILD}/{name}", service_class)
+        services = {f"{MANAGER}/{name}": each for name, each in SERVICES.items()}
+        services["/relay/set_config"] = SetConfig
+        services[f"{CHILD}/load_nodelet"] = NodeletLoad
+        services[f"{CHILD}/unload_nodelet"] = NodeletUnload
+        for name, service_class in services.items():
+            call = rospy.ServiceProxy(name, service_class)
             for field, request in too_long(service_class):
                 with self.subTest(name, field=field):
-                    with self.assertRaises(rospy.ServiceException) as caught:
-                        call(request)
-                    self.assertIn("too many", str(caught.exception)[:200])
+                    if name.startswith(CHILD):  # as in C++, these calls fail
+                        with self.assertRaisesRegex(rospy.ServiceException, "too many"):
+                            call(request)
+                    else:
+                        answer = call(request)
+                        self.assertFalse(answer.success)
+                        self.assertIn("too many", answer.message[:200])
         answer = rospy.ServiceProxy(f"{MANAGER}/add_transformation", AddTransformation)(LONG)
         self.assertFalse(answer.success)
         self.assertLess(len(answer.message), 1000)
@@ -353,13 +346,6 @@ class LimitsTest(ManagerCase):
         self.assertIn("adding transformations for", manager.output)
         eventually(lambda: "Failed to unload nodelet" in manager.output, 10.0, "the child's log")
         self.assertLess(max(map(len, manager.output.splitlines())), 10_000)
-
-    def check(self, call, service_class):
-        for field, request in too_long(service_class):
-            with self.subTest(call.resolved_name, field=field):
-                answer = call(request)
-                self.assertFalse(answer.success)
-                self.assertIn("too many", answer.message[:200])
 
 
 if __name__ == "__main__":

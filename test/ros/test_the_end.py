@@ -13,10 +13,8 @@ import graph  # first: it makes the test package known
 import rospy
 import rostest
 from graph import PEER, Ended, Manager, call
-from processes import TellingCase, eventually, finished
+from processes import HELD_UP, TellingCase, eventually, finished
 from std_msgs.msg import Header
-
-NOTHING = {"publishers": [], "subscribers": [], "services": []}
 
 
 class EndTest(TellingCase):
@@ -24,44 +22,33 @@ class EndTest(TellingCase):
         self.manager = Manager("/manager")
         self.addCleanup(self.manager.__exit__)
 
-    def assert_ends(self, within=3.0):
+    def assert_ends(self, *shut_down):
+        """It ends in order, and has shut down each of the nodelets once."""
         begin = time.monotonic()
         self.assertEqual(self.manager.exit_code(20.0), 0, self.manager.output)
-        self.assertLess(time.monotonic() - begin, within)
-        self.assertEqual(graph.registrations("/manager"), NOTHING)
-        self.assertNotIn("Traceback", self.manager.output)
+        self.assertLess(time.monotonic() - begin, HELD_UP)
+        self.assertFalse(any(graph.registrations("/manager").values()))
+        output = self.manager.output
+        self.assertNotIn("Traceback", output)
+        self.assertNotIn("for the 2. time", output)
+        for name in shut_down:
+            self.assertEqual(output.count(f"{name}: shut down for the 1. time"), 1, output)
 
-    def test_signals_shut_each_nodelet_down_once(self):
-        for number in (signal.SIGINT, signal.SIGTERM):
-            with self.subTest(number):
-                if self.manager.has_ended:
-                    self.manager = Manager("/manager")
-                    self.addCleanup(self.manager.__exit__)
-                for name in ("/one", "/two", "/three"):
-                    self.manager.load("Fragile", name, {"/in": "/a", "/out": "/b"})
-                self.manager.stop(number)
-                self.assert_ends()
-                for name in ("/one", "/two", "/three"):
-                    self.assertEqual(
-                        self.manager.output.count(f"{name}: shut down for the 1. time"), 1
-                    )
-                self.assertNotIn("for the 2. time", self.manager.output)
-
-    def test_rosnode_kill(self):
-        self.manager.load("Fragile", "/one", {"/in": "/a"})
-        code, output = finished(["rosnode", "kill", "/manager"])
-        self.assertEqual(code, 0, output)
-        self.assert_ends()
-        self.assertEqual(self.manager.output.count("/one: shut down for the 1. time"), 1)
-
-    def test_an_impatient_user(self):
-        for name in ("/one", "/two"):
-            self.manager.load("Fragile", name, {"/in": "/a"})
-        for _ in range(5):
-            self.manager.stop()
-        self.assert_ends()
-        self.assertEqual(self.manager.output.count("shut down for the 1. time"), 2)
-        self.assertNotIn("for the 2. time", self.manager.output)
+    def test_signals_and_rosnode_kill(self):
+        """An impatient user is no trouble."""
+        names = ("/one", "/two", "/three")
+        for end in (
+            lambda: self.manager.stop(signal.SIGINT),
+            lambda: self.manager.stop(signal.SIGTERM),
+            lambda: [self.manager.stop() for _ in range(5)],
+            lambda: self.assertEqual(finished(["rosnode", "kill", "/manager"])[0], 0),
+        ):
+            if self.manager.has_ended:
+                self.setUp()
+            for name in names:
+                self.manager.load("Fragile", name, {"/in": "/a", "/out": "/b"})
+            end()
+            self.assert_ends(*names)
 
     def test_in_the_middle_of_callbacks_that_do_not_return(self):
         speaker = rospy.Publisher("/orders", Header, queue_size=1)
@@ -81,22 +68,15 @@ class EndTest(TellingCase):
             self.manager.load("HangsAtTheEnd", f"/n{number}")
         self.manager.load("Fragile", "/fragile")
         self.manager.stop()
-        self.assert_ends()
-        self.assertEqual(self.manager.output.count("/fragile: shut down for the 1. time"), 1)
+        self.assert_ends("/fragile")
         for number in range(8):
             self.assertIn(f"/n{number}: shutting down for ever", self.manager.output)
             self.assertIn(f"/n{number}: on_shutdown has not returned", self.manager.output)
 
     def test_in_the_middle_of_on_init(self):
         rospy.set_param("/go_on", False)
-        client = Ended(
-            *graph.NODELET,
-            "load",
-            "dyknow_test/WaitsInInit",
-            "manager",
-            "--no-bond",
-            "__name:=slow",
-        )
+        words = ("load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=slow")
+        client = Ended(*graph.NODELET, *words)
         self.addCleanup(client.__exit__)
         eventually(lambda: "/slow/get_config" in graph.services_of("/manager"), 10.0, "it waits")
         self.manager.stop()
