@@ -22,7 +22,7 @@ import graph  # noqa: F401 - it makes the test packages known
 import rosgraph
 import rospy
 from nodelet.srv import NodeletList
-from processes import TellingCase, eventually, forget_ended, nodes
+from processes import BUSY, TellingCase, eventually, forget_ended, nodes
 from roslib.packages import find_node
 from std_msgs.msg import Header
 
@@ -142,7 +142,7 @@ class ManagerProcess:
         """End it as a user would; returns how long (s) that took."""
         begin = time.monotonic()
         self.process.send_signal(number)
-        self.process.wait(20.0)
+        self.process.wait(20.0 * BUSY)
         return time.monotonic() - begin
 
     def destroy(self) -> None:
@@ -156,7 +156,7 @@ class ManagerProcess:
         children = self.children()
         for process in [*started, *children.values()]:
             process.signal(signal.SIGKILL)
-            process.wait(5.0)
+            process.wait(5.0 * BUSY)
         names = (self.node, *children)
         for name in names:
             if rospy.has_param(name):

@@ -96,24 +96,6 @@ class WindowTest(ManagerCase):
         monitor.undo()
         until(lambda: manager.topics("/relay")["out"] == "", "the connection is taken back")
 
-    def test_changes_of_others_show_at_once_and_a_new_manager_is_found(self) -> None:
-        manager = self.started()
-        window = self.window()
-        until(lambda: window.monitor.is_linked, "the manager is found")
-        window.monitor.set_period(60.0)  # news arrives by the topic now
-        until(lambda: window.monitor.remote._models.is_connected, "the topic is heard")
-        manager.client.spawn("counter", "/count")
-        until(lambda: "n_/count" in self.keys(window), "it is drawn")
-        manager.client.set_config("/count", {"out": "/numbers"})
-        until(lambda: "t_/numbers" in self.keys(window), "it is drawn")
-
-        window.monitor.set_period(0.3)
-        manager.kill()
-        until(lambda: not window.monitor.is_linked, "the window notices")
-        self.assertIn("n_/count", self.keys(window))
-        manager.start()
-        until(lambda: window.monitor.is_linked, "the window finds the next manager")
-
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
         manager = self.started()
         manager.client.spawn("counter", "/count")

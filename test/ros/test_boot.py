@@ -25,7 +25,7 @@ import rospy
 import rostest
 from manager_suite import ManagerCase, ManagerProcess, parameters, specification
 from nodelet.srv import NodeletList
-from processes import eventually
+from processes import BUSY, eventually
 from stream_suite import CAMERA, CEILING, FILTER, TRACKER
 
 from dyknow.errors import DyKnowError, PeerTimeout
@@ -116,7 +116,7 @@ class Work:
             try:
                 change(kinds)
             except DyKnowError as error:
-                assert self.over.wait(20.0), f"refused: {error}"
+                assert self.over.wait(20.0 * BUSY), f"refused: {error}"
 
     def change_nodelet(self, kinds: range) -> None:
         number = self.dice.choice(kinds)
@@ -242,7 +242,7 @@ class BootTest(ManagerCase):
             record.process.signal(signal.SIGKILL)
         self.manager.kill()
         for record in running:
-            record.process.wait(10.0)
+            record.process.wait(10.0 * BUSY)
 
     def running(self) -> List[Any]:
         """The processes of the manager, as the system knows them."""

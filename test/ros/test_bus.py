@@ -280,14 +280,6 @@ class OrdinaryHandleTest(BusTest):
             self.wait_for(label, [0, 1, 2, 3, 4])
         eventually(lambda: [message.seq for message in heard] == [0, 1, 2, 3, 4], 5.0, "each once")
 
-    def test_latched_on_the_bus_for_an_ordinary_subscriber(self):
-        call("/n", "make_publisher", "publisher", "bus", "/a", True)
-        call("/n", "publish", "publisher", [6])
-        call("/n", "make_subscriber", "late", "rospy", "/a")
-        self.wait_for("late", [6])
-        call("/n", "remove", "publisher")
-        call("/n", "remove", "late")
-
     def test_the_connection_header_is_that_of_rospy(self):
         """Compared with the header that this process receives from the same publishers."""
         outside = []

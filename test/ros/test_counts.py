@@ -150,15 +150,6 @@ class CountingTest(unittest.TestCase):
             self.messages(old=["old_nodelet", "other"]), {"old_nodelet": 4, "other": None}
         )
 
-    def test_one_that_is_started_again(self):
-        for count in (3, 1):
-            with Manager("/again") as manager:
-                manager.load("Talker", "/there", {"/out": "/said"})
-                call("/there", "publish", 0, count)
-                self.assertEqual(self.messages(again=["there"]), {"there": count})
-                manager.stop(signal.SIGKILL)
-                manager.exit_code(10.0)
-
 
 class HearingTest(unittest.TestCase):
     @classmethod

@@ -22,7 +22,7 @@ import rospy
 import rostest
 from faulty_disk import full, kept_aside, read_only, small_disk
 from manager_suite import CHILD, MANAGER, ManagerCase, ManagerProcess, Receiver, eventually
-from processes import Running
+from processes import BUSY, Running
 from rosservice import get_service_class_by_name
 
 from dyknow import __version__
@@ -86,7 +86,7 @@ class ManagerDiskTest(ManagerCase):
                 manager.client.destroy(f"/n{number}")
             self.all_run(manager, "/a", "/alone")
             child.signal(signal.SIGKILL)
-            child.wait(5.0)
+            child.wait(5.0 * BUSY)
             receiver.numbers.clear()
             receiver.flows(30.0)
             self.all_run(manager, "/a", "/alone")

@@ -248,7 +248,7 @@ class ReconfigureTest(NodeletManagerCase):
         rospy.set_param("/robot/n/gain", 2.5)
         self.manager.load("Reconfigurable", "/robot/n")
         self.assertEqual(call("/robot/n", "seen"), [[2.5, 3]])
-        client = dynamic_reconfigure.client.Client("/robot/n", timeout=5.0)
+        client = dynamic_reconfigure.client.Client("/robot/n", timeout=5.0 * BUSY)
         self.addCleanup(client.close)
         self.assertEqual(client.update_configuration({"size": 7, "gain": 100.0})["gain"], 10.0)
         self.assertEqual(call("/robot/n", "seen")[-1], [10.0, 7])
