@@ -19,6 +19,7 @@ import rostest
 from manager_suite import (
     CHILD,
     ManagerCase,
+    ManagerProcess,
     Receiver,
     each_within,
     eventually,
@@ -102,32 +103,29 @@ class CrashesTest(ManagerCase):
         rospy.delete_param("/fatal/on_init")
         eventually(lambda: self.states()["/fatal"] is State.RUNNING, 40.0, "it comes up")
 
-    def test_one_that_crashes_when_it_is_destroyed_is_gone(self):
-        self.spawn_fatal(on_shutdown="segfault")
-        self.client.destroy("/fatal")
-        self.assertNotIn("/fatal", self.states())
-        self.assert_left_in_peace()
-        self.assertNotIn("/fatal", self.states())
+    def test_one_that_crashes_when_it_is_destroyed_or_unloaded_is_gone(self):
+        def unload() -> None:
+            with self.assertRaises(rospy.ServiceException):
+                rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/fatal")
 
-    def test_one_that_crashes_when_others_unload_it_is_gone(self):
-        self.spawn_fatal(on_shutdown="segfault")
-        with self.assertRaises(rospy.ServiceException):
-            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/fatal")
-        eventually(lambda: "/fatal" not in self.states(), 2.0, "it is gone")
-        self.assert_left_in_peace()
-        self.assertNotIn("/fatal", self.states())
+        for end in (unload, lambda: self.client.destroy("/fatal")):
+            self.spawn_fatal(on_shutdown="segfault")
+            end()
+            eventually(lambda: "/fatal" not in self.states(), 2.0, "it is gone")
+            self.assert_left_in_peace()
+            self.assertNotIn("/fatal", self.states())
 
     def test_one_that_is_killed_by_others_is_no_suspect(self):
         self.spawn_fatal()
         for _ in range(3):
             killed = self.manager.child()
-            order = rospy.Publisher("/fatal/order", String, queue_size=1)
-            self.addCleanup(order.unregister)
-            eventually(order.get_num_connections, 10.0, "it listens")
-            order.publish("kill")
-            eventually(lambda: not killed.alive, 5.0, "it is killed")  # noqa: B023
+            order = rospy.Publisher("/fatal/order", String, queue_size=1, latch=True)
+            order.publish("kill")  # reaches it however late the two connect
+            eventually(lambda killed=killed: not killed.alive, 5.0, "it is killed")
             order.unregister()
-            eventually(lambda: self.manager.child() != killed, 10.0, "it is started again")  # noqa: B023
+            eventually(
+                lambda killed=killed: self.manager.child() != killed, 10.0, "it is started again"
+            )
             eventually(lambda: self.states()["/fatal"] is State.RUNNING, 10.0, "it is back")
         self.assertFalse(self.manager.nodelet("/fatal").isolated)
 
@@ -198,15 +196,17 @@ def files() -> list[str]:
 
 class LeftoversTest(ManagerCase):
     def assert_as(self, before: set[str]) -> None:
-        for _ in each_within(20.0):
-            if everything() == before:
-                return
-        self.assertEqual(everything(), before)
+        left = "everything at the master is as before"
+        eventually(lambda: everything() == before, 20.0, left, lambda: everything() ^ before)
 
-    def test_what_died_leaves_nothing(self):
+    def begin(self) -> tuple[ManagerProcess, set[str]]:
+        """A manager whose child is up, and all that is registered then."""
         manager = self.started()
         eventually(lambda: registrations(f"{CHILD}/list"), 10.0, "it is up")
-        before = everything()
+        return manager, everything()
+
+    def test_what_died_leaves_nothing(self):
+        manager, before = self.begin()
         manager.client.spawn("relay", "/alone", {"in": "/a"}, isolated=True)
         for name in ("/alone_nodelet_manager", CHILD):
             manager.kill_child(name)
@@ -217,20 +217,22 @@ class LeftoversTest(ManagerCase):
         self.assertNotIn("alone_nodelet_manager-running", files())
 
     def test_what_dies_before_it_is_up_leaves_nothing(self):
-        manager = self.started()
-        eventually(lambda: registrations(f"{CHILD}/list"), 10.0, "it is up")
-        before = everything()
+        manager, before = self.begin()
         name = "/alone_nodelet_manager"
-        spawn = threading.Thread(target=self.spawn_in_vain, args=(manager,))
+
+        def spawn_in_vain() -> None:
+            with contextlib.suppress(DyKnowError):
+                manager.client.spawn("hangs", "/alone", isolated=True)
+                refused.clear()
+
+        refused = [True]
+        spawn = threading.Thread(target=spawn_in_vain)
         spawn.start()
         eventually(lambda: name in nodes(), 10.0, "it begins to register")
         manager.children()[name].signal(signal.SIGKILL)
         spawn.join()
+        self.assertTrue(refused)
         self.assert_as(before)
-
-    def spawn_in_vain(self, manager):
-        with self.assertRaises(DyKnowError):
-            manager.client.spawn("hangs", "/alone", isolated=True)
 
     def test_what_a_nodelet_forked_ends_with_its_process(self):
         manager = self.started()
