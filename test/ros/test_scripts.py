@@ -262,6 +262,7 @@ class CommandTest(graph.TellingCase):
         )  # fmt: skip
         hears("/told_words", "w 3")
         self.assertEqual(rospy.get_param("/told/rate"), 20)
+        graph.let_the_bond_form("/host/bond")
         client.stop(signal.SIGKILL)
         manager.wait_for("unloaded nodelet /told", 30.0)
 
