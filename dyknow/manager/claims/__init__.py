@@ -3,5 +3,11 @@
 
 """Streams on request: planned, made, repaired, and collected when they are not needed.
 
-Start with ``reconciler``; ``world`` is what all its parts read.
+* ``reconciler``: the requests of clients, and the rounds; ``answers`` words the replies.
+* ``claim_table``: the claims, in memory and on disk.
+* ``world``: what all parts read, with ``topology`` and ``ends`` below it.
+* ``claim_planner``: plans in that world; ``supplies`` finds what they can count on.
+* ``assembly``: carries a plan out, through ``connector``.
+* ``repair`` and ``garbage_collector``: the two halves of a round.
+* ``monitors``: the health of streams, from the counts of ``flows`` and the verdicts of ``judges``.
 """

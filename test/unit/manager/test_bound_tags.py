@@ -9,6 +9,7 @@ import itertools
 from dataclasses import replace
 from typing import Dict, List, Optional, Sequence, Set, Tuple
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from unit.manager.witness import Concepts, satisfies
@@ -150,46 +151,44 @@ def live(*records: Record) -> List[str]:
     return sorted(f"{stream.nodelet} {tag}" for stream, tags in streams for tag in tags)
 
 
-def test_what_is_sent_follows_from_what_is_received() -> None:
-    both = (LEFT, RIGHT, POSES)
-    assert "/tracker Ball(left)" in live(*both, tracker("/left", "/poses"))
-    assert mismatches(*both, tracker("/left", "/poses"), viewer("Ball(left)")) == []
-    assert mismatches(*both, tracker("/left", "/poses"), viewer("Ball(right)")) == [
-        "/tracker /viewer"
-    ]
+BOTH = (LEFT, RIGHT, POSES)
+SECOND = nodelet("/second", {"in": ("Ball(?x)", "/ball"), "out": ("Goal(?x)", "/goal")})
+END = nodelet("/end", {"in": ("Goal(right)", "/goal")})
+ONE = nodelet("/one", {"in": ("A(?x)", "/a"), "out": ("B(?x)", "/b")})
+TWO = nodelet("/two", {"in": ("B(?x)", "/b"), "out": ("A(?x)", "/a")})
+CONTRADICTION = ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
 
 
-def test_in_ports_that_contradict_each_other_are_both_wrong_and_nothing_is_supplied() -> None:
-    records = (LEFT, RIGHT, POSES, tracker("/right", "/poses"), viewer("Ball(right)"))
-    assert mismatches(*records) == ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
-    assert not any(each.startswith("/tracker") for each in live(*records))
-
-
-def test_one_that_receives_nothing_sends_nothing() -> None:
-    made = replace(tracker("/nobody"), claimed=True)
-    records = (LEFT, POSES, made, viewer("Ball(right)"))
-    assert mismatches(*records) == []
-    assert not any(each.startswith("/tracker") for each in live(*records))
-
-
-def test_what_people_connect_to_an_unknown_topic_may_send_anything() -> None:
-    records = (LEFT, POSES, tracker("/nobody"), viewer("Ball(right)"))
-    assert mismatches(*records) == ["/tracker /viewer"]
-    assert not any(each.startswith("/tracker") for each in live(*records))
-    assert mismatches(LEFT, POSES, tracker(""), viewer("Ball(right)")) == []
-
-
-def test_what_was_given_holds_whatever_is_connected() -> None:
-    assert mismatches(LEFT, RIGHT, tracker("/right", c="left")) == ["/right /tracker"]
-    assert mismatches(LEFT, RIGHT, tracker("/left", c="left")) == []
-
-
-def test_bindings_pass_through_chains() -> None:
-    second = nodelet("/second", {"in": ("Ball(?x)", "/ball"), "out": ("Goal(?x)", "/goal")})
-    end = nodelet("/end", {"in": ("Goal(right)", "/goal")})
-    records = (end, second, tracker("/left", "/poses"), POSES, LEFT)
-    assert mismatches(*records) == ["/second /end"]
-    assert "/second Goal(left)" in live(*records)
+@pytest.mark.parametrize(
+    ("records", "wrong", "supply"),
+    [
+        ((*BOTH, tracker("/left", "/poses"), viewer("Ball(left)")), [], "Ball(left)"),
+        (
+            (*BOTH, tracker("/left", "/poses"), viewer("Ball(right)")),
+            ["/tracker /viewer"],
+            "Ball(left)",
+        ),
+        # In-ports contradict each other.
+        ((*BOTH, tracker("/right", "/poses"), viewer("Ball(right)")), CONTRADICTION, ""),
+        # It receives nothing, so it sends nothing.
+        ((LEFT, POSES, replace(tracker("/nobody"), claimed=True), viewer("Ball(right)")), [], ""),
+        ((LEFT, POSES, tracker(""), viewer("Ball(right)")), [], ""),
+        # A user connected it to an unknown topic: it may send anything.
+        ((LEFT, POSES, tracker("/nobody"), viewer("Ball(right)")), ["/tracker /viewer"], ""),
+        # Its parameters fix what it may receive.
+        ((LEFT, RIGHT, tracker("/right", c="left")), ["/right /tracker"], ""),
+        # Bindings pass through chains, and do not settle in circles.
+        ((END, SECOND, tracker("/left", "/poses"), POSES, LEFT), ["/second /end"], "Ball(left)"),
+        ((ONE, TWO), [], ""),
+    ],
+)
+def test_a_supply_follows_from_the_inputs(
+    records: Tuple[Record, ...], wrong: List[str], supply: str
+) -> None:
+    assert mismatches(*records) == wrong
+    found = [each for each in live(*records) if each.split()[0] in ("/tracker", "/one", "/two")]
+    assert found == ([f"/tracker {supply}"] if supply else [])
+    assert ("/second Goal(left)" in live(*records)) is (SECOND in records)
 
 
 def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
@@ -210,9 +209,3 @@ def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
     streams = live_streams(records, (), topology(*records), NO_ONTOLOGY)
     found = {stream.nodelet: stream.latency for stream, _ in streams}
     assert found == {"/tracker": 0.3, "/left": 0.02, "/poses": 0.2, "/right": 0.0}
-
-
-def test_nodelets_that_feed_each_other_supply_nothing() -> None:
-    one = nodelet("/one", {"in": ("A(?x)", "/a"), "out": ("B(?x)", "/b")})
-    two = nodelet("/two", {"in": ("B(?x)", "/b"), "out": ("A(?x)", "/a")})
-    assert (mismatches(one, two), live(one, two)) == ([], [])

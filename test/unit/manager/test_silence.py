@@ -314,24 +314,6 @@ def test_a_stream_that_is_whole_again_says_so(field: Field) -> None:
     assert details(field) == ["", NO_MESSAGE]
 
 
-def test_a_patient_client_does_not_make_others_wait(field: Field) -> None:
-    field.acquire(max_silence=100.0)
-    field.settle(2.0)
-    field.acquire("RelativePosition(ball)")
-    field.settle(2.0)
-    assert details(field) == ["", ""]
-
-
-def test_a_pending_claim_counts_nothing(field: Field) -> None:
-    field.host.silent.add("/localization_1")
-    field.acquire()
-    field.host.vanish("/localization_1")
-    field.manager.remove_transformation("localization")
-    field.settle(2.0)
-    assert field.living()[0].state is ClaimState.PENDING
-    assert not called(field, "listen")
-
-
 def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field: Field) -> None:
     field.manager.add_transformation(REFEREE)
     field.host.topics.add("/referee/ball")
