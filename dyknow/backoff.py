@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet
+from typing import Callable
 
 from dyknow.locks import state_lock
 
@@ -55,7 +55,7 @@ class Backoff:
         self._forgiven_after = forgiven_after
         self._tolerated = tolerated
         self._state_lock = state_lock("failures")
-        self._failures: Dict[str, _Failures] = {}
+        self._failures: dict[str, _Failures] = {}
 
     def failed(self, name: str, after: float = 0.0) -> None:
         """Count a failure, or an attempt that is one unless good service follows it.
@@ -90,7 +90,7 @@ class Backoff:
         return self.remaining(name) <= 0.0
 
     @property
-    def paused(self) -> FrozenSet[str]:
+    def paused(self) -> frozenset[str]:
         """Names whose pause is not over."""
         with self._state_lock:
             return frozenset(name for name in self._failures if self._remaining(name) > 0.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Iterable, Tuple
+from typing import Iterable
 
 _PLAIN = r'[^\s;&\[\]"()]+(?:\([^;&\[\]"()\n]*\))?'
 _QUOTED = r'"(?:[^"\\]|\\.)*"'
@@ -36,7 +36,7 @@ def write_missing(demand: str, missing: Iterable[str]) -> str:
     return f"no plan for {demand}: {_NOTHING_SUPPLIES}{'; '.join(missing)}"
 
 
-def read_missing(text: str) -> Tuple[str, ...]:
+def read_missing(text: str) -> tuple[str, ...]:
     """Return the tags that nothing supplies, out of a text that begins as ``write_missing``'s.
 
     Returns:

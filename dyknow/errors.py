@@ -35,7 +35,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
 from __future__ import annotations
 
 import enum
-from typing import Iterable, NamedTuple, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 from dyknow.demand_text import read_missing
 from dyknow.similar import did_you_mean
@@ -358,7 +358,7 @@ class InvalidConfiguration(PortError):
 
     def __init__(self, nodelet: str, problems: Sequence[DyKnowError]) -> None:
         self.nodelet = nodelet
-        self.problems: Tuple[DyKnowError, ...] = tuple(problems)
+        self.problems: tuple[DyKnowError, ...] = tuple(problems)
         super().__init__(
             f"{nodelet}: nothing was changed: " + "; ".join(str(problem) for problem in problems)
         )
@@ -392,7 +392,7 @@ class InvalidParameters(TransformationError):
 
     def __init__(self, label: str, problems: Sequence[str]) -> None:
         self.label = label
-        self.problems: Tuple[str, ...] = tuple(problems)
+        self.problems: tuple[str, ...] = tuple(problems)
         super().__init__(f"parameters of transformation '{label}': {'; '.join(problems)}")
 
 
@@ -513,8 +513,8 @@ class SpecificationError(DyKnowError):
     """All that is wrong with one specification text; nothing of it was taken over."""
 
     def __init__(self, problems: Sequence[Problem], warnings: Sequence[Problem] = ()) -> None:
-        self.problems: Tuple[Problem, ...] = tuple(problems)
-        self.warnings: Tuple[Problem, ...] = tuple(warnings)
+        self.problems: tuple[Problem, ...] = tuple(problems)
+        self.warnings: tuple[Problem, ...] = tuple(warnings)
         super().__init__("\n".join(str(problem) for problem in problems))
 
 
@@ -543,7 +543,7 @@ class LabelsError(OntologyError):
     """Classes, or individuals, have the same label; an ontology does not tell them apart by it."""
 
     def __init__(self, reasons: Sequence[str]) -> None:
-        self.reasons: Tuple[str, ...] = tuple(reasons)
+        self.reasons: tuple[str, ...] = tuple(reasons)
         more = len(reasons) - self._LISTED
         listed = [*reasons[: self._LISTED], *([f"{more} more such pairs"] if more > 0 else [])]
         super().__init__("; ".join(listed) + "; expected a label of its own for each")
@@ -556,5 +556,5 @@ class IndividualsError(OntologyError):
 
     def __init__(self, concept: str, reasons: Sequence[str]) -> None:
         self.concept = concept
-        self.reasons: Tuple[str, ...] = tuple(reasons)
+        self.reasons: tuple[str, ...] = tuple(reasons)
         super().__init__(f"the individuals of <{concept}>: " + "; ".join(reasons))

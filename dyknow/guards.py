@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import fnmatch
 from dataclasses import dataclass, field
-from typing import Iterable, Tuple
+from typing import Iterable
 
 from dyknow.errors import Denied, LimitExceeded
 
@@ -37,9 +37,9 @@ class Guards:
         nodelets: nodelets that may run at the same time.
     """
 
-    denied_topics: Tuple[str, ...] = field(default=())
-    allowed_topics: Tuple[Tuple[str, ...], ...] = ()
-    allowed_programs: Tuple[Tuple[str, ...], ...] = ()
+    denied_topics: tuple[str, ...] = field(default=())
+    allowed_topics: tuple[tuple[str, ...], ...] = ()
+    allowed_programs: tuple[tuple[str, ...], ...] = ()
     remote_programs: bool = True
     read_only: bool = False
     string_length: int = 4096
@@ -82,7 +82,7 @@ class Guards:
 
 
 def _check_allowed(
-    what: str, name: str, allowed: Iterable[Tuple[str, ...]], parameter: str
+    what: str, name: str, allowed: Iterable[tuple[str, ...]], parameter: str
 ) -> None:
     for patterns in allowed:
         if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):

@@ -18,13 +18,13 @@ from __future__ import annotations
 import os
 import threading
 import traceback
-from typing import Any, List, Optional, Tuple, cast
+from typing import Any, cast
 
 #: Stands in ``ORDER`` for all state locks that are not named there; they never nest.
 OTHER_STATE_LOCKS = "every other state lock"
 
 #: Every turn, the outermost first.
-TURNS: Tuple[str, ...] = (
+TURNS: tuple[str, ...] = (
     "end of a script",
     "simulated manager",
     "claim request",
@@ -50,7 +50,7 @@ TURNS: Tuple[str, ...] = (
 )
 
 #: State locks that are held while others are taken, the outermost first.
-STATE_LOCKS: Tuple[str, ...] = (
+STATE_LOCKS: tuple[str, ...] = (
     "port",
     "bus",
     OTHER_STATE_LOCKS,
@@ -60,7 +60,7 @@ STATE_LOCKS: Tuple[str, ...] = (
     "messages",
 )
 
-ORDER: Tuple[str, ...] = TURNS + STATE_LOCKS
+ORDER: tuple[str, ...] = TURNS + STATE_LOCKS
 
 
 class LockViolation(AssertionError):
@@ -126,8 +126,8 @@ class Checker:
         self._threads = threading.local()
 
     @property
-    def held(self) -> List[CheckedLock]:
-        locks: Optional[List[CheckedLock]] = getattr(self._threads, "locks", None)
+    def held(self) -> list[CheckedLock]:
+        locks: list[CheckedLock] | None = getattr(self._threads, "locks", None)
         if locks is None:
             locks = self._threads.locks = []
         return locks
@@ -143,7 +143,7 @@ class Checker:
             if lock.rank <= other.rank:
                 self._violated(f"{lock} is taken while {other} is held")
 
-    def check_calling_out(self, what: str, but: Optional[CheckedLock] = None) -> None:
+    def check_calling_out(self, what: str, but: CheckedLock | None = None) -> None:
         """Report a call or a wait while a state lock is held, ``but`` the one it gives up."""
         for lock in self.held:
             if lock.is_state and lock is not but:
@@ -167,7 +167,7 @@ class CheckedLock:
         self.rank = ORDER.index(name if name in ORDER else OTHER_STATE_LOCKS)
         self._checker = checker
         self._lock: Any = threading.RLock() if reentrant else threading.Lock()
-        self._holder: List[CheckedLock] = []
+        self._holder: list[CheckedLock] = []
 
     def __str__(self) -> str:
         return f"{'state lock' if self.is_state else 'turn'} '{self.name}'"
@@ -215,4 +215,4 @@ def _checked(checker: Checker, name: str) -> threading.Lock:
 
 
 _report = os.environ.get("DYKNOW_LOCK_REPORT", "")
-_checker: Optional[Checker] = Checker(_report) if _report else None
+_checker: Checker | None = Checker(_report) if _report else None

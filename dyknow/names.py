@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-from typing import Callable, Dict, Sequence
+from typing import Callable, Sequence
 
 from dyknow.errors import BadRemapping, InvalidName
 
@@ -88,7 +88,7 @@ def mark(name: str) -> int:
 
 def pair_remappings(
     nodelet: str, sources: Sequence[str], targets: Sequence[str], namespace: str
-) -> Dict[str, str]:
+) -> dict[str, str]:
     """Turn the two lists of a load request into a table of global names.
 
     Relative names begin in ``namespace`` (the manager's, as in the C++ manager); a ``~`` stands

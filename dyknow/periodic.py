@@ -20,13 +20,9 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import (
     Callable,
-    Deque,
-    Dict,
     Generic,
     Iterator,
-    List,
     Optional,
-    Tuple,
     TypeVar,
     Union,
     cast,
@@ -60,7 +56,7 @@ class Clock:
     def now(self) -> float:
         return time.monotonic()
 
-    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+    def wait(self, condition: threading.Condition, seconds: float | None) -> None:
         """Wait for a condition, whose lock is held, to be notified; at most ``seconds``."""
         condition.wait(seconds)
 
@@ -68,7 +64,7 @@ class Clock:
 STEADY = Clock()
 
 
-def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> Optional[T]:
+def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> T | None:
     """Call ``work`` at the top of a thread; None if it raised, which is logged."""
     try:
         return work()
@@ -138,13 +134,11 @@ class ControlLoop:
         self._logger = logger
         self._name = name
         self._changed = state_condition("control loop")
-        self._keys: Dict[str, _Key] = {}
-        self._threads: List[threading.Thread] = []
+        self._keys: dict[str, _Key] = {}
+        self._threads: list[threading.Thread] = []
         self._started = self._closed = False
 
-    def add(
-        self, key: str, work: Work, after: Optional[float] = None, pause: float = PAUSE
-    ) -> None:
+    def add(self, key: str, work: Work, after: float | None = None, pause: float = PAUSE) -> None:
         """Add a standing key.
 
         Args:
@@ -189,7 +183,7 @@ class ControlLoop:
     def running(self) -> bool:
         return any(thread.is_alive() for thread in self._threads)
 
-    def requeue(self, key: str, after: Optional[float]) -> None:
+    def requeue(self, key: str, after: float | None) -> None:
         """Let the next round of a standing key come in so many seconds; None for a wake."""
         with self._changed:
             _, self._keys[key].due = self._times(after)
@@ -227,7 +221,7 @@ class ControlLoop:
             if thread is not threading.current_thread():
                 thread.join(max(0.0, deadline - time.monotonic()))
 
-    def _times(self, after: Optional[float], pause: float = 0.0) -> Tuple[float, float]:
+    def _times(self, after: float | None, pause: float = 0.0) -> tuple[float, float]:
         now = self._clock.now()
         return now + pause, math.inf if after is None else now + after
 
@@ -248,7 +242,7 @@ class ControlLoop:
             self._round(key)
             key = self._take()
 
-    def _take(self) -> Optional[_Key]:
+    def _take(self) -> _Key | None:
         """Wait until a round is due, and begin it; None once the loop is closed."""
         with self._changed:
             while not self._closed:
@@ -260,7 +254,7 @@ class ControlLoop:
                 self._clock.wait(self._changed, None if left == math.inf else left)
         return None
 
-    def _first(self) -> Optional[_Key]:
+    def _first(self) -> _Key | None:
         """Return the key whose round comes next, of those that may begin one now."""
         running = sum(each.is_running and not each.is_standing for each in self._keys.values())
         has_worker = running < self._workers or not self._started
@@ -272,7 +266,7 @@ class ControlLoop:
         return min(waiting, key=attrgetter("next"), default=None)
 
     def _round(self, key: _Key) -> None:
-        outcome: List[object] = []
+        outcome: list[object] = []
         attempt(key.name, lambda: outcome.append(key.work()), self._logger)
         after, pause = (outcome[0], key.pause) if outcome else (RETRY, RETRY)
         with self._changed:
@@ -298,7 +292,7 @@ class PeriodicWorker:
     ) -> None:
         """``period``: seconds to the next round, or asked after each; ``pause``: at least."""
 
-        def round_() -> Optional[float]:
+        def round_() -> float | None:
             work()
             return self._until_next()
 
@@ -317,7 +311,7 @@ class PeriodicWorker:
         if self._loop.start():
             self._loop.requeue(self._what, self._until_next())
 
-    def _until_next(self) -> Optional[float]:
+    def _until_next(self) -> float | None:
         return self._period() if callable(self._period) else self._period
 
     def wake(self) -> int:
@@ -350,7 +344,7 @@ class EventQueue(Generic[Event]):
     def __init__(self, listener: Callable[[Event], object]) -> None:
         self.listener = listener
         self._state_lock = state_lock("event queue")
-        self._events: Deque[Event] = deque()
+        self._events: deque[Event] = deque()
         self._delivering = False
 
     def add(self, event: Event) -> None:

@@ -9,7 +9,7 @@ import argparse
 import time
 from pathlib import Path
 from statistics import median
-from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Set, Tuple
+from typing import Any, Mapping, NamedTuple, Sequence
 
 import psutil
 import rospy
@@ -37,7 +37,7 @@ from dyknow_benchmark.session import MeasurementFailed, Session, say, steps, wai
 TARGET_HOPS = 50
 _OURS, _PLAIN, _PEER = "dyknow", "nodelet", "cpp_nodelet"
 #: The most that DyKnow's mean may be of that of C++ nodelets, by frequency in Hz.
-_LIMITS: Dict[float, float] = {100.0: 0.25, 5.0: 0.35}
+_LIMITS: dict[float, float] = {100.0: 0.25, 5.0: 0.35}
 _SIZES = ["320x240", "640x480", "1280x720", "1920x1080"]
 #: The paper's kinds, with function calls (the floor) and C++ beside them.
 _PAPERS = tuple(kind for kind in KINDS if kind not in ("script", "cpp_live"))
@@ -121,7 +121,7 @@ def chain(arguments: argparse.Namespace) -> Results:
         results = Results()
         orders = blocks_of(plan.messages, plan.frequency, plan.repeats)
         blocks = in_turns({kind: chain.run for kind, chain in chains.items()}, orders)
-        differences: Dict[int, List[float]] = {hops: [] for hops in plan.hops}
+        differences: dict[int, list[float]] = {hops: [] for hops in plan.hops}
         if {_OURS, _PLAIN} <= set(chains):
             for number in steps(range(plan.pairs), "pairs", "pair"):
                 names = (_OURS, _PLAIN) if number % 2 == 0 else (_PLAIN, _OURS)
@@ -139,7 +139,7 @@ def tell_chain(
     results: Results,
     plan: ChainPlan,
     blocks: Mapping[str, Block],
-    differences: Mapping[int, List[float]],
+    differences: Mapping[int, list[float]],
 ) -> None:
     """Make tables, the figure and the verdicts of the measured blocks; targets are for 50 hops."""
     summaries = {
@@ -159,7 +159,7 @@ def tell_chain(
     if added:
         what = f"{TARGET_HOPS} hops, median of {len(added)} pairs (ms)"
         results.verdict(f"added by the proxy, {what}", median(added) / 1000, 0.02)
-    rows: List[Row] = [
+    rows: list[Row] = [
         (*key, *each.arrivals(blocks[key[0]].sent)) for key, each in summaries.items()
     ]
     results.table("figure4", "time to arrival", ("kind", "hops", *ARRIVALS), rows)
@@ -175,7 +175,7 @@ def tell_chain(
     results.pictures.append(("figure4", lambda path: draw(means, title, path)))
 
 
-def draw(means: Mapping[Tuple[str, int], float], title: str, path: Path) -> None:
+def draw(means: Mapping[tuple[str, int], float], title: str, path: Path) -> None:
     """Draw the paper's figure 4: a line for each kind.
 
     Args:
@@ -208,7 +208,7 @@ def _compare(
     results: Results, name: str, title: str, what: str, blocks: Mapping[Any, Block]
 ) -> None:
     """Add a table of the arrivals at the last hop of each case."""
-    rows: List[Row] = []
+    rows: list[Row] = []
     for case, block in blocks.items():
         (hop,) = block.latencies
         rows.append((case, hop, *Summary.of(block.latencies[hop]).arrivals(block.sent)))
@@ -321,7 +321,7 @@ def outside(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def spread(hops: int, count: int) -> List[int]:
+def spread(hops: int, count: int) -> list[int]:
     """As many of the numbers from 1 to ``hops`` at even distances, the last among them."""
     return [hops - index * hops // count for index in range(count)][::-1]
 
@@ -376,7 +376,7 @@ def scripts(arguments: argparse.Namespace) -> Results:
             took.append((time.monotonic() - begin) * 1e3)
         kib, threads = (now - then for now, then in zip(_held(manager), before))
     loads = Summary.of(took[_BEFORE:])
-    rows: List[Row] = [
+    rows: list[Row] = [
         (kind, *Summary.of(block.latencies[1]).arrivals(block.sent))
         for kind, block in blocks.items()
     ]
@@ -408,7 +408,7 @@ def footprint(arguments: argparse.Namespace) -> Results:
         results = Results()
         for kind in steps(arguments.kinds, "footprint", "kind"):
             build(session, kind, _BEFORE, (), name="_before")
-            there: Set[psutil.Process] = set(session.processes)
+            there: set[psutil.Process] = set(session.processes)
             host = [session.nodelet_manager(NODELETS[kind][0]).process] if kind in NODELETS else []
             before = _held(host)
             parts = (arguments.nodelets if host else arguments.nodes) + 1
@@ -421,7 +421,7 @@ def footprint(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def _held(processes: Sequence[psutil.Process]) -> Tuple[float, int]:
+def _held(processes: Sequence[psutil.Process]) -> tuple[float, int]:
     """Memory (KiB) and threads of processes, in all."""
     kib = sum(each.memory_full_info().pss / 1024 for each in processes)
     return kib, sum(each.num_threads() for each in processes)

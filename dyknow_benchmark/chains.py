@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Hashable, List, Mapping, Sequence, TypeVar
+from typing import Callable, Hashable, Mapping, Sequence, TypeVar
 
 import rospy
 from std_msgs.msg import Empty, Float64MultiArray
@@ -25,7 +25,7 @@ from dyknow_benchmark.session import (
 )
 
 #: Descriptions of the kinds, in the order in which they are shown.
-KINDS: Dict[str, str] = {
+KINDS: dict[str, str] = {
     "dyknow": "DyKnow nodelets: ports, through the proxy",
     "nodelet": "plain Python nodelets of the same nodelet manager: topics, no proxy",
     "function": "Python functions that call each other",
@@ -63,7 +63,7 @@ class Block:
     """
 
     sent: int = 0
-    latencies: Dict[int, List[float]] = field(default_factory=dict)
+    latencies: dict[int, list[float]] = field(default_factory=dict)
 
     def add(self, other: Block) -> None:
         """Put the messages of ``other`` to these."""
@@ -81,7 +81,7 @@ class Order:
     frequency: float
 
 
-def blocks_of(messages: int, frequency: float, turns: int = 0) -> List[Order]:
+def blocks_of(messages: int, frequency: float, turns: int = 0) -> list[Order]:
     """Divide messages into blocks of nearly the same size, as many as there are turns."""
     turns = turns or -(-messages // _BLOCK)
     size, rest = divmod(messages, turns)
@@ -91,7 +91,7 @@ def blocks_of(messages: int, frequency: float, turns: int = 0) -> List[Order]:
 
 def in_turns(
     cases: Mapping[K, Callable[[Order], Block]], orders: Sequence[Order]
-) -> Dict[K, Block]:
+) -> dict[K, Block]:
     """Let cases take turns in blocks, so that a drift of the machine's speed meets them all."""
     blocks = {case: Block() for case in cases}
     keys = list(cases)
@@ -105,7 +105,7 @@ def in_turns(
     return blocks
 
 
-def alternating(chains: Mapping[K, Chain], orders: Sequence[Order]) -> Dict[K, Block]:
+def alternating(chains: Mapping[K, Chain], orders: Sequence[Order]) -> dict[K, Block]:
     """Let chains send at the same time, one message of each after the other."""
     blocks = {case: Block() for case in chains}
     for order in steps(orders, "measuring"):
@@ -127,7 +127,7 @@ class Chain:
         """
         self.control = control
         self._changed = state_condition("reports")
-        self._arrivals: Dict[int, Dict[float, float]] = {hop: {} for hop in sorted(hops)}
+        self._arrivals: dict[int, dict[float, float]] = {hop: {} for hop in sorted(hops)}
         self._send = rospy.Publisher(f"{control}/send", Float64MultiArray, queue_size=10)
         self._collect = rospy.Publisher(f"{control}/collect", Empty, queue_size=10)
         rospy.Subscriber(f"{control}/report", Float64MultiArray, self._on_report)
@@ -165,7 +165,7 @@ class Chain:
     def _await(self, first: float, count: int, patience: float) -> None:
         """Collect until all hops saw ``count`` messages, or nothing new came for a while."""
 
-        def seen() -> List[int]:
+        def seen() -> list[int]:
             return [len(each) for each in self._since(first).values()]
 
         end, before = time.monotonic() + patience, -1
@@ -176,7 +176,7 @@ class Chain:
             if sum(seen()) != before:
                 before, end = sum(seen()), time.monotonic() + patience
 
-    def _since(self, first: float) -> Dict[int, Dict[float, float]]:
+    def _since(self, first: float) -> dict[int, dict[float, float]]:
         with self._changed:
             return {
                 hop: {stamp: latency for stamp, latency in seen.items() if stamp >= first}
@@ -281,7 +281,7 @@ def load_hop(
     return manager
 
 
-def _words(part: str, control: str, payload: str, hop: int, record: Sequence[int]) -> List[str]:
+def _words(part: str, control: str, payload: str, hop: int, record: Sequence[int]) -> list[str]:
     options = ["--control", control, "--payload", payload, "--hop", str(hop), "--record"]
     return [part, *options, *map(str, record)]
 

@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import Optional, Sequence
+from typing import Sequence
 
 import rospy
 
@@ -74,7 +74,7 @@ def window(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def main(argv: Optional[Sequence[str]] = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the measurement of the command line and show its results.
 
     Returns:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
+from typing import Any, Callable, NamedTuple, Sequence
 
 from dyknow_benchmark.parts import payload_of
 from dyknow_benchmark.results import Results
@@ -21,7 +21,7 @@ class Measurement(NamedTuple):
     """A measurement and its options: their names, with argparse's words for each."""
 
     run: Run
-    options: Dict[str, Dict[str, Any]]
+    options: dict[str, dict[str, Any]]
 
     def add_to(self, commands: Any, name: str) -> argparse.ArgumentParser:
         """Declare the command of the measurement."""
@@ -37,7 +37,7 @@ class Measurement(NamedTuple):
 
 
 #: Measurements by name, in the order in which they are declared.
-MEASUREMENTS: Dict[str, Measurement] = {}
+MEASUREMENTS: dict[str, Measurement] = {}
 
 
 def measurement(**options: Any) -> Callable[[Run], Run]:
@@ -51,11 +51,11 @@ def measurement(**options: Any) -> Callable[[Run], Run]:
     return declare
 
 
-def _words(name: str, given: Any) -> Dict[str, Any]:
+def _words(name: str, given: Any) -> dict[str, Any]:
     if isinstance(given, dict):
         return given
     shown = " ".join(map(str, given)) if isinstance(given, list) else "%(default)s"
-    words: Dict[str, Any] = {"default": given}
+    words: dict[str, Any] = {"default": given}
     words["help"] = f"{_HELP[name]} (default: {shown})" if name in _HELP else f"default: {shown}"
     if isinstance(given, list):
         words.update(nargs="+", metavar="N")
@@ -95,6 +95,6 @@ def payload(text: str) -> str:
     return text
 
 
-def choice(some: Sequence[str], default: Optional[Sequence[str]], text: str) -> Dict[str, Any]:
+def choice(some: Sequence[str], default: Sequence[str] | None, text: str) -> dict[str, Any]:
     """Declare an option that takes some of the names."""
     return {"nargs": "+", "choices": some, "metavar": "KIND", "default": default, "help": text}

@@ -22,7 +22,7 @@ import operator
 import re
 import threading
 import time
-from typing import Any, Callable, List, NamedTuple, Tuple
+from typing import Any, Callable, NamedTuple
 
 import genpy
 import rospy
@@ -120,7 +120,7 @@ class Hop:
         self._stamp_of = payload.stamp_of
         self._record = record
         self._latency = 0
-        self._arrivals: List[Tuple[genpy.Time, int]] = []
+        self._arrivals: list[tuple[genpy.Time, int]] = []
 
     def receive(self, message: Any) -> None:
         """Take a message that arrives now and forward it."""
@@ -136,13 +136,13 @@ class Hop:
         if self._record:
             listen_collect(api, control, self.hop, self._collect)
 
-    def _collect(self) -> List[float]:
+    def _collect(self) -> list[float]:
         arrivals = self._arrivals[:]  # more may come meanwhile
         del self._arrivals[: len(arrivals)]
         return [each for stamp, took in arrivals for each in (stamp.to_sec(), took / 1000)]
 
 
-def listen_collect(api: Any, control: str, hop: int, collect: Callable[[], List[float]]) -> None:
+def listen_collect(api: Any, control: str, hop: int, collect: Callable[[], list[float]]) -> None:
     """Report numbers as a hop when the control topic asks; ``api`` is rospy or a NodeHandle."""
     publisher = api.Publisher(f"{control}/report", Float64MultiArray, queue_size=_REPORTS)
 
@@ -159,7 +159,7 @@ class _SwitchWatch:
 
     def __init__(self, clock: Callable[[], int] = time.time_ns) -> None:
         self._clock = clock
-        self._changes: List[float] = []
+        self._changes: list[float] = []
         self._last = -1
         self.lost = 0
         self.doubled = 0
@@ -168,7 +168,7 @@ class _SwitchWatch:
         """Note that this is the first message of the new topic."""
         self._changes.append(self._clock() / 1e9)
 
-    def collect(self) -> List[float]:
+    def collect(self) -> list[float]:
         """Return lost, doubled and the times (s) of the first messages of new topics."""
         return [self.lost, self.doubled, *self._changes]
 

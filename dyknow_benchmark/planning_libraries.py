@@ -13,7 +13,7 @@ are 21 devices in each of many rooms, and a demand is about one room.
 from __future__ import annotations
 
 import random
-from typing import Callable, Dict, FrozenSet, List, NamedTuple, Sequence
+from typing import Callable, NamedTuple, Sequence
 
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.model.transformation import IN, OUT, Port, Transformation
@@ -32,7 +32,7 @@ _MOST_COST = 20
 class Things:
     """An ontology in which every individual is a thing."""
 
-    def names_above(self, name: str) -> FrozenSet[str]:
+    def names_above(self, name: str) -> frozenset[str]:
         """The name, and the class of all individuals."""
         return frozenset((name, "Thing") if name[:1].islower() else (name,))
 
@@ -50,8 +50,8 @@ class PlanningLibrary(NamedTuple):
         ontology: subsumption of names.
     """
 
-    transformations: List[Transformation]
-    demands: Dict[str, List[str]]
+    transformations: list[Transformation]
+    demands: dict[str, list[str]]
     ontology: Subsumption = NO_ONTOLOGY
 
 
@@ -105,7 +105,7 @@ def rules(count: int, variables: int, ontology: Subsumption = NO_ONTOLOGY) -> Pl
             library.append(_make(number, [], f"{kind}({', '.join(some)})", cost))
             continue
         fewest = 2 if variables > 2 else 1
-        needs: List[str] = []
+        needs: list[str] = []
         for args in inputs[: chance.randint(fewest, 2)]:
             below = 0 if needs and variables > 2 else layer - 1
             needs.append(f"Kind{below}x{chance.randrange(width)}({args})")
@@ -164,7 +164,7 @@ def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
     chance = random.Random(5)
     parts = 3 if needs_power else 2
     devices = max(1, (count - 2) // parts)
-    library: List[Transformation] = []
+    library: list[Transformation] = []
     for number in range(devices):
         needs = [f"Power(dev{number})"] if needs_power else []
         pair = f"Pair(dev{number}, dev{(7 * number + 1) % devices})"
@@ -186,7 +186,7 @@ def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
     return PlanningLibrary(library, demands)
 
 
-LIBRARIES: Dict[str, Callable[[int], PlanningLibrary]] = {
+LIBRARIES: dict[str, Callable[[int], PlanningLibrary]] = {
     "deep": deep,
     "dense": dense,
     "rules, one variable": lambda count: rules(count, 1),
@@ -200,7 +200,7 @@ LIBRARIES: Dict[str, Callable[[int], PlanningLibrary]] = {
 }
 
 
-def _last_streams(count: int) -> Dict[str, List[str]]:
+def _last_streams(count: int) -> dict[str, list[str]]:
     tags = [f"Stream(x{max(0, count - 1 - number)})" for number in range(9)]
     return {"ground": tags, "variable": ["Stream(?x)"] * 3}
 

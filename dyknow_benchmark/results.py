@@ -12,7 +12,7 @@ import platform
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Callable, List, NamedTuple, Sequence, Tuple, Union
+from typing import Callable, NamedTuple, Sequence, Union
 
 import psutil
 
@@ -50,16 +50,16 @@ class Summary:
         return cls(count, math.fsum(ordered) / count, median(ordered), p99, ordered[-1])
 
     @property
-    def spread(self) -> Tuple[float, ...]:
+    def spread(self) -> tuple[float, ...]:
         """Cells under ``SPREAD``."""
         return (self.mean, self.median, self.p99, self.max)
 
-    def arrivals(self, sent: int) -> Tuple[float, ...]:
+    def arrivals(self, sent: int) -> tuple[float, ...]:
         """Cells under ``ARRIVALS``, where these are the latencies of messages that were sent."""
         return (self.count, sent - self.count, *self.spread)
 
 
-def median_interval(values: Sequence[float]) -> Tuple[float, float]:
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
     """Bounds between which the true median lies with a probability of at least 95 %.
 
     They are two of the values themselves, found by the binomial distribution of how many values
@@ -120,9 +120,9 @@ class Results:
 
     def __init__(self) -> None:
         """Note the load of the machine, which is shown for the time from now on."""
-        self.verdicts: List[Verdict] = []
-        self.tables: List[ResultTable] = []
-        self.pictures: List[Tuple[str, Callable[[Path], None]]] = []
+        self.verdicts: list[Verdict] = []
+        self.tables: list[ResultTable] = []
+        self.pictures: list[tuple[str, Callable[[Path], None]]] = []
         psutil.cpu_percent()
         self._load_average = os.getloadavg()[0]
         self._machine: Rows = ()
@@ -163,7 +163,7 @@ class Results:
         )
         return "\n\n".join(parts)
 
-    def write(self, directory: Path) -> List[Path]:
+    def write(self, directory: Path) -> list[Path]:
         """Write all files into a directory, which is made if need be; returns their paths."""
         directory.mkdir(parents=True, exist_ok=True)
         written = []
@@ -179,7 +179,7 @@ class Results:
                 draw(written[-1])
         return written
 
-    def _all_tables(self) -> List[ResultTable]:
+    def _all_tables(self) -> list[ResultTable]:
         targets = [verdict.row for verdict in self.verdicts]
         return [
             *self.tables,

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Sequence
+from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence
 
 import psutil
 import rosgraph
@@ -66,9 +66,9 @@ class Session:
     """A master and processes, as a context manager that makes this process a ROS node."""
 
     def __init__(self) -> None:
-        self._processes: List[psutil.Popen] = []
+        self._processes: list[psutil.Popen] = []
         self._directory = Path()
-        self._managers: Dict[str, RunningManager] = {}
+        self._managers: dict[str, RunningManager] = {}
 
     def __enter__(self) -> Session:
         """Start the master and register this process with it."""

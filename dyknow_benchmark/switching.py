@@ -9,7 +9,7 @@ import argparse
 import time
 from pathlib import Path
 from statistics import median
-from typing import Dict, List, NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 import psutil
 import rosgraph
@@ -59,7 +59,7 @@ class Seen(NamedTuple):
 
     lost: int
     doubled: int
-    changes: Tuple[float, ...]
+    changes: tuple[float, ...]
 
 
 class _Port:
@@ -85,7 +85,7 @@ class _Switching:
     """Two nodelets whose ports are switched; all four topics are live."""
 
     def __init__(self, manager: RunningManager, rate: float) -> None:
-        self._reports: Dict[int, List[float]] = {}
+        self._reports: dict[int, list[float]] = {}
         self._changed = state_condition("switches")
         self._collect = rospy.Publisher(f"{_CONTROL}/collect", Empty, queue_size=10)
         keep = {f"{_CONTROL}/{side}": f"{_CONTROL}/{side}" for side in ("left", "right")}
@@ -103,7 +103,7 @@ class _Switching:
         }
         wait_until(self._answers, "the nodelets that are switched to report")
 
-    def collect(self) -> Dict[str, Seen]:
+    def collect(self) -> dict[str, Seen]:
         """Collect the counts of each port."""
         with self._changed:
             self._reports.clear()
@@ -139,7 +139,7 @@ def rewire(arguments: argparse.Namespace) -> Results:
     period on average.
     """
     count = arguments.switches
-    asked: Dict[str, List[float]] = {end: [] for end in _ENDS}
+    asked: dict[str, list[float]] = {end: [] for end in _ENDS}
     with Session() as session:
         switching = _Switching(session.nodelet_manager(), arguments.rate)
         results = Results()
@@ -150,7 +150,7 @@ def rewire(arguments: argparse.Namespace) -> Results:
         time.sleep(0.2)
         seen = switching.collect()
     took = {end: delays(asked[end], seen[end].changes) for end in _ENDS}
-    rows: List[Row] = []
+    rows: list[Row] = []
     for end, times in took.items():
         counts = (len(asked[end]), len(times), seen[end].lost, seen[end].doubled)
         rows.append((end, *counts, *Summary.of(times).spread))
@@ -163,7 +163,7 @@ def rewire(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def delays(asked: Sequence[float], arrived: Sequence[float]) -> List[float]:
+def delays(asked: Sequence[float], arrived: Sequence[float]) -> list[float]:
     """Milliseconds from each request to the first message of its new topic.
 
     A request before whose successor no new topic was seen (the machine was too busy) has none.
@@ -188,9 +188,9 @@ def cpp(arguments: argparse.Namespace) -> Results:
     """
     hops, stock, live = arguments.hops, "cpp_nodelet", "cpp_live"
     order = Order(WARM_UP, _MESSAGES, arguments.rate)
-    latencies: Dict[str, List[float]] = {stock: [], live: [], "mixed": []}
-    arrivals: List[float] = []
-    costs: List[float] = []
+    latencies: dict[str, list[float]] = {stock: [], live: [], "mixed": []}
+    arrivals: list[float] = []
+    costs: list[float] = []
     with Session() as session:
         chains = {kind: build(session, kind, hops) for kind in (stock, live)}
         mixed = build(session, "mixed", _MIXED)
@@ -221,7 +221,7 @@ def cpp(arguments: argparse.Namespace) -> Results:
             port = _Port(f"{control}/nodelet_{hops}", end, topics)
             asked = [port.switch() for _ in range(arguments.switches)] + [time.time()]
             switched[end] = [1e3 * (after - before) for before, after in zip(asked, asked[1:])]
-    rows: List[Row] = [
+    rows: list[Row] = [
         (what, len(values), median(values), *median_interval(values))
         for what, values in (("arrival, us", arrivals), ("processor time of a hop, us", costs))
     ]
@@ -282,10 +282,10 @@ def leak(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def _settled(manager: RunningManager) -> Dict[str, int]:
+def _settled(manager: RunningManager) -> dict[str, int]:
     """Count resources until two counts, a second apart, are the same, or time is up."""
     end = time.monotonic() + _SETTLE
-    census: Dict[str, int] = {}
+    census: dict[str, int] = {}
     while time.monotonic() < end:
         before = census
         state = rosgraph.Master("/benchmark").getSystemState()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from statistics import median
-from typing import Callable, Dict, List, NamedTuple, Sequence, Tuple
+from typing import Callable, NamedTuple, Sequence
 
 import rospy
 from dyknow_msgs.msg import Model
@@ -43,7 +43,7 @@ _LARGE = 10_000
 _GOAL, _SOURCE = "Signed(x)", "/source"
 
 
-def _spread(values: Sequence[float]) -> Tuple[float, float, float]:
+def _spread(values: Sequence[float]) -> tuple[float, float, float]:
     """Minimum, median and maximum."""
     return min(values), median(values), max(values)
 
@@ -70,9 +70,9 @@ def idle(arguments: argparse.Namespace) -> Results:
 @measurement(nodelets=500)
 def model(arguments: argparse.Namespace) -> Results:
     """Spawn many nodelets, request the model, and check that it is quiet."""
-    spawns: List[float] = []
-    answers: List[float] = []
-    heard: List[Model] = []
+    spawns: list[float] = []
+    answers: list[float] = []
+    heard: list[Model] = []
     with Session() as session:
         client = session.dyknow_manager()
         results = Results()
@@ -142,8 +142,8 @@ class _Listener:
 
     def __init__(self, topics: Sequence[str]) -> None:
         self._lock = state_lock("messages of streams")
-        self._first: Dict[str, float] = {}
-        self._last: Dict[str, float] = dict.fromkeys(topics, 0.0)
+        self._first: dict[str, float] = {}
+        self._last: dict[str, float] = dict.fromkeys(topics, 0.0)
         self.latest = ""
         for topic in topics:
             rospy.Subscriber(topic, Header, self._hear, callback_args=topic, tcp_nodelay=True)
@@ -155,7 +155,7 @@ class _Listener:
                 self._last[name] = time.monotonic()
                 self._first.setdefault(name, self._last[name])
 
-    def span(self, name: str) -> Tuple[float, float]:
+    def span(self, name: str) -> tuple[float, float]:
         """When a topic, or a text, was heard first and last."""
         with self._lock:
             return self._first[name], self._last[name]
@@ -173,7 +173,7 @@ def recover(arguments: argparse.Namespace) -> Results:
     Each kill follows as soon as the streams are back from the last, so the times include the
     pauses before a nodelet manager that dies repeatedly is restarted.
     """
-    times: List[float] = []
+    times: list[float] = []
     with Session() as session:
         client = session.dyknow_manager()
         client.spawn("source", "/source", {"out": "/t0"})
@@ -258,7 +258,7 @@ def failover(arguments: argparse.Namespace) -> Results:
     return results
 
 
-def _fail(kind: str, failure: _Failure, count: int) -> List[float]:
+def _fail(kind: str, failure: _Failure, count: int) -> list[float]:
     """Let the part fail again and again; returns how long (s) the client was without it."""
     times = []
     with dyknow.acquire(_GOAL, Header, max_silence=failure.silence) as stream:

@@ -11,7 +11,7 @@ import statistics
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 from python_qt_binding.QtCore import QTimer
 from python_qt_binding.QtTest import QTest
@@ -94,7 +94,7 @@ class _Returning(SimulatedRemote):
         self.client.on_model(self._model)
 
 
-def simulated(count: int) -> List[Row]:
+def simulated(count: int) -> list[Row]:
     """Open a window on a simulated manager, let its nodelets come back, and move the view."""
     remote = _Returning(count)
     with _window(DyKnowWidget(remote)) as window:
@@ -107,7 +107,7 @@ def simulated(count: int) -> List[Row]:
     return rows
 
 
-def real(count: int) -> List[Row]:
+def real(count: int) -> list[Row]:
     """Open a window on a real manager, kill the hosts of its nodelets, and see them come back."""
     rows = []
     with Session() as session:
@@ -184,7 +184,7 @@ def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
     return ticks
 
 
-def _moves(window: DyKnowWidget) -> Iterator[Tuple[str, Sequence[float]]]:
+def _moves(window: DyKnowWidget) -> Iterator[tuple[str, Sequence[float]]]:
     """Zoom from the whole to one nodelet and back, move about, point at one after the other."""
     view = window.graph.view
     view.fit()

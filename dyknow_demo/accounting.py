@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import Dict, List, NamedTuple, Sequence, Set, Tuple
+from typing import NamedTuple, Sequence
 
 
 class FrameName(NamedTuple):
@@ -66,7 +66,7 @@ class Arrival(NamedTuple):
     frame: FrameName
     sent: float
     arrived: float
-    size: Tuple[int, int]
+    size: tuple[int, int]
 
 
 class Switch(NamedTuple):
@@ -94,8 +94,8 @@ class Account:
 
     messages: int
     rate: float
-    latencies: Tuple[float, ...]
-    size: Tuple[int, int]
+    latencies: tuple[float, ...]
+    size: tuple[int, int]
     lost: int
     doubled: int
     reordered: int
@@ -127,7 +127,7 @@ class _Visit(NamedTuple):
 
 def gaps(published: Sequence[Published]) -> int:
     """Count the frames that a witness missed: then its record proves nothing."""
-    numbers: Dict[str, Set[int]] = {}
+    numbers: dict[str, set[int]] = {}
     for each in published:
         numbers.setdefault(each.frame.camera, set()).add(each.frame.number)
     return sum(max(seen) + 1 - len(seen) for seen in numbers.values())
@@ -135,7 +135,7 @@ def gaps(published: Sequence[Published]) -> int:
 
 def account(
     published: Sequence[Published], arrivals: Sequence[Arrival], switches: Sequence[Switch]
-) -> Dict[str, Account]:
+) -> dict[str, Account]:
     """Settle the account of each stage.
 
     Args:
@@ -149,9 +149,9 @@ def account(
     counts = Counter(arrival.frame for arrival in arrivals)
     visits = _visits(published, counts, switches)
     stages = list(dict.fromkeys(switch.stage for switch in switches[:-1]))
-    places: Dict[FrameName, int] = {}
+    places: dict[FrameName, int] = {}
     lost: Counter[str] = Counter()
-    strays: Set[FrameName] = set()
+    strays: set[FrameName] = set()
     for each in published:
         at = [index for index, visit in enumerate(visits) if visit.may_have(each)]
         own = [index for index in at if visits[index].camera == each.frame.camera]
@@ -175,7 +175,7 @@ def account(
 
 def _visits(
     published: Sequence[Published], counts: Counter[FrameName], switches: Sequence[Switch]
-) -> List[_Visit]:
+) -> list[_Visit]:
     camera, stage, begin = "", switches[0].stage, -math.inf
     visits = []
     for switch in switches:
@@ -222,10 +222,10 @@ class _Rows:
     """Collects the arrivals of each stage."""
 
     def __init__(self, stages: Sequence[str]) -> None:
-        self._arrivals: Dict[str, List[Arrival]] = {stage: [] for stage in stages}
+        self._arrivals: dict[str, list[Arrival]] = {stage: [] for stage in stages}
         self._doubled: Counter[str] = Counter()
         self._reordered: Counter[str] = Counter()
-        self._known: Set[FrameName] = set()
+        self._known: set[FrameName] = set()
 
     def add(self, stage: str, arrival: Arrival, stray: bool, late: bool) -> None:
         if stage not in self._arrivals:

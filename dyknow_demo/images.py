@@ -10,7 +10,7 @@ into its array; a published message must not be changed any more.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, List, Tuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sensor_msgs.msg import Image
@@ -32,7 +32,7 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3, "yuv422": 2}
 
 
-def image_files(folder: Path) -> List[Path]:
+def image_files(folder: Path) -> list[Path]:
     """Image files of a folder, sorted."""
     return sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
 
@@ -57,7 +57,7 @@ def array_of(image: Any) -> Pixels:
     channels = channels_of(image.encoding)
     rows = np.frombuffer(image.data, np.uint8, image.height * image.step)
     rows = rows.reshape(image.height, image.step)[:, : image.width * channels]
-    shape: Tuple[int, ...] = (image.height, image.width)
+    shape: tuple[int, ...] = (image.height, image.width)
     return rows.reshape(shape if channels == 1 else (*shape, channels))
 
 

@@ -9,7 +9,7 @@ import argparse
 import signal
 import sys
 from pathlib import Path
-from typing import Optional, Sequence
+from typing import Sequence
 
 from dyknow.errors import DyKnowError
 
@@ -18,7 +18,7 @@ DONE, FAILED, INTERRUPTED = 0, 1, 130
 _OTHER = "--rewiring"
 
 
-def main(argv: Optional[Sequence[str]] = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run a demonstration.
 
     Args:

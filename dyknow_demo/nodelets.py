@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Tuple
+from typing import Any, Iterator, Tuple
 
 import cv2
 import numpy as np
@@ -77,7 +77,7 @@ class Camera(dyknow.Nodelet):
         self.pub = self.nh.Publisher("image", Image, queue_size=100)
         self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
 
-    def read_frames(self) -> List[Any]:
+    def read_frames(self) -> list[Any]:
         """Make one message of each frame.
 
         Raises:
@@ -191,9 +191,9 @@ class Reporter(dyknow.Nodelet):
         """Declare the port, offer the service and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.period = get_positive(self.nh, "~period", 10.0, "s")
-        self.arrivals: List[Arrival] = []
+        self.arrivals: list[Arrival] = []
         self.reported = 0
-        self.latest: Dict[str, int] = {}
+        self.latest: dict[str, int] = {}
         self.lost = self.doubled = 0
         self.sub = self.nh.Subscriber("image", Image, self.on_image, queue_size=100)
         self.service = self.nh.Service("~arrivals", Trigger, self.on_request)

@@ -19,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, Sequence
 
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.wire.master import Master
@@ -47,7 +47,7 @@ class Processes:
     """Child processes with their output in files of a temporary folder."""
 
     def __init__(self) -> None:
-        self._children: List[Tuple[str, subprocess.Popen[bytes], Path]] = []
+        self._children: list[tuple[str, subprocess.Popen[bytes], Path]] = []
         self._folder = tempfile.TemporaryDirectory(prefix="dyknow_demo_")
 
     @property
@@ -60,9 +60,9 @@ class Processes:
 
     def __exit__(
         self,
-        kind: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        trace: Optional[TracebackType],
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         # A second Ctrl-C must not leave processes behind.
         handlers = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
@@ -80,7 +80,7 @@ class Processes:
         self,
         what: str,
         command: Sequence[str],
-        environment: Dict[str, str],
+        environment: dict[str, str],
         ready: Callable[[], bool],
     ) -> int:
         """Start a process, wait until it is ready, and return its id.

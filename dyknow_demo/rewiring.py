@@ -17,7 +17,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 
 from nodelet.srv import NodeletLoad
 from std_srvs.srv import Trigger
@@ -63,7 +63,7 @@ class Step(NamedTuple):
 
     wiring: str
     camera: str
-    change: Tuple[str, str, str]
+    change: tuple[str, str, str]
     turns: bool = False
 
 
@@ -111,7 +111,7 @@ def play(options: argparse.Namespace) -> bool:
             forget_parameters()
 
 
-def _frames(folder: Path | None, is_rendered: bool) -> Tuple[List[List[str]], str]:
+def _frames(folder: Path | None, is_rendered: bool) -> tuple[list[list[str]], str]:
     """Deal the image files out to two cameras, and say where they come from."""
     given, folder = folder, folder or (SHARED_FRAMES if SHARED_FRAMES.is_dir() else None)
     if folder is None or is_rendered:
@@ -150,7 +150,7 @@ class _Story:
         """Prepare; ``check`` raises when a process has ended, sources are files of each camera."""
         self._check, self._sources, self._rate, self._seconds = check, sources, rate, seconds
         self._master, self._client = Master(_full("dyknow_demo")), ManagerClient()
-        self._switches: List[Switch] = []
+        self._switches: list[Switch] = []
 
     def run(self) -> bool:
         self._load()
@@ -190,7 +190,7 @@ class _Story:
     def _connect(self, name: str, port: str, topic: str) -> None:
         self._client.set_config(_full(name), {port: topic and _full(topic)})
 
-    def _switch(self, stage: str, camera: str, change: Tuple[str, str, str]) -> None:
+    def _switch(self, stage: str, camera: str, change: tuple[str, str, str]) -> None:
         called = time.time()
         self._connect(*change)
         self._switches.append(Switch(camera, stage, called, time.time()))
@@ -226,7 +226,7 @@ class _Story:
             f"{found.lost:6}{found.doubled:9}{took:>13}"
         )
 
-    def _settled(self) -> Dict[str, Account]:
+    def _settled(self) -> dict[str, Account]:
         """Wait for frames on their way, but not for lost ones, and settle the accounts."""
         deadline = time.monotonic() + _SETTLE
         while True:
@@ -240,14 +240,14 @@ class _Story:
                 return accounts
             time.sleep(_LOOK)
 
-    def _published(self) -> List[Published]:
+    def _published(self) -> list[Published]:
         return [
             Published(FrameName.parse(name), sent, seen)
             for camera in _CAMERAS
             for name, sent, seen, _, _ in self._arrivals(_witness(camera))
         ]
 
-    def _arrivals(self, reporter: str) -> List[Any]:
+    def _arrivals(self, reporter: str) -> list[Any]:
         """Records of a reporter; see ``dyknow_demo.nodelets.Reporter``."""
         service = names.join(_full(reporter), "arrivals")
         records = json.loads(
@@ -273,7 +273,7 @@ class _Story:
             _tell(f"The account cannot be trusted: {problem}.")
         return not (lost or doubled or reordered or problems)
 
-    def _disagreements(self) -> List[str]:
+    def _disagreements(self) -> list[str]:
         """Compare the counts of cameras, proxies and witnesses."""
         problems = []
         for camera in _CAMERAS:

@@ -14,7 +14,7 @@ import argparse
 import contextlib
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional
+from typing import Any, Callable, Iterator
 
 import rospkg
 import rospy
@@ -120,7 +120,7 @@ def _wait_for_library(client: ManagerClient, check: Callable[[], None]) -> None:
         time.sleep(_LOOK)
 
 
-def _labels(client: ManagerClient) -> Optional[set[str]]:
+def _labels(client: ManagerClient) -> set[str] | None:
     """Labels of the transformations of a manager; None if it does not answer."""
     try:
         return {each.label for each in client.get_model(_PERIOD).transformations}
@@ -141,11 +141,11 @@ class _Story:
         self._client, self._options, self._check = client, options, check
         self._space = names.parent(client.manager)
         self._began = time.monotonic()
-        self._model: Optional[Model] = None
-        self._reasons: List[str] = []
-        self._problems: List[str] = []
-        self._first: Optional[Model] = None
-        self._tracking: Dict[str, str] = {}
+        self._model: Model | None = None
+        self._reasons: list[str] = []
+        self._problems: list[str] = []
+        self._first: Model | None = None
+        self._tracking: dict[str, str] = {}
 
     def run(self) -> bool:
         topic = names.join(self._client.manager, "model")
@@ -280,7 +280,7 @@ class _Story:
             time.sleep(_LOOK)
 
 
-def _feeding(model: Optional[Model]) -> str:
+def _feeding(model: Model | None) -> str:
     """Label of the camera that feeds the robot's tracking; empty for none."""
     ports = [
         (each.transformation, port)
@@ -293,7 +293,7 @@ def _feeding(model: Optional[Model]) -> str:
     return next(feeders, "")
 
 
-def _tracking_of(model: Model) -> Dict[str, str]:
+def _tracking_of(model: Model) -> dict[str, str]:
     """Names of the nodelets of the robot's tracking, by label."""
     nodelets = model.nodelets
     return {each.transformation: each.name for each in nodelets if each.transformation in TRACKING}

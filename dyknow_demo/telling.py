@@ -8,7 +8,7 @@ from __future__ import annotations
 import statistics
 from dataclasses import dataclass
 from pathlib import Path
-from typing import AbstractSet, Callable, Dict, Iterator, List, Tuple
+from typing import AbstractSet, Callable, Iterator
 
 from dyknow import names
 from dyknow.graphviz import quote, render
@@ -45,7 +45,7 @@ class Stretch:
     worst: float
     pause: float
 
-    def shortcomings(self, max_silence: float) -> List[str]:
+    def shortcomings(self, max_silence: float) -> list[str]:
         """List how the promise of a claim with that ``max_silence`` (s) is broken."""
         found = []
         if self.pause > max_silence:
@@ -67,7 +67,7 @@ class Track:
         """
         self._begin = begin
         self._truth = truth
-        self._found: List[Tuple[float, float]] = []
+        self._found: list[tuple[float, float]] = []
 
     def note(self, arrival: float, stamp: float, x: float, y: float) -> None:
         """Add a position (m) on the field."""
@@ -89,7 +89,7 @@ class Track:
         )
 
 
-def changes(before: Model, after: Model, space: str = "/") -> List[str]:
+def changes(before: Model, after: Model, space: str = "/") -> list[str]:
     """List nodelets that came, went or were re-wired, a line each, without a namespace.
 
     Out-ports that publish on the topic of their own name, as most do, are left out.
@@ -106,7 +106,7 @@ def _short(name: str, space: str) -> str:
     return name[len(prefix) :] if name.startswith(prefix) else name
 
 
-def _running(model: Model) -> Dict[str, NodeletStatus]:
+def _running(model: Model) -> dict[str, NodeletStatus]:
     return {each.name: each for each in model.nodelets if each.state is State.RUNNING}
 
 
@@ -167,7 +167,7 @@ def to_dot(
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def draw(dot: str, folder: Path, name: str) -> List[Path]:
+def draw(dot: str, folder: Path, name: str) -> list[Path]:
     """Draw a picture as PNG and as SVG, into files of that name.
 
     Raises:

@@ -9,7 +9,7 @@ import argparse
 import math
 import os
 import sys
-from typing import NoReturn, Tuple, Union
+from typing import NoReturn
 
 from dyknow import names
 from dyknow.errors import InvalidName
@@ -75,12 +75,12 @@ def port_reference(text: str) -> PortRef:
     return PortRef(graph_name(nodelet), port)
 
 
-def port_or_topic(text: str) -> Union[PortRef, str]:
+def port_or_topic(text: str) -> PortRef | str:
     """Read `NODELET:PORT`, or else the name of a topic, which has no colon."""
     return port_reference(text) if ":" in text else graph_name(text)
 
 
-def port_topic(text: str) -> Tuple[str, str]:
+def port_topic(text: str) -> tuple[str, str]:
     port, _, topic = text.partition(":")
     if not (port and topic):
         raise _expected(text, "PORT:TOPIC, such as in:/camera/image")

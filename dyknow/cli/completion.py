@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
@@ -69,7 +69,7 @@ class _Cursor:
     def nodelets(self) -> Sequence[NodeletStatus]:
         return self.client.get_graph().nodelets
 
-    def topics(self) -> List[str]:
+    def topics(self) -> list[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
         own = {topic.name for topic in topics_of(self.nodelets())}
         return sorted(own | set(self.client.topics()))
@@ -84,14 +84,14 @@ class _Cursor:
     def resolve(self, name: str) -> str:
         return name if name.startswith("/") else names.join(self.client.namespace, name)
 
-    def as_typed(self, found: Iterable[str]) -> List[str]:
+    def as_typed(self, found: Iterable[str]) -> list[str]:
         """Strip the manager's namespace if the user began with a relative name."""
         if not self.prefix or self.prefix.startswith("/"):
             return list(found)
         space = self.client.namespace.rstrip("/") + "/"
         return [name[len(space) :] for name in found if name.startswith(space)]
 
-    def ports(self, direction: str = "", datatype: str = "") -> List[str]:
+    def ports(self, direction: str = "", datatype: str = "") -> list[str]:
         """List the ports of the nodelet that is typed, or else the nodelets with such ports.
 
         Args:
@@ -123,7 +123,7 @@ class _Cursor:
 
 
 def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
-    def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> List[str]:
+    def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
         node = getattr(parsed_args, "manager_node", None) or default_manager()
         try:
             return sorted(set(find(_Cursor(connect(node), prefix, parsed_args))))
@@ -208,13 +208,13 @@ def stream_targets(cursor: _Cursor) -> Iterable[str]:
     return cursor.ports(IN)
 
 
-def packages(prefix: str, **_: object) -> List[str]:
+def packages(prefix: str, **_: object) -> list[str]:
     import rospkg
 
     return sorted(name for name in rospkg.RosPack().list() if name.startswith(prefix))
 
 
-def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object) -> List[str]:
+def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object) -> list[str]:
     """A package or a launch file, launch files of the package, and then their arguments."""
     from dyknow.cli.launch_files import arguments_of, find_files, launch_files
 
@@ -228,7 +228,7 @@ def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object
     return [f"{name}:=" for file in found for name in arguments_of(file)]
 
 
-def files(prefix: str, **details: object) -> List[str]:
+def files(prefix: str, **details: object) -> list[str]:
     """Files and folders, hidden ones only behind a dot."""
     from argcomplete.completers import FilesCompleter
 
@@ -238,6 +238,6 @@ def files(prefix: str, **details: object) -> List[str]:
     return [each for each in found if not os.path.basename(each.rstrip("/")).startswith(".")]
 
 
-def _nothing(**_: object) -> List[str]:
+def _nothing(**_: object) -> list[str]:
     """Offer nothing for an argument that has no completer."""
     return []

@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence, Tuple
 from xml.parsers import expat
 
 import roslaunch.config
@@ -29,7 +29,7 @@ ERRORS = (RLException, LoadException, rospkg.ResourceNotFound, ValueError)
 Source = Tuple[str, Sequence[str]]
 
 
-def find_files(words: Sequence[str]) -> List[str]:
+def find_files(words: Sequence[str]) -> list[str]:
     """Find launch files: `PKG FILE ...` or `FILE ...`.
 
     Raises:
@@ -45,7 +45,7 @@ def find_files(words: Sequence[str]) -> List[str]:
     return files
 
 
-def launch_files(package: str) -> List[str]:
+def launch_files(package: str) -> list[str]:
     """Return the names of a package's launch files, sorted; empty if the package is unknown."""
     try:
         folder = Path(rospkg.RosPack().get_path(package))
@@ -54,7 +54,7 @@ def launch_files(package: str) -> List[str]:
     return sorted({file.name for file in folder.rglob("*.launch")})
 
 
-def arguments_of(file: str) -> List[str]:
+def arguments_of(file: str) -> list[str]:
     """Return the names of the arguments that a launch file can be given, sorted."""
     elements = re.findall(r"<arg\s[^>]*>", _text(file))
     settable = (each for each in elements if not re.search(r"\svalue\s*=", each))
@@ -64,7 +64,7 @@ def arguments_of(file: str) -> List[str]:
 
 def unknown_arguments(
     files: Sequence[str], loaded: Sequence[str], given: Sequence[str]
-) -> List[str]:
+) -> list[str]:
     """Say which of the given `NAME:=VALUE` no launch file speaks of; roslaunch ignores those.
 
     ``files`` are the launch files that the user named, ``loaded`` those and all that they include.
@@ -137,9 +137,9 @@ class _Locator(XmlLoader):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__()
         self.place = ""
-        self.nodes: Dict[Tuple[str, str], str] = {}
+        self.nodes: dict[tuple[str, str], str] = {}
         self.has_failed = False
-        self._machines: Dict[str, str] = {}  # places, by names and addresses of machines
+        self._machines: dict[str, str] = {}  # places, by names and addresses of machines
         self._found = False
 
     def place_of(self, text: str) -> str:
@@ -196,9 +196,9 @@ class _Locator(XmlLoader):  # type: ignore[misc]
             self._machines[value("address")] = self.place
 
 
-def _lines(file: str) -> List[int]:
+def _lines(file: str) -> list[int]:
     """Return the lines of a file's elements, in their order."""
-    lines: List[int] = []
+    lines: list[int] = []
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
     with open(file, "rb") as stream:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
 from functools import lru_cache
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterator, Sequence
 
 import roslaunch
 import rospkg
@@ -102,7 +102,7 @@ class NodeFilter:
     only: Sequence[str] = ()
     except_: Sequence[str] = ()
 
-    def without_match(self, plan: Sequence[Treatment]) -> Tuple[List[str], List[str]]:
+    def without_match(self, plan: Sequence[Treatment]) -> tuple[list[str], list[str]]:
         """Return the patterns of `only` and of `except_` that match no node."""
         only, except_ = (
             [one for one in each if not any(matches(it.node, it.program, [one]) for it in plan)]
@@ -137,7 +137,7 @@ class LaunchPlanner:
     """
 
     rewirable: str
-    find: Callable[[str, str], Optional[str]]
+    find: Callable[[str, str], str | None]
     is_local: Callable[[Any], bool]
     chosen: NodeFilter
 
@@ -155,7 +155,7 @@ class LaunchPlanner:
             prefix = self._prefix(words, is_local, node.cwd == "node" and not words)
         return Treatment(name, program, "" if is_local else node.machine.name, how, why, prefix)
 
-    def _how(self, node: Any) -> Tuple[How, str]:
+    def _how(self, node: Any) -> tuple[How, str]:
         program = self.find(node.package, node.type)
         if program is None:
             return How.AS_IT_IS, "there is no such program"
@@ -270,7 +270,7 @@ def read(
     return parent
 
 
-def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
+def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> list[Treatment]:
     """Decide how the nodes of a launch are started, in roslaunch's order.
 
     Raises:
@@ -285,7 +285,7 @@ def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
     packages = rospkg.RosPack()
 
     @lru_cache(maxsize=None)
-    def find(package: str, type_: str) -> Optional[str]:
+    def find(package: str, type_: str) -> str | None:
         try:
             return next(iter(find_node(package, type_, packages)), None)
         except rospkg.ResourceNotFound:

@@ -12,7 +12,7 @@ import os
 import re
 import signal
 import sys
-from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Sequence
 
 from dyknow import __version__
 from dyknow.cli import completion
@@ -86,13 +86,13 @@ _COMMON = Group(
 )
 
 
-def all_commands() -> Dict[str, Command]:
+def all_commands() -> dict[str, Command]:
     """Return every command by its name."""
     return {command.name: command for _, commands in GROUPS for command in commands}
 
 
 @functools.lru_cache(maxsize=None)
-def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
+def build_parser() -> tuple[Parser, dict[str, Parser]]:
     """Build the parser, and those of the commands by their names."""
     parser = Parser(
         prog="dyknow",
@@ -136,7 +136,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     return arguments
 
 
-def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
+def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
     """Drop the arguments that roslaunch adds; refuse those that would have no effect.
 
     Private parameters, `_x:=y`, become those of a spawn.
@@ -190,7 +190,7 @@ def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser
 
 
 def _epilog() -> str:
-    lines: List[str] = []
+    lines: list[str] = []
     for title, commands in GROUPS:
         lines.append(f"{title}:")
         lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
@@ -199,7 +199,7 @@ def _epilog() -> str:
     return "\n".join(lines) + "\n" + _CLOSING
 
 
-def main(words: Optional[Sequence[str]] = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
     Args:

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import sys
-from typing import Optional, Sequence
+from typing import Sequence
 
 from dyknow.cli.node_help import MANAGER, asks_for_help
 from dyknow.ros.process.signals import DONE, FAILED
 
 
-def main(argv: Optional[Sequence[str]] = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the node until its end; returns the exit code.
 
     Args:

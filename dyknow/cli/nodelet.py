@@ -15,7 +15,7 @@ import re
 import signal
 import sys
 from dataclasses import dataclass
-from typing import Dict, Sequence, Tuple
+from typing import Sequence
 
 from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
 from dyknow.errors import CannotRun
@@ -24,7 +24,7 @@ from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED
 #: The nodelet that runs scripts.
 SCRIPT_TYPE = "dyknow/Script"
 #: The words that each command demands.
-_WORDS: Dict[str, Tuple[str, ...]] = {
+_WORDS: dict[str, tuple[str, ...]] = {
     "manager": (),
     "load": ("PKG/CLASS", "MANAGER"),
     "load_script": ("PKG", "SCRIPT", "MANAGER"),
@@ -91,7 +91,7 @@ class NodeletCommand:
     name: str = ""
     manager: str = ""
     bond: bool = True
-    my_argv: Tuple[str, ...] = ()
+    my_argv: tuple[str, ...] = ()
 
 
 def parse(arguments: Sequence[str]) -> NodeletCommand:

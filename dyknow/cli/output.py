@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Dict, List, Sequence
+from typing import TYPE_CHECKING, Any, Dict, Sequence
 
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError
@@ -52,7 +52,7 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
     }
 
 
-def _parameters_json(parameters: Sequence[Parameter]) -> List[Json]:
+def _parameters_json(parameters: Sequence[Parameter]) -> list[Json]:
     return [{"name": each.name, "type": each.type, "value": each.text} for each in parameters]
 
 
@@ -116,7 +116,7 @@ def unknown_nodelet(name: str, model: Model) -> str:
     return f"no nodelet named '{name}' runs{hint}"
 
 
-def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[str]:
+def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> list[str]:
     """Return a line for each row of cells; the columns ``right`` are aligned right."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [

@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from typing import Dict, List, NoReturn, Optional, Sequence
+from typing import NoReturn, Sequence
 
 from dyknow.errors import CannotRun
 from dyknow.ros.process.programs import ELF, first_line, interpreter
@@ -53,7 +53,7 @@ does:
 """
 
 
-def main(words: Optional[Sequence[str]] = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Become a program, by default the process's words; returns only if that fails."""
     command = list(sys.argv[1:] if words is None else words)
     if not command:
@@ -93,7 +93,7 @@ def become(command: Sequence[str]) -> NoReturn:
         raise CannotRun(f"'{program}' cannot be run: {error.strerror}") from error
 
 
-def _preload(library: str, environment: Dict[str, str]) -> None:
+def _preload(library: str, environment: dict[str, str]) -> None:
     """Put a library in front of those of a program.
 
     The linker splits LD_PRELOAD at white space, and nothing quotes that there. It finds a library
@@ -134,13 +134,13 @@ def obstacle(program: str) -> str:
     return ""
 
 
-def find_library() -> Optional[str]:
+def find_library() -> str | None:
     return find_in_workspaces("lib", LIBRARY)
 
 
-def find_in_workspaces(*parts: str) -> Optional[str]:
+def find_in_workspaces(*parts: str) -> str | None:
     """Return the first path of a file in the workspaces that are set up; None if there is none."""
-    folders: List[str] = os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    folders: list[str] = os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
     paths = [os.path.join(folder, *parts) for folder in folders if folder]
     return next((path for path in paths if os.path.exists(path)), None)
 

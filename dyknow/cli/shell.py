@@ -13,13 +13,11 @@ from typing import (
     TYPE_CHECKING,
     Any,
     Callable,
-    Dict,
     Iterable,
     List,
     Optional,
     Sequence,
     TextIO,
-    Union,
 )
 
 from dyknow import names
@@ -58,14 +56,14 @@ class Shell:
         self,
         connect: Callable[[], ShellClient],
         as_json: bool = False,
-        out: Optional[TextIO] = None,
-        err: Optional[TextIO] = None,
+        out: TextIO | None = None,
+        err: TextIO | None = None,
     ) -> None:
         self.as_json = as_json
         self.out = sys.stdout if out is None else out
         self.err = sys.stderr if err is None else err
         self._connect = connect
-        self._client: Optional[ShellClient] = None
+        self._client: ShellClient | None = None
 
     @property
     def client(self) -> ShellClient:
@@ -88,13 +86,13 @@ class Shell:
 
     def for_each(
         self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], object]
-    ) -> Optional[int]:
+    ) -> int | None:
         """Act on every subject, also after one was refused; return the exit code.
 
         In JSON, ``done`` is the key of the subjects, and ``kind`` that of each in a failure.
         """
-        acted: List[str] = []
-        failed: List[Dict[str, str]] = []
+        acted: list[str] = []
+        failed: list[dict[str, str]] = []
         for subject in subjects:
             try:
                 act(subject)
@@ -121,8 +119,8 @@ class Argument:
     """An argument of a command: its name, or its options, separated by blanks."""
 
     names: str
-    options: Dict[str, Any]  # as argparse takes them
-    completer: Optional[Completer]
+    options: dict[str, Any]  # as argparse takes them
+    completer: Completer | None
 
     def add_to(self, parser: Any) -> None:
         parser.add_argument(*self.names.split(), **self.options).completer = self.completer
@@ -146,9 +144,9 @@ class Group:
 
 def argument(
     names: str,
-    metavar: Optional[str],
+    metavar: str | None,
     help_text: str,
-    completer: Optional[Completer] = None,
+    completer: Completer | None = None,
     **options: Any,
 ) -> Argument:
     """Declare an argument.
@@ -192,10 +190,10 @@ class Command:
     summary: str
     description: str
     examples: str
-    arguments: Sequence[Union[Argument, Group]]
+    arguments: Sequence[Argument | Group]
     run: Run
     problem: Problem
-    usage: Optional[str]
+    usage: str | None
 
 
 def command(
@@ -203,9 +201,9 @@ def command(
     summary: str,
     description: str,
     examples: str,
-    *arguments: Union[Argument, Group],
+    *arguments: Argument | Group,
     problem: Problem = lambda arguments: "",
-    usage: Optional[str] = None,
+    usage: str | None = None,
 ) -> Callable[[Run], Command]:
     """Make a command of the function that runs it; the arguments are those of `Command`."""
     texts = (name, summary, description, examples)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Dict, Iterator, List, Optional, Set
+from typing import Callable, Iterator
 
 from dyknow.errors import Busy, NameTaken, UnknownNodelet
 from dyknow.locks import state_condition, turn_lock
@@ -30,7 +30,7 @@ class _Life:
     """When a nodelet came up, and when it was lost; None while it runs."""
 
     begin: float
-    end: Optional[float] = None
+    end: float | None = None
 
 
 class Graph:
@@ -47,9 +47,9 @@ class Graph:
         self._clock = clock
         self._turn = turn_lock("nodelets on disk")
         self._changed = state_condition("records of nodelets")
-        self._records: Dict[str, Record] = {}
-        self._lives: Dict[str, _Life] = {}
-        self._busy: Set[str] = set()
+        self._records: dict[str, Record] = {}
+        self._lives: dict[str, _Life] = {}
+        self._busy: set[str] = set()
         self._revision = store.number("revision")
         self._reserved = self._revision
         #: Called after every change of nodelets or transformations, outside the locks.
@@ -62,7 +62,7 @@ class Graph:
     def revision(self) -> int:
         return self._revision
 
-    def all(self) -> List[Record]:
+    def all(self) -> list[Record]:
         with self._changed:
             return [self._records[name] for name in sorted(self._records)]
 
@@ -73,7 +73,7 @@ class Graph:
                 raise UnknownNodelet(name, self._records)
             return found
 
-    def find(self, name: str) -> Optional[Record]:
+    def find(self, name: str) -> Record | None:
         with self._changed:
             return self._records.get(name)
 
@@ -91,7 +91,7 @@ class Graph:
     @contextlib.contextmanager
     def changing(
         self, name: str, new: bool = False, patience: float = 0.0
-    ) -> Iterator[Optional[Record]]:
+    ) -> Iterator[Record | None]:
         """Reserve a name for one operation; yields its record, or None.
 
         Args:

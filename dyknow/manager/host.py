@@ -9,18 +9,14 @@ The manager reaches nodelets only through a ``Host``. The real one speaks ROS
 
 from __future__ import annotations
 
+import builtins
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import (
     Collection,
-    Dict,
-    FrozenSet,
     Iterable,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Tuple,
 )
 
 from dyknow.model.graph import NodeletKind, PortState
@@ -79,8 +75,8 @@ class Crash:
 
     manager: str
     cause: str
-    running: Optional[FrozenSet[int]] = None
-    unloading: FrozenSet[int] = frozenset()
+    running: frozenset[int] | None = None
+    unloading: frozenset[int] = frozenset()
     incarnation: str = ""
 
 
@@ -97,7 +93,7 @@ class HostReport:
     """
 
     processes: Mapping[str, ProcessState]
-    nodelets: Mapping[str, FrozenSet[str]]
+    nodelets: Mapping[str, frozenset[str]]
     crashes: Mapping[str, Crash]
 
 
@@ -115,7 +111,7 @@ class LoadRequest:
 
     name: str
     source: str
-    parameters: Tuple[Parameter, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
     remappings: Mapping[str, str] = field(default_factory=dict)
     kind: NodeletKind = NodeletKind.PYTHON
 
@@ -137,14 +133,14 @@ class Count:
     asked: float
     answered: float
     latched: bool = False
-    age: Optional[float] = None
+    age: float | None = None
 
 
 class Listening(ABC):
     """Counts the messages of one topic until it is closed."""
 
     @abstractmethod
-    def count(self) -> Optional[Count]:
+    def count(self) -> Count | None:
         """Return the messages since the listening began; None until it has."""
 
     @abstractmethod
@@ -205,11 +201,11 @@ class Host(ABC):
         """Delete the parameters of these names that ``load`` set, and no other parameters."""
 
     @abstractmethod
-    def list(self, manager: str) -> List[str]:
+    def list(self, manager: str) -> builtins.list[str]:
         """Return the names of the nodelets that a nodelet manager runs."""
 
     @abstractmethod
-    def ports(self, name: str) -> Tuple[PortState, ...]:
+    def ports(self, name: str) -> tuple[PortState, ...]:
         """Return the ports of a nodelet that has a proxy."""
 
     def detail(self, name: str) -> str:
@@ -221,13 +217,13 @@ class Host(ABC):
         """Connect ports of a nodelet that has a proxy, all or none."""
 
     @abstractmethod
-    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
+    def published(self, topics: Iterable[str]) -> frozenset[str]:
         """Return the topics that have a publisher now."""
 
     @abstractmethod
     def counts(
         self, wanted: Mapping[str, Collection[str]]
-    ) -> Dict[str, Optional[Mapping[str, Count]]]:
+    ) -> dict[str, Mapping[str, Count] | None]:
         """Count the messages that nodelets have sent; their processes are queried side by side.
 
         A process that does not answer delays this by half a second, once: until its reply has come
@@ -242,7 +238,7 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def is_stamped(self, datatype: str) -> Optional[bool]:
+    def is_stamped(self, datatype: str) -> bool | None:
         """Whether messages of a type bear a time stamp: begin with a header; None if not known."""
 
     @abstractmethod

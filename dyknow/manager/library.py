@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Mapping, Optional, Sequence
+from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
@@ -34,7 +34,7 @@ class Library:
     def __init__(
         self,
         store: Store,
-        ontology: Optional[Concepts] = None,
+        ontology: Concepts | None = None,
         limits: SpecificationLimits = DEFAULT_LIMITS,
     ) -> None:
         """Read the store; the ``ontology`` has the individuals of concepts, for templates."""
@@ -44,35 +44,35 @@ class Library:
         self._limits = limits
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
-        self._by_label: Dict[str, Transformation] = {
+        self._by_label: dict[str, Transformation] = {
             each.label: each for each in store.transformations()
         }
         self.revision = store.number("library_revision")
-        self._topics: List[Transformation] = []
-        self._nodes: Dict[str, Transformation] = {}
+        self._topics: list[Transformation] = []
+        self._nodes: dict[str, Transformation] = {}
         self._described_at = -1
         self._follow_schema()
 
     def __len__(self) -> int:
         return len(self._by_label)
 
-    def all(self) -> List[Transformation]:
+    def all(self) -> list[Transformation]:
         with self._state_lock:
             return [self._by_label[label] for label in sorted(self._by_label)]
 
-    def topics(self) -> List[Transformation]:
+    def topics(self) -> list[Transformation]:
         """Return the transformations of type topic, by label: the same list until one changes."""
         with self._state_lock:
             self._find_described()
             return self._topics
 
-    def nodes(self) -> List[str]:
+    def nodes(self) -> list[str]:
         """Return the names of the described external nodes, sorted."""
         with self._state_lock:
             self._find_described()
             return sorted(self._nodes)
 
-    def of_node(self, name: str) -> Optional[Transformation]:
+    def of_node(self, name: str) -> Transformation | None:
         """Return the description of an external node, or None."""
         with self._state_lock:
             self._find_described()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, Iterable, List, Mapping
+from typing import Callable, Iterable, Mapping
 
 from dyknow import names
 from dyknow.errors import (
@@ -256,10 +256,10 @@ class Lifecycle:
 
     def _resolved(
         self, transformation: Transformation, name: str, config: Mapping[str, str]
-    ) -> Dict[str, str]:
+    ) -> dict[str, str]:
         known = [port.name for port in transformation.ports]
-        problems: List[DyKnowError] = []
-        resolved: Dict[str, str] = {}
+        problems: list[DyKnowError] = []
+        resolved: dict[str, str] = {}
         for port, text in config.items():
             if port not in known:
                 problems.append(UnknownPort(port, known))

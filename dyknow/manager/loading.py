@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import collections
 from dataclasses import replace
-from typing import Counter, Dict, Iterable, Set, Tuple
+from typing import Counter, Iterable
 
 from dyknow import names
 from dyknow.datatypes import types_fit
@@ -143,7 +143,7 @@ class Loading:
             ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
         return with_ports(record, ports)
 
-    def _checked_ports(self, record: Record, deadline: float) -> Tuple[PortState, ...]:
+    def _checked_ports(self, record: Record, deadline: float) -> tuple[PortState, ...]:
         transformation = record.transformation
         assert transformation is not None
         if transformation.type == NODE:
@@ -179,10 +179,10 @@ class Loading:
 
     def _settled_ports(
         self, name: str, transformation: Transformation, deadline: float
-    ) -> Tuple[PortState, ...]:
+    ) -> tuple[PortState, ...]:
         """Wait for the declared ports of a node, which makes them one after the other."""
         declared = {port.name for port in transformation.ports}
-        seen: Set[str] = set()
+        seen: set[str] = set()
         since = self._clock.now()
         while True:
             ports = self._host.ports(name)
@@ -222,7 +222,7 @@ def _namesake(port: Port, ports: Iterable[PortState], transformation: Transforma
     )
 
 
-def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
+def _remappings(record: Record, transformation: Transformation) -> dict[str, str]:
     """Return the remappings that connect a nodelet from its start.
 
     What people spawn and was written for DyKnow is connected once it is up: the spawn returns when
@@ -235,7 +235,7 @@ def _remappings(record: Record, transformation: Transformation) -> Dict[str, str
     is_ours = record.kind.is_written_for_dyknow
     if is_ours and not record.claimed:
         return {}
-    found: Dict[str, str] = {}
+    found: dict[str, str] = {}
     for port in transformation.ports:
         topic = record.topics.get(port.name, "")
         if not topic and not is_ours:

@@ -15,13 +15,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import (
     Callable,
-    Dict,
     Iterable,
     Mapping,
     NamedTuple,
-    Optional,
     Sequence,
-    Tuple,
 )
 
 from dyknow import names
@@ -58,8 +55,8 @@ class _Move(NamedTuple):
     """Topics of a nodelet's ports before and after they are moved."""
 
     name: str
-    before: Dict[str, str]
-    after: Dict[str, str]
+    before: dict[str, str]
+    after: dict[str, str]
 
 
 class Manager:
@@ -74,7 +71,7 @@ class Manager:
         options: ManagerOptions = DEFAULT_OPTIONS,
         run: Callable[[str, Callable[[], object]], None] = at_once,
         clock: Clock = STEADY,
-        graph: Optional[Graph] = None,
+        graph: Graph | None = None,
         keeper: StreamKeeper = NO_STREAMS,
     ) -> None:
         """Put the parts together; ``start`` comes next. ``run`` brings nodelets back, by key."""
@@ -176,7 +173,7 @@ class Manager:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
             self.graph.put(replace(record, is_protected=is_protected))
 
-    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+    def connect(self, moves: Sequence[tuple[str, Mapping[str, str]]]) -> None:
         """Connect ports of nodelets in this order; the model shows it when this returns.
 
         Args:

@@ -16,7 +16,7 @@ import logging
 import time
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Iterable, Optional, Set, Tuple
+from typing import AbstractSet, Callable, Iterable
 
 from dyknow import names
 from dyknow.backoff import Backoff
@@ -79,7 +79,7 @@ class Observer:
         graph: Graph,
         lifecycle: Lifecycle,
         suspects: Suspects,
-        described: Callable[[str], Optional[Transformation]] = lambda name: None,
+        described: Callable[[str], Transformation | None] = lambda name: None,
         clock: Callable[[], float] = time.monotonic,
         run: Callable[[str, Callable[[], object]], None] = at_once,
         keeper: StreamKeeper = NO_STREAMS,
@@ -95,7 +95,7 @@ class Observer:
         self._run = run
         self._state_lock = state_lock("nodelets to query")
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
-        self._to_ask: Set[str] = set()  # nodelets whose ports the next look queries
+        self._to_ask: set[str] = set()  # nodelets whose ports the next look queries
         self._keeper = keeper
 
     def adopt(self, records: Iterable[Record]) -> None:
@@ -176,7 +176,7 @@ class Observer:
             f" while it ran code of {at_work}" if at_work else "",
         )
 
-    def _lose(self, doubtful: Iterable[Tuple[Record, Fate]], report: HostReport) -> None:
+    def _lose(self, doubtful: Iterable[tuple[Record, Fate]], report: HostReport) -> None:
         """Mark the nodelets that are lost with their nodelet manager.
 
         All in one step: a claim that uses several of them sees one loss.
@@ -195,7 +195,7 @@ class Observer:
                 lost.append(replace(current, state=State.LOST, detail=why))
             self._graph.put(*lost)
 
-    def _reserve(self, record: Record, held: contextlib.ExitStack) -> Optional[Record]:
+    def _reserve(self, record: Record, held: contextlib.ExitStack) -> Record | None:
         """Reserve a nodelet; None if it is busy, or was restored or replaced meanwhile.
 
         The next look sees the outcome of the operation.
@@ -289,7 +289,7 @@ class Observer:
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
 
-    def _ports(self, record: Record) -> Tuple[PortState, ...]:
+    def _ports(self, record: Record) -> tuple[PortState, ...]:
         """Query the ports of a nodelet; new ports of a claim's nodelet are connected as planned.
 
         A lazy nodelet makes declared ports when a subscriber comes, some at topics of its choice.
@@ -355,7 +355,7 @@ class Observer:
             return
 
     def _foreign(self, name: str, state: ProcessState) -> Record:
-        ports: Tuple[PortState, ...] = ()
+        ports: tuple[PortState, ...] = ()
         if state.rewirable:
             with contextlib.suppress(HostError):
                 ports = self._host.ports(name)
@@ -373,7 +373,7 @@ class Observer:
         record = replace(record, ports=seen_ports(record, ports))
         return replace(record, topics=topics_of(record))
 
-    def _description(self, record: Record) -> Optional[Transformation]:
+    def _description(self, record: Record) -> Transformation | None:
         """Return the blueprint of a spawned nodelet, or the description of an external node."""
         if record.is_spawned or not record.kind.is_node:
             return record.transformation

@@ -23,7 +23,7 @@ import os
 import sqlite3
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Mapping, Optional, Tuple
+from typing import Callable, Mapping
 
 from dyknow.errors import StoreError
 from dyknow.locks import turn_lock
@@ -73,17 +73,17 @@ class StateFile:
         self._clock = clock
         self._backup_turn = turn_lock("backup of the state file")
         self._turn = turn_lock("state file")
-        self._connection: Optional[sqlite3.Connection] = None
-        self._found: Optional[Found] = None  # instead of a file that is not open
+        self._connection: sqlite3.Connection | None = None
+        self._found: Found | None = None  # instead of a file that is not open
         #: Changes since the last backup: with a backup they make the whole.
-        self._since_backup: Dict[Tuple[str, str], Optional[str]] = {}
+        self._since_backup: dict[tuple[str, str], str | None] = {}
         self._no_backup = ""  # why there is none of the latest changes
-        self._pending: Dict[Tuple[str, str], Optional[str]] = {}
+        self._pending: dict[tuple[str, str], str | None] = {}
         self._retry_at = self._remind_at = float("-inf")
         with self._turn:
             self._start()
 
-    def rows(self, table: str) -> Dict[str, str]:
+    def rows(self, table: str) -> dict[str, str]:
         """Read a table, by key."""
         with self._turn:
             stored = {(table, key): text for key, text in self._stored(table).items()}
@@ -230,7 +230,7 @@ class StateFile:
 
     # Reading and writing
 
-    def _stored(self, table: str) -> Dict[str, str]:
+    def _stored(self, table: str) -> dict[str, str]:
         if self._found is not None:
             return {key: text for (kind, key), text in self._found.rows.items() if kind == table}
         if self._connection is None:

@@ -114,7 +114,7 @@ def read(connection: sqlite3.Connection) -> Rows:
         raise Damaged(str(error)) from error
 
 
-def rows_of(connection: sqlite3.Connection, table: str) -> Iterator[Tuple[str, str]]:
+def rows_of(connection: sqlite3.Connection, table: str) -> Iterator[tuple[str, str]]:
     """Read a table: keys with their texts; Damaged if a row differs from the last write."""
     # Files of format 1 have no third column.
     for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):

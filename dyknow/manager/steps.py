@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, List, Mapping, Sequence, Tuple
+from typing import Callable, Mapping, Sequence
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.model.client import BaseManagerClient
@@ -44,7 +44,7 @@ class StepFailed(DyKnowError):
         troubles: steps that could not be taken back, in words; empty if all is as it was.
     """
 
-    def __init__(self, step: ReversibleStep, error: DyKnowError, troubles: List[str]) -> None:
+    def __init__(self, step: ReversibleStep, error: DyKnowError, troubles: list[str]) -> None:
         words = [f"{step.what}: {error}", *(troubles or ["everything is as it was"])]
         super().__init__("; ".join(words))
         self.error = error
@@ -55,7 +55,7 @@ def carry_out(
     steps: Sequence[ReversibleStep],
     keep_going: bool = False,
     may_be_done: Callable[[DyKnowError], bool] = lambda error: not isinstance(error, Refused),
-) -> List[Tuple[ReversibleStep, DyKnowError]]:
+) -> list[tuple[ReversibleStep, DyKnowError]]:
     """Do the steps in order.
 
     Args:
@@ -69,8 +69,8 @@ def carry_out(
     Raises:
         StepFailed: a step failed.
     """
-    done: List[ReversibleStep] = []
-    failed: List[Tuple[ReversibleStep, DyKnowError]] = []
+    done: list[ReversibleStep] = []
+    failed: list[tuple[ReversibleStep, DyKnowError]] = []
     for step in steps:
         try:
             step.do()
@@ -86,7 +86,7 @@ def carry_out(
     return failed
 
 
-def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = ()) -> List[str]:
+def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = ()) -> list[str]:
     """Take steps back, the last first; return in words which could not be.
 
     Args:

@@ -20,11 +20,8 @@ import time
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterable,
-    List,
     Mapping,
-    Tuple,
     TypeVar,
     Union,
     get_args,
@@ -59,7 +56,7 @@ def unpack(body: str) -> Transformation:
     texts = [label, source, kind, node]  # checked by hand: there may be hundreds of thousands
     for parameter in parameters:
         texts += parameter
-    numbers: List[float] = []
+    numbers: list[float] = []
     for name, side, datatype, tags, *stated in ports:  # nothing in files of earlier versions
         texts += (name, side, datatype, *tags)
         numbers += stated
@@ -124,7 +121,7 @@ class Store:
 
     # Transformations
 
-    def transformations(self) -> List[Transformation]:
+    def transformations(self) -> list[Transformation]:
         def read(label: str, body: str) -> Transformation:
             found = unpack(body)
             if found.label != label:
@@ -150,7 +147,7 @@ class Store:
 
     # Nodelets
 
-    def nodelets(self) -> List[Record]:
+    def nodelets(self) -> list[Record]:
         return list(self._read("nodelets", _record).values())
 
     def put_nodelet(self, record: Record) -> None:
@@ -161,10 +158,10 @@ class Store:
 
     # Claims, as their owner writes them
 
-    def claims(self) -> Dict[str, Dict[str, Any]]:
+    def claims(self) -> dict[str, dict[str, Any]]:
         return self._read("claims", lambda claim_id, text: dict(json.loads(text)))
 
-    def put_claim(self, claim_id: str, body: Dict[str, Any]) -> None:
+    def put_claim(self, claim_id: str, body: dict[str, Any]) -> None:
         self._file.write({("claims", claim_id): json.dumps(body)})
 
     def remove_claim(self, claim_id: str) -> None:
@@ -189,10 +186,10 @@ class Store:
 
     # Inside
 
-    def _read(self, table: str, read: Callable[[str, str], _Entry]) -> Dict[str, _Entry]:
+    def _read(self, table: str, read: Callable[[str, str], _Entry]) -> dict[str, _Entry]:
         """Read a table; entries without a meaning are set aside."""
-        found: Dict[str, _Entry] = {}
-        causes: Dict[str, str] = {}
+        found: dict[str, _Entry] = {}
+        causes: dict[str, str] = {}
         for key, text in self._file.rows(table).items():
             try:
                 found[key] = read(key, text)
@@ -251,7 +248,7 @@ def check_types(value: Any) -> None:
 
 
 @functools.lru_cache(maxsize=None)
-def _fields(kind: Any) -> Dict[str, Any]:
+def _fields(kind: Any) -> dict[str, Any]:
     return get_type_hints(kind)
 
 
@@ -281,7 +278,7 @@ def _fits(value: Any, hint: Any) -> bool:
     return True
 
 
-def _fits_tuple(values: Tuple[Any, ...], hints: Tuple[Any, ...]) -> bool:
+def _fits_tuple(values: tuple[Any, ...], hints: tuple[Any, ...]) -> bool:
     if len(hints) == 2 and hints[1] is Ellipsis:
         return all(_fits(each, hints[0]) for each in values)
     return len(values) == len(hints) and all(map(_fits, values, hints))

@@ -14,7 +14,7 @@ transformation. So the transformation is accused instead.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Dict, Iterable
+from typing import Callable, Iterable
 
 from dyknow import names
 from dyknow.locks import state_lock
@@ -41,10 +41,10 @@ class Suspects:
         """Start without accusations, with a steady clock in seconds."""
         self._clock = clock
         self._state_lock = state_lock("suspects")
-        self._accounts: Dict[int, _Account] = {}
+        self._accounts: dict[int, _Account] = {}
         #: Transformations of the nodelets of claims, those that are gone included, since crashes
         #: are reported late; names are used again, so there are not many.
-        self._labels: Dict[int, str] = {}
+        self._labels: dict[int, str] = {}
 
     def know(self, record: Record) -> None:
         """Take note of a nodelet, before its code runs."""

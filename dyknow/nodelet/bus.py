@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Mapping, Sequence, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
@@ -48,8 +48,8 @@ class _Topic:
     """The ends of a topic in this process."""
 
     datatype: Any
-    publications: List[Publication] = field(default_factory=list)
-    route: Tuple[Connection, ...] = ()
+    publications: list[Publication] = field(default_factory=list)
+    route: tuple[Connection, ...] = ()
 
 
 @dataclass(eq=False)
@@ -68,10 +68,10 @@ class _Part:
 
     endpoint: Any
     topic: str
-    link: Optional[Connection] = None
+    link: Connection | None = None
     registration: Any = None
     is_late: bool = False
-    drained: Optional[Connection] = None
+    drained: Connection | None = None
     old: Any = None
 
     @property
@@ -97,15 +97,15 @@ class Bus:
         self,
         transport: Transport,
         clock: Clock = time.monotonic,
-        check_topic: Optional[Callable[[str], None]] = None,
+        check_topic: Callable[[str], None] | None = None,
     ) -> None:
         self._transport = transport
         self._check_topic = check_topic
         self._clock = clock
         self._lock = state_lock("bus")
-        self._topics: Dict[str, _Topic] = {}
-        self._making: List[_Part] = []
-        self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
+        self._topics: dict[str, _Topic] = {}
+        self._making: list[_Part] = []
+        self._leaving: list[tuple[Endpoint, OutsidePublisher]] = []
         self._patient_from = clock()
         self._fences: Mapping[str, Fence] = {}
 
@@ -117,7 +117,7 @@ class Bus:
                 return str(present.datatype._type)
         return self._transport.datatype_of(topic)
 
-    def owners(self, topic: str) -> Tuple[List[str], List[str]]:
+    def owners(self, topic: str) -> tuple[list[str], list[str]]:
         """Nodelets of this process that publish on a topic, and those that subscribe to it."""
         with self._lock:
             present = self._topics.get(topic, _Topic(None))
@@ -134,7 +134,7 @@ class Bus:
 
     def rewire(
         self,
-        moves: Sequence[Tuple[Endpoint, str]],
+        moves: Sequence[tuple[Endpoint, str]],
         on_switch: Callable[[], None] = lambda: None,
         patience: float = 0.0,
     ) -> None:
@@ -200,7 +200,7 @@ class Bus:
 
     # The steps of a switch.
 
-    def _make(self, parts: List[_Part], deadline: float) -> None:
+    def _make(self, parts: list[_Part], deadline: float) -> None:
         with self._lock:
             for part in parts:
                 if not part.topic:
@@ -225,7 +225,7 @@ class Bus:
                 arguments = () if part.link is None else (part.link.arrived,)
                 part.registration.wait(*arguments, seconds)
 
-    def _drain(self, parts: List[_Part], patience: float) -> None:
+    def _drain(self, parts: list[_Part], patience: float) -> None:
         """Receive what old publishers outside have sent by now: it goes before the new."""
         with self._lock:
             self._check(parts)
@@ -236,7 +236,7 @@ class Bus:
                 part.drained = connection
                 connection.outside.drain(until - self._clock())
 
-    def _switch(self, parts: List[_Part], on_switch: Callable[[], None]) -> None:
+    def _switch(self, parts: list[_Part], on_switch: Callable[[], None]) -> None:
         with self._lock:
             self._check(parts)
             for part in parts:
@@ -255,8 +255,8 @@ class Bus:
                     part.link.open()
             self._making = [part for part in self._making if part not in parts]
 
-    def _register_late(self, parts: List[_Part]) -> None:
-        failures: List[BaseException] = []
+    def _register_late(self, parts: list[_Part]) -> None:
+        failures: list[BaseException] = []
         for part in parts:
             try:
                 if part.is_late:
@@ -283,7 +283,7 @@ class Bus:
         if failures:
             raise failures[0]
 
-    def _break(self, parts: List[_Part], deadline: float) -> None:
+    def _break(self, parts: list[_Part], deadline: float) -> None:
         for part in parts:
             left = max(0.0, deadline - self._clock())
             if isinstance(part.old, OutsidePublisher) and not part.old.drain(left):
@@ -307,7 +307,7 @@ class Bus:
 
         in_background("dyknow-drain", leave)
 
-    def _undo(self, parts: List[_Part]) -> None:
+    def _undo(self, parts: list[_Part]) -> None:
         with self._lock:
             self._making = [part for part in self._making if part not in parts]
             for part in parts:
@@ -352,7 +352,7 @@ class Bus:
 
     # The table; every method below is called with the lock held.
 
-    def _check(self, parts: List[_Part]) -> None:
+    def _check(self, parts: list[_Part]) -> None:
         for part in parts:
             part.check_open()
             if part.topic:
@@ -380,7 +380,7 @@ class Bus:
         elif all(each._md5sum == "*" for each in datatypes):
             topic.datatype = datatypes[0]
 
-    def _unlink(self, connection: Optional[Connection], discard: bool) -> None:
+    def _unlink(self, connection: Connection | None, discard: bool) -> None:
         if connection is None:
             return
         topic = self._topics.get(connection.topic)

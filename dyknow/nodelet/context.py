@@ -13,7 +13,7 @@ import functools
 import logging
 import threading
 import traceback
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
+from typing import Any, Callable, Mapping, Sequence, TypeVar
 
 from dyknow import names
 from dyknow.errors import NoMessageClass
@@ -49,7 +49,7 @@ class Runtime:
         middleware: Middleware,
         executor: Executor,
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
-        blocking: Optional[Executor] = None,
+        blocking: Executor | None = None,
         bound: bool = True,
     ) -> None:
         """Put a runtime together, with the clock of its ``executor``.
@@ -82,7 +82,7 @@ class Context:
         self,
         runtime: Runtime,
         name: str,
-        remappings: Optional[Mapping[str, str]] = None,
+        remappings: Mapping[str, str] | None = None,
         my_argv: Sequence[str] = (),
     ) -> None:
         self.runtime = runtime
@@ -97,24 +97,24 @@ class Context:
         self.closed = False
         self.closed_at = 0.0
         #: Threads of its own that have not ended at the unload.
-        self.late_threads: List[threading.Thread] = []
+        self.late_threads: list[threading.Thread] = []
         self.started_at = runtime.clock()
         #: Set by the host: unloads this nodelet.
         self.unload: Callable[[], None] = self.close
         #: Set by the host: opens services for the attachment.
-        self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
+        self.on_attach: Callable[[Context, Any], Closable | None] = lambda context, thing: None
         self.attached: Any = None
-        self.shutdown_hooks: List[Callable[[], None]] = []
+        self.shutdown_hooks: list[Callable[[], None]] = []
         #: Called when the nodelet is unloaded and none of its callbacks runs any more.
-        self.last_hooks: List[Callable[[], None]] = []
+        self.last_hooks: list[Callable[[], None]] = []
         #: By place: when it was last logged, and how many were not logged since.
-        self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
+        self._failures: dict[tuple[str, type, str], tuple[float, int]] = {}
         self._lock = state_lock("context")
         self._held = True
         self._strands = [self.strand]
-        self._endpoints: List[Endpoint] = []
-        self._timers: List[Timer] = []
-        self._closables: List[Closable] = []
+        self._endpoints: list[Endpoint] = []
+        self._timers: list[Timer] = []
+        self._closables: list[Closable] = []
 
     def start(self) -> None:
         """Let callbacks run: those that came during ``on_init`` first."""
@@ -167,7 +167,7 @@ class Context:
         _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, "".join(lines))
 
     def publication(
-        self, what: str, datatype: Any, latch: bool, queue_size: Optional[int], **options: Any
+        self, what: str, datatype: Any, latch: bool, queue_size: int | None, **options: Any
     ) -> Publication:
         """Make a publication that this nodelet owns, not connected yet."""
         check_message_class(what, datatype)
@@ -186,7 +186,7 @@ class Context:
         return publication
 
     def subscription(
-        self, what: str, datatype: Any, queue_size: Optional[int], strand: Strand, **options: Any
+        self, what: str, datatype: Any, queue_size: int | None, strand: Strand, **options: Any
     ) -> Subscription:
         """Make a subscription that this nodelet owns, without callbacks and not connected yet."""
         failed = functools.partial(self.failed, f"'{what}'")
@@ -247,7 +247,7 @@ class Context:
         The first call makes it from the context, and lets the host open its services.
         """
         with self._lock:
-            part: Optional[Part] = self.attached
+            part: Part | None = self.attached
             is_new = part is None
             if part is None:
                 part = self.attached = kind(self)
@@ -281,7 +281,7 @@ class Context:
             endpoints = list(self._endpoints)
             timers, self._timers = self._timers, []
             closables, self._closables = self._closables, []
-        steps: List[Callable[[], None]] = [lambda: self.release(*endpoints)]
+        steps: list[Callable[[], None]] = [lambda: self.release(*endpoints)]
         steps += [timer.shutdown for timer in timers]
         steps += [closable.close for closable in reversed(closables)]
         for step in steps:

@@ -19,7 +19,7 @@ import mmap
 import os
 import struct
 from dataclasses import dataclass
-from typing import FrozenSet, Iterator, List
+from typing import Iterator
 
 from dyknow.locks import state_lock
 
@@ -46,7 +46,7 @@ class CrashRecord:
             OSError: the file cannot be made.
         """
         self._lock = state_lock("crash record")
-        self._free: List[int] = list(range(_THREADS, 0, -1))
+        self._free: list[int] = list(range(_THREADS, 0, -1))
         #: Each is written by the thread that has it, and read by other processes.
         self.words: memoryview[float] = memoryview(_map(path)).cast("d")
         self.words[0] = as_word(os.getpid())
@@ -82,8 +82,8 @@ class CrashRecord:
 class AtWork:
     """The marks of the nodelets at work at the end of a process, and of those being unloaded."""
 
-    running: FrozenSet[int] = frozenset()
-    unloading: FrozenSet[int] = frozenset()
+    running: frozenset[int] = frozenset()
+    unloading: frozenset[int] = frozenset()
 
 
 def read(path: str, pid: int) -> AtWork:

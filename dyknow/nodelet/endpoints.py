@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+from typing import Any, Callable
 
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive, Transport
 from dyknow.nodelet.scheduler import Clock, Strand, message_lock
@@ -97,12 +97,12 @@ class Connection:
     def __init__(self, subscription: Subscription, topic: str) -> None:
         self.topic = topic
         self.subscription = subscription
-        self.outside: Optional[OutsideSubscriber] = None
+        self.outside: OutsideSubscriber | None = None
         self._limit = subscription.queue_size or -1
-        self._queue: Deque[Any] = collections.deque()
+        self._queue: collections.deque[Any] = collections.deque()
         self._state = _HELD
         self._strand = subscription.strand
-        self._arrived: Optional[threading.Event] = None
+        self._arrived: threading.Event | None = None
 
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
@@ -176,10 +176,10 @@ class Subscription:
     def __init__(
         self,
         datatype: Any,
-        queue_size: Optional[int],
+        queue_size: int | None,
         strand: Strand,
         failed: Callable[[BaseException], None],
-        options: Dict[str, Any],
+        options: dict[str, Any],
         owner: str,
     ) -> None:
         """Describe a subscription; ``failed`` is called with the errors of its callbacks."""
@@ -190,11 +190,11 @@ class Subscription:
         self.options = options
         self.owner = owner
         #: With the arguments that follow the message.
-        self._callbacks: Tuple[Tuple[Callable[..., Any], Tuple[Any, ...]], ...] = ()
+        self._callbacks: tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...] = ()
         #: Called with each message, on the strand.
         self.receive: Receive = _ignore
         self.traffic = Traffic(strand.clock)
-        self.connection: Optional[Connection] = None
+        self.connection: Connection | None = None
         self.closed = False
 
     @property
@@ -203,11 +203,11 @@ class Subscription:
         return self.connection.topic if self.connection is not None else ""
 
     @property
-    def outside(self) -> Optional[OutsideSubscriber]:
+    def outside(self) -> OutsideSubscriber | None:
         return self.connection.outside if self.connection is not None else None
 
     def add(
-        self, transport: Transport, callback: Callable[..., Any], args: Tuple[Any, ...]
+        self, transport: Transport, callback: Callable[..., Any], args: tuple[Any, ...]
     ) -> int:
         """Call this back too; returns the number of the callback."""
         self._callbacks = (*self._callbacks, (callback, args))
@@ -216,7 +216,7 @@ class Subscription:
         return len(self._callbacks) - 1
 
     def _call_all(self, message: Any) -> None:
-        errors: List[BaseException] = []
+        errors: list[BaseException] = []
         for callback, args in self._callbacks:
             try:
                 callback(message, *args)
@@ -246,11 +246,11 @@ class Publication:
         self,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
+        queue_size: int | None,
         transport: Transport,
         clock: Clock,
         refusal: Callable[[], Exception],
-        options: Dict[str, Any],
+        options: dict[str, Any],
         owner: str,
     ) -> None:
         self.datatype = datatype
@@ -263,17 +263,17 @@ class Publication:
         self.traffic = Traffic(clock)
         self.latched = NOTHING
         #: The registration in ROS.
-        self.outside: Optional[OutsidePublisher] = None
+        self.outside: OutsidePublisher | None = None
         self.closed = False
         self._build = transport.build
         self._age_of = transport.age_of
-        self._age: Optional[float] = None
+        self._age: float | None = None
         self._is_age_wanted = False
-        self._fence: Optional[Fence] = None
-        self._route: Optional[Tuple[Connection, ...]] = None
+        self._fence: Fence | None = None
+        self._route: tuple[Connection, ...] | None = None
         #: Whether messages only pass: the one question that a publish asks of all the above.
         self._is_plain = False
-        self._watchers: Tuple[Callable[[], None], ...] = ()
+        self._watchers: tuple[Callable[[], None], ...] = ()
 
     def publish(self, message: Any = NOTHING, /, *fields: Any, **named: Any) -> None:
         """Publish a message, or the message made of the given fields, as in rospy.
@@ -320,13 +320,13 @@ class Publication:
             outside.in_flight += 1
         _hand_over(outside, outside.publish_to, peer, message)
 
-    def set_fence(self, fence: Optional[Fence]) -> None:
+    def set_fence(self, fence: Fence | None) -> None:
         """Check with ``fence`` at each message whether our nodelet may publish on its topic."""
         with message_lock:
             self._fence = fence
             self._note_plain()
 
-    def sample_age(self) -> Optional[float]:
+    def sample_age(self) -> float | None:
         """Return how old a message was when it was published, and let the next one be measured.
 
         Returns:
@@ -348,9 +348,9 @@ class Publication:
     def connect(
         self,
         topic: str,
-        outside: Optional[OutsidePublisher],
-        route: Optional[Tuple[Connection, ...]],
-        fence: Optional[Fence] = None,
+        outside: OutsidePublisher | None,
+        route: tuple[Connection, ...] | None,
+        fence: Fence | None = None,
     ) -> None:
         """Publish on another topic from now on; nowhere, if ``route`` is None."""
         with message_lock:
@@ -361,7 +361,7 @@ class Publication:
         self._changed()
 
     def reroute(
-        self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...] = ()
+        self, route: tuple[Connection, ...], newcomers: tuple[Connection, ...] = ()
     ) -> None:
         """Publish to ``route`` from now on; ``newcomers`` get a latched message first."""
         with message_lock:
@@ -377,7 +377,7 @@ class Publication:
         """Drop the latched message and the watchers, after the release."""
         self.latched, self._watchers = NOTHING, ()
 
-    def peers(self) -> Tuple[str, Tuple[Any, ...]]:
+    def peers(self) -> tuple[str, tuple[Any, ...]]:
         """The topic and its subscribers: each outside, and ``HERE`` for all of this process."""
         with message_lock:
             topic, route, outside = self.topic, self._route, self.outside
@@ -424,7 +424,7 @@ class Publication:
             and not self._is_age_wanted
         )
 
-    def _set_outside(self, outside: Optional[OutsidePublisher]) -> None:
+    def _set_outside(self, outside: OutsidePublisher | None) -> None:
         if self.outside is not None:
             self.outside.changed = None
         self.outside = outside
@@ -432,7 +432,7 @@ class Publication:
             outside.changed = self._changed
 
     def _reroute(
-        self, route: Optional[Tuple[Connection, ...]], newcomers: Tuple[Connection, ...]
+        self, route: tuple[Connection, ...] | None, newcomers: tuple[Connection, ...]
     ) -> None:
         self._route = route
         self._note_plain()

@@ -10,7 +10,7 @@ derived from it, the one of ``dyknow.proxy`` declares ports.
 from __future__ import annotations
 
 import queue
-from typing import Any, Callable, Dict, List, Optional, Set, Tuple
+from typing import Any, Callable
 
 from dyknow import names
 from dyknow.errors import HandleClosed
@@ -54,7 +54,7 @@ class PlainNodeHandle:
 
     # Names
 
-    def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
+    def resolve_name(self, name: str, caller_id: str | None = None) -> str:
         """Make a name global and remap it: the load request's table first, then the process's.
 
         As in rospy, ``~`` alone is the nodelet's own namespace, and names of parameters may have
@@ -89,7 +89,7 @@ class PlainNodeHandle:
         tcp_nodelay: bool = False,
         latch: bool = False,
         headers: Any = None,
-        queue_size: Optional[int] = None,
+        queue_size: int | None = None,
     ) -> pubsub.Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
         options = _given(tcp_nodelay=tcp_nodelay, headers=headers)
@@ -101,9 +101,9 @@ class PlainNodeHandle:
         self,
         name: str,
         data_class: Any,
-        callback: Optional[Callable[..., Any]] = None,
+        callback: Callable[..., Any] | None = None,
         callback_args: Any = None,
-        queue_size: Optional[int] = None,
+        queue_size: int | None = None,
         buff_size: int = DEFAULT_BUFF_SIZE,
         tcp_nodelay: bool = False,
     ) -> pubsub.Subscriber:
@@ -113,9 +113,7 @@ class PlainNodeHandle:
             name, data_class, callback, callback_args, queue_size, self.concurrent, **options
         )
 
-    def wait_for_message(
-        self, topic: str, topic_type: Any, timeout: Optional[float] = None
-    ) -> Any:
+    def wait_for_message(self, topic: str, topic_type: Any, timeout: float | None = None) -> Any:
         """Block until one message arrives; the nodelet's queue is not needed for it.
 
         Raises:
@@ -138,7 +136,7 @@ class PlainNodeHandle:
         name: str,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
+        queue_size: int | None,
         listener: Any,
         **options: Any,
     ) -> pubsub.Publisher:
@@ -219,7 +217,7 @@ class Inbox(Closable):
     def close(self) -> None:
         self._queue.put(None)
 
-    def get(self, what: str, timeout: Optional[float]) -> Any:
+    def get(self, what: str, timeout: float | None) -> Any:
         """Wait for the message."""
         node = self._context.runtime.node
         self._context.close_with(self)
@@ -247,14 +245,14 @@ class Service(Closable):
         service_class: Any,
         handler: Callable[[Any], Any],
         concurrent: bool,
-        options: Dict[str, Any],
+        options: dict[str, Any],
     ) -> None:
         self.resolved_name = resolved_name
         self.service_class = service_class
         self.handler = handler
         self._context = context
         self._concurrent = concurrent
-        self._waiting: Set[Inbox] = set()
+        self._waiting: set[Inbox] = set()
         self._offered = context.runtime.services.offer(
             resolved_name, service_class, self._call, options
         )
@@ -291,7 +289,7 @@ class Service(Closable):
         finally:
             del error  # its traceback refers to this frame
 
-    def _answer(self, request: Any) -> Tuple[Any, Optional[BaseException]]:
+    def _answer(self, request: Any) -> tuple[Any, BaseException | None]:
         try:
             return self.handler(request), None
         except Exception as error:  # the boundary: raised again where the caller waits
@@ -313,7 +311,7 @@ class Nodelet:
     answer to the request. ``on_shutdown`` runs once at the unload, which waits for it at most 1 s.
     """
 
-    _context: Optional[Context] = None
+    _context: Context | None = None
 
     def on_init(self) -> None:
         """Create publishers, subscribers, timers and services here."""
@@ -342,7 +340,7 @@ class Nodelet:
         return self.context.name
 
     @property
-    def my_argv(self) -> List[str]:
+    def my_argv(self) -> list[str]:
         """Arguments of the load request."""
         return list(self.context.my_argv)
 

@@ -24,16 +24,10 @@ from typing import (
     Any,
     Callable,
     Collection,
-    Dict,
-    FrozenSet,
     Iterator,
-    List,
     Mapping,
     MutableMapping,
-    Optional,
     Sequence,
-    Tuple,
-    Type,
 )
 
 from dyknow.locks import module_lock
@@ -73,9 +67,9 @@ class Importer:
         self,
         is_own: Callable[[str], bool],
         folders: Sequence[str] = (),
-        views: Optional[Mapping[str, Callable[[], Module]]] = None,
+        views: Mapping[str, Callable[[], Module]] | None = None,
         blind: Collection[str] = (),
-        functions: Optional[Mapping[str, Any]] = None,
+        functions: Mapping[str, Any] | None = None,
         search: Sequence[str] = (),
         is_alone: bool = False,
     ) -> None:
@@ -91,7 +85,7 @@ class Importer:
             is_alone: the process is the owner's: copies are in ``sys.modules`` too, and the path
                 is ``sys.path`` itself.
         """
-        self.modules: Dict[str, Module] = {}
+        self.modules: dict[str, Module] = {}
         self.path = [*folders, *search, *sys.path]
         self._search = frozenset(search)
         self._is_alone = is_alone
@@ -109,8 +103,8 @@ class Importer:
         }
         self._is_own = is_own
         self._blind = frozenset(blind)
-        self._found: Dict[str, bool] = {}
-        self._found_on: Tuple[str, ...] = ()
+        self._found: dict[str, bool] = {}
+        self._found_on: tuple[str, ...] = ()
         self._import_lock = module_lock()  # held while modules are executed, as Python's own
         own = {**vars(builtins), **(functions or {})}
         self._seeing = {**own, "__import__": self._import}
@@ -122,7 +116,7 @@ class Importer:
         module.__dict__.update(__file__=file, __builtins__=self._seeing)
         return module
 
-    def import_module(self, name: str, package: Optional[str] = None) -> Module:
+    def import_module(self, name: str, package: str | None = None) -> Module:
         name = importlib.util.resolve_name(name, package) if name.startswith(".") else name
         return self._load(name) if self._concerns(name) else importlib.import_module(name)
 
@@ -156,10 +150,10 @@ class Importer:
 
     # Inside
 
-    def _dataclass(self, cls: Optional[Type[Any]] = None, **options: Any) -> Any:
+    def _dataclass(self, cls: type[Any] | None = None, **options: Any) -> Any:
         """Replace ``dataclass``, which needs its module, a copy here, in ``sys.modules``."""
 
-        def make(cls: Type[Any]) -> Any:
+        def make(cls: type[Any]) -> Any:
             name = cls.__module__
             with _lending:
                 is_lent = name in self.modules and name not in sys.modules
@@ -176,9 +170,9 @@ class Importer:
     def _import(
         self,
         name: str,
-        globals: Optional[Mapping[str, Any]] = None,
-        locals: Optional[Mapping[str, Any]] = None,
-        fromlist: Optional[Sequence[str]] = (),
+        globals: Mapping[str, Any] | None = None,
+        locals: Mapping[str, Any] | None = None,
+        fromlist: Sequence[str] | None = (),
         level: int = 0,
     ) -> Module:
         if level:
@@ -199,9 +193,9 @@ class Importer:
     def _import_blindly(
         self,
         name: str,
-        globals: Optional[Mapping[str, Any]] = None,
-        locals: Optional[Mapping[str, Any]] = None,
-        fromlist: Optional[Sequence[str]] = (),
+        globals: Mapping[str, Any] | None = None,
+        locals: Mapping[str, Any] | None = None,
+        fromlist: Sequence[str] | None = (),
         level: int = 0,
     ) -> Module:
         hides = not level and name.partition(".")[0] in self._hidden
@@ -253,7 +247,7 @@ class Importer:
                 setattr(parent, child, self.modules[name])
             return self.modules[name]
 
-    def _spec(self, name: str, parent: Optional[Module]) -> Optional[ModuleSpec]:
+    def _spec(self, name: str, parent: Module | None) -> ModuleSpec | None:
         """Find the code of a module; None if it is to be that of the process."""
         if parent is None:
             spec = package_spec(name, self.path)
@@ -285,9 +279,9 @@ class Importer:
         exec(code, module.__dict__)
 
 
-def _is_running(spaces: FrozenSet[int]) -> bool:
+def _is_running(spaces: frozenset[int]) -> bool:
     """Whether a thread runs code with one of these global namespaces, by their identities."""
-    frames: List[Optional[types.FrameType]] = list(sys._current_frames().values())
+    frames: list[types.FrameType | None] = list(sys._current_frames().values())
     while frames:
         frame = frames.pop()
         if frame is not None:

@@ -27,7 +27,7 @@ import enum
 import functools
 import time
 from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet, Iterable, Mapping, Tuple
+from typing import Callable, Iterable, Mapping
 
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
@@ -65,7 +65,7 @@ class _Lease:
     uri: str
     until: float
     producers: Mapping[str, str]
-    fenced: FrozenSet[Tuple[str, str]]
+    fenced: frozenset[tuple[str, str]]
 
 
 class Leases:
@@ -87,8 +87,8 @@ class Leases:
         self._guard = guard
         self._clock = clock
         self._state_lock = state_lock("leases")
-        self._leases: Dict[str, _Lease] = {}
-        self._topics: FrozenSet[str] = frozenset()
+        self._leases: dict[str, _Lease] = {}
+        self._topics: frozenset[str] = frozenset()
 
     def renew(
         self,

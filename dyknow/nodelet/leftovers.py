@@ -18,7 +18,7 @@ import logging
 import threading
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Dict, List
+from typing import TYPE_CHECKING, Any, Callable
 
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
@@ -48,7 +48,7 @@ class _Leftover:
     name: str
     reference: weakref.ReferenceType[Any]
     age: Callable[[], float]
-    hooks: List[Callable[[], None]]
+    hooks: list[Callable[[], None]]
     attempts: int = _ATTEMPTS
 
     def is_gone(self) -> bool:
@@ -66,7 +66,7 @@ class Leftovers:
 
     def __init__(self) -> None:
         self._lock = state_lock("leftovers")
-        self._left: List[_Leftover] = []
+        self._left: list[_Leftover] = []
         self._closed = threading.Event()
         self._is_examining = False
 
@@ -75,7 +75,7 @@ class Leftovers:
         name: str,
         nodelet: weakref.ReferenceType[Any],
         age: Callable[[], float],
-        hooks: List[Callable[[], None]],
+        hooks: list[Callable[[], None]],
     ) -> None:
         """Free an unloaded nodelet once none of its code runs, and call ``hooks`` then."""
         left = _Leftover(name, nodelet, age, hooks)
@@ -86,7 +86,7 @@ class Leftovers:
         if starts:
             in_background("freeing nodelets", self._examine)
 
-    def running(self) -> Dict[str, float]:
+    def running(self) -> dict[str, float]:
         """Nodelets whose code still runs, sorted by name, with the seconds since it began."""
         with self._lock:
             left = list(self._left)
@@ -124,8 +124,8 @@ class StuckCallbacks:
         self._host = host
         self._announce = announce
         self._after = after
-        self._due: Dict[str, float] = {}  # age at which a nodelet is announced again
-        self._remains_due: Dict[str, float] = {}
+        self._due: dict[str, float] = {}  # age at which a nodelet is announced again
+        self._remains_due: dict[str, float] = {}
         what = "looking for callbacks that do not return"
         self._worker = PeriodicWorker(what, self.check, after / _ROUNDS)
         self.start = self._worker.start
@@ -152,11 +152,11 @@ class StuckCallbacks:
         age = self._ages().get(nodelet, 0.0)
         return f"a callback has been running for {age:.0f} s" if age >= self._after else ""
 
-    def remains(self) -> List[str]:
+    def remains(self) -> list[str]:
         """Describe the code of unloaded nodelets that still runs, a line for each."""
         return [_remains_text(*each) for each in self._loader.leftovers.running().items()]
 
-    def _ages(self) -> Dict[str, float]:
+    def _ages(self) -> dict[str, float]:
         return {each.name: each.callback_age() for each in self._loader.contexts()}
 
 
@@ -164,7 +164,7 @@ def _remains_text(name: str, age: float) -> str:
     return f"{name} was unloaded, but code of it has been running for {age:.0f} s"
 
 
-def _due_now(due: Dict[str, float], ages: Dict[str, float], after: float) -> List[str]:
+def _due_now(due: dict[str, float], ages: dict[str, float], after: float) -> list[str]:
     """Return the names that are to be announced, and note when each is again."""
     for name in [name for name in due if ages.get(name, 0.0) < after]:
         del due[name]

@@ -10,6 +10,7 @@ of a nodelet runs, so a slow ``on_init`` blocks neither ``list`` nor other loads
 
 from __future__ import annotations
 
+import builtins
 import enum
 import functools
 import logging
@@ -18,7 +19,7 @@ import time
 import traceback
 import weakref
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
+from typing import Any, Callable, Mapping, Sequence
 
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
 from dyknow.locks import state_condition
@@ -49,7 +50,7 @@ class _Run(Closable):
     """Code of a nodelet on a thread of its own, which the caller may stop waiting for."""
 
     def __init__(self, call: Callable[[], Any], name: str) -> None:
-        self.error: Optional[BaseException] = None
+        self.error: BaseException | None = None
         self._began = time.monotonic()
         self._is_running = True
         self._over = threading.Event()
@@ -60,7 +61,7 @@ class _Run(Closable):
         """Seconds for which it has been running; 0.0 once it has ended."""
         return time.monotonic() - self._began if self._is_running else 0.0
 
-    def wait(self, seconds: Optional[float] = None) -> bool:
+    def wait(self, seconds: float | None = None) -> bool:
         """Wait until it ends or is closed, at most until so many seconds after it began."""
         left = None if seconds is None else max(0.0, self._began + seconds - time.monotonic())
         return self._over.wait(left)
@@ -68,7 +69,7 @@ class _Run(Closable):
     def close(self) -> None:
         self._over.set()
 
-    def _run(self, calls: List[Callable[[], Any]]) -> None:
+    def _run(self, calls: list[Callable[[], Any]]) -> None:
         call = calls.pop()
         try:
             call()
@@ -90,10 +91,10 @@ class _Entry:
 
     context: Context
     state: _State = _State.LOADING
-    nodelet: Optional[Nodelet] = None
-    runs: List[_Run] = field(default_factory=list)
+    nodelet: Nodelet | None = None
+    runs: list[_Run] = field(default_factory=list)
     #: Runs ``on_shutdown``; None for a nodelet that never ran.
-    shutdown: Optional[_Run] = None
+    shutdown: _Run | None = None
 
     def age(self) -> float:
         """Seconds for which code of the nodelet has been running; 0.0 if none runs."""
@@ -106,8 +107,8 @@ class Loader:
     def __init__(
         self,
         runtime: Runtime,
-        find_class: Callable[[str, Context], Type[Nodelet]],
-        on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None,
+        find_class: Callable[[str, Context], type[Nodelet]],
+        on_attach: Callable[[Context, Any], Closable | None] = lambda context, thing: None,
         on_unloaded: Callable[[str], None] = lambda name: None,
     ) -> None:
         """Make an empty loader.
@@ -120,15 +121,15 @@ class Loader:
         self._on_attach = on_attach
         self._on_unloaded = on_unloaded
         self._changed = state_condition("loader")
-        self._entries: Dict[str, _Entry] = {}
+        self._entries: dict[str, _Entry] = {}
         #: Nodelets that were unloaded and are not gone yet.
         self.leftovers = Leftovers()
 
-    def list(self) -> List[str]:
+    def list(self) -> builtins.list[str]:
         """Names of the running nodelets, sorted."""
         return [context.name for context in self.contexts()]
 
-    def contexts(self) -> List[Context]:
+    def contexts(self) -> builtins.list[Context]:
         """Contexts of the running nodelets, sorted by name."""
         with self._changed:
             running = [each for each in self._entries.values() if each.state is _State.RUNNING]
@@ -146,7 +147,7 @@ class Loader:
         self,
         name: str,
         type_name: str,
-        remappings: Optional[Mapping[str, str]] = None,
+        remappings: Mapping[str, str] | None = None,
         my_argv: Sequence[str] = (),
     ) -> Nodelet:
         """Make a nodelet of a declared type and return it once its ``on_init`` has returned.
@@ -228,7 +229,7 @@ class Loader:
             self._finish(name, entry)
         self.leftovers.close()
 
-    def _shut_down(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Entry:
+    def _shut_down(self, name: str, only: _Entry | None, wanted: bool = True) -> _Entry:
         """Stop callbacks, call ``on_shutdown``: for an unload or (not ``wanted``) at the end."""
         with self._changed:
             entry = self._entries.get(name)
@@ -261,7 +262,7 @@ class Loader:
             self._on_unloaded(name)
 
     @staticmethod
-    def _start(entry: _Entry, nodelet_class: Type[Nodelet]) -> None:
+    def _start(entry: _Entry, nodelet_class: type[Nodelet]) -> None:
         context = entry.context
         with context.runtime.executor.record.noting(context.mark):
             nodelet = entry.nodelet = nodelet_class()
@@ -269,7 +270,9 @@ class Loader:
             nodelet.on_init()
 
     @staticmethod
-    def _call_hooks(context: Context, hooks: List[Callable[[], None]], wanted: bool) -> None:
+    def _call_hooks(
+        context: Context, hooks: builtins.list[Callable[[], None]], wanted: bool
+    ) -> None:
         with context.runtime.executor.record.noting(context.mark, unloading=wanted):
             while hooks:
                 try:

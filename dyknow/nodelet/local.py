@@ -10,7 +10,7 @@ Its time is set by hand, its "outside" are lists that a test reads.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 from dyknow.locks import assert_no_state_lock, state_condition
 from dyknow.nodelet.middleware import (
@@ -31,11 +31,11 @@ from dyknow.nodelet.middleware import (
 class LocalTimerEvent:
     """A timer event in seconds; the field names are rospy's."""
 
-    last_expected: Optional[float]
-    last_real: Optional[float]
+    last_expected: float | None
+    last_real: float | None
     current_expected: float
     current_real: float
-    last_duration: Optional[float]
+    last_duration: float | None
 
 
 class ManualTicker(Ticker):
@@ -51,7 +51,7 @@ class ManualTicker(Ticker):
         self._used = False  # there was a timer, so the thread runs
         self._waiting = False
         self._woken = False
-        self._due: Optional[float] = None
+        self._due: float | None = None
 
     def now(self) -> float:
         return self._seconds
@@ -68,7 +68,7 @@ class ManualTicker(Ticker):
             self._seconds = seconds
             self._changed.notify_all()
 
-    def next_due(self, timeout: float = 10.0) -> Optional[float]:
+    def next_due(self, timeout: float = 10.0) -> float | None:
         """Wait until everything due was fired; return when the next timer is due, None for never.
 
         Raises:
@@ -79,7 +79,7 @@ class ManualTicker(Ticker):
                 raise TimeoutError(f"the timers have not fired within {timeout:g} s")
             return self._due
 
-    def wait(self, until: Optional[float]) -> None:
+    def wait(self, until: float | None) -> None:
         with self._changed:
             self._waiting, self._due = True, until
             self._changed.notify_all()
@@ -110,16 +110,16 @@ class LocalPublisher(OutsidePublisher):
         self.transport = transport
         self.topic = topic
         self.datatype = datatype
-        self.connections: List[Callable[[Any], None]] = transport.listeners.setdefault(topic, [])
+        self.connections: list[Callable[[Any], None]] = transport.listeners.setdefault(topic, [])
         self.in_flight = 0
-        self.changed: Optional[Callable[[], None]] = None
+        self.changed: Callable[[], None] | None = None
         transport.publishers.append(self)
 
     @property
     def heard(self) -> bool:
         return bool(self.connections)
 
-    def peers(self) -> Tuple[Any, ...]:
+    def peers(self) -> tuple[Any, ...]:
         return tuple(self.connections)
 
     def publish(self, message: Any) -> None:
@@ -180,13 +180,13 @@ class LocalTransport(Transport):
     """
 
     def __init__(self) -> None:
-        self.listeners: Dict[str, List[Callable[[Any], None]]] = {}
-        self.publishers: List[LocalPublisher] = []
-        self.subscribers: List[LocalSubscriber] = []
-        self.types: Dict[str, str] = {}
+        self.listeners: dict[str, list[Callable[[Any], None]]] = {}
+        self.publishers: list[LocalPublisher] = []
+        self.subscribers: list[LocalSubscriber] = []
+        self.types: dict[str, str] = {}
 
     @property
-    def registrations(self) -> List[Tuple[str, str]]:
+    def registrations(self) -> list[tuple[str, str]]:
         """Every registration that is not withdrawn, as (kind, topic), sorted."""
         made = [("publisher", each.topic) for each in self.publishers]
         return sorted([*made, *(("subscriber", each.topic) for each in self.subscribers)])
@@ -212,7 +212,7 @@ class LocalTransport(Transport):
             if publisher.topic == topic and publisher.changed is not None:
                 publisher.changed()
 
-    def withdraw(self, made: List[Any], registration: Any) -> None:
+    def withdraw(self, made: list[Any], registration: Any) -> None:
         """Remove a registration from the publishers or subscribers, if it is there."""
         assert_no_state_lock(f"withdrawing {registration.topic}")
         if registration in made:
@@ -223,7 +223,7 @@ class LocalTransport(Transport):
         return LocalPublisher(self, topic, datatype)
 
     def subscribe(
-        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+        self, topic: str, datatype: Any, receive: Receive, options: dict[str, Any]
     ) -> LocalSubscriber:
         assert_no_state_lock(f"subscribing to {topic}")
         return LocalSubscriber(self, topic, datatype, receive)
@@ -232,7 +232,7 @@ class LocalTransport(Transport):
         assert_no_state_lock(f"asking for the type of {topic}")
         return self.types.get(topic, "")
 
-    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+    def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message from its fields; one that is a message already passes."""
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == datatype._type:
             return args[0]
@@ -243,7 +243,7 @@ class LocalTransport(Transport):
 class LocalService(Closable):
     """One offered service."""
 
-    handlers: Dict[str, Handler]
+    handlers: dict[str, Handler]
     name: str
 
     def close(self) -> None:
@@ -255,14 +255,14 @@ class LocalServices(Services):
     """Services that a test calls; ``handlers`` has them by global name."""
 
     def __init__(self) -> None:
-        self.handlers: Dict[str, Handler] = {}
+        self.handlers: dict[str, Handler] = {}
 
     def call(self, service: str, request: Any) -> Any:
         """Call a service from outside."""
         return self.handlers[service](request)
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> LocalService:
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler
@@ -278,8 +278,8 @@ class LocalNode(Node):
     """
 
     def __init__(self) -> None:
-        self.parameters: Dict[str, Any] = {}
-        self.remappings: Dict[str, str] = {}
+        self.parameters: dict[str, Any] = {}
+        self.remappings: dict[str, str] = {}
 
     def is_shutdown(self) -> bool:
         return False
@@ -290,7 +290,7 @@ class LocalNode(Node):
     def member(self, name: str, handle: Any) -> Any:
         """Parameters, under rospy's names; nothing else."""
         parameters, resolve = self.parameters, handle.resolve_name
-        members: Dict[str, Callable[..., Any]] = {
+        members: dict[str, Callable[..., Any]] = {
             "get_param": lambda key, *default: parameters.get(resolve(key), *default),
             "set_param": lambda key, value: parameters.__setitem__(resolve(key), value),
             "has_param": lambda key: resolve(key) in parameters,

@@ -15,13 +15,13 @@ import sys
 import traceback
 import types
 import weakref
-from typing import Any, Dict, List, Optional, Set, Tuple, Type
+from typing import Any
 
 _M_ARENA_MAX = -8
 #: Objects that are examined to free one; with more it is left to Python.
 _MOST = 20_000
 #: Types that are not looked into: they refer to shared objects, or to running code.
-_OPAQUE: Tuple[Type[Any], ...] = (
+_OPAQUE: tuple[type[Any], ...] = (
     type,
     types.ModuleType,
     types.CodeType,
@@ -50,7 +50,7 @@ def return_free_memory() -> None:
 
 
 def break_cycles(
-    reference: weakref.ReferenceType[Any], opaque: Tuple[Type[Any], ...] = ()
+    reference: weakref.ReferenceType[Any], opaque: tuple[type[Any], ...] = ()
 ) -> bool:
     """Empty an object if only reference cycles through itself hold it; returns whether it is gone.
 
@@ -77,8 +77,8 @@ def clear_frames(error: BaseException) -> None:
 
     An exception that is kept would keep all their variables; its traceback stays readable.
     """
-    waiting: List[Optional[BaseException]] = [error]
-    seen: Set[int] = set()
+    waiting: list[BaseException | None] = [error]
+    seen: set[int] = set()
     while waiting:
         each = waiting.pop()
         if each is not None and id(each) not in seen:
@@ -87,13 +87,13 @@ def clear_frames(error: BaseException) -> None:
             waiting += [each.__cause__, each.__context__]
 
 
-def _is_garbage(found: List[Any], opaque: Tuple[Type[Any], ...]) -> bool:
+def _is_garbage(found: list[Any], opaque: tuple[type[Any], ...]) -> bool:
     """Whether only its own referents, which are added, hold the one object in ``found``."""
     places = {id(found[0]): 0}
-    edges: List[List[int]] = []
-    held: Dict[int, int] = {}
+    edges: list[list[int]] = []
+    held: dict[int, int] = {}
     for each in found:  # which grows
-        inner: List[int] = []
+        inner: list[int] = []
         for other in _referents(each, opaque):
             if not gc.is_tracked(other):
                 continue
@@ -123,7 +123,7 @@ def _is_garbage(found: List[Any], opaque: Tuple[Type[Any], ...]) -> bool:
     return 0 not in alive
 
 
-def _referents(each: Any, opaque: Tuple[Type[Any], ...]) -> List[Any]:
+def _referents(each: Any, opaque: tuple[type[Any], ...]) -> list[Any]:
     if isinstance(each, types.FunctionType):
         return [part for part in (each.__closure__, each.__defaults__) if part is not None]
     return [] if isinstance(each, opaque) else gc.get_referents(each)

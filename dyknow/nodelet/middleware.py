@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, Sequence
 
 from dyknow.errors import DyKnowError, HandleClosed
 
@@ -45,7 +45,7 @@ class OutsidePublisher(Closable):
     #: Messages that its publication is just handing over; a switch waits for them too.
     in_flight: int
     #: To be called when ``peers`` have changed; None for no call.
-    changed: Optional[Callable[[], None]]
+    changed: Callable[[], None] | None
 
     @property
     @abstractmethod
@@ -53,7 +53,7 @@ class OutsidePublisher(Closable):
         """Whether there are subscribers; checked on every publish, so it must be quick."""
 
     @abstractmethod
-    def peers(self) -> Tuple[Any, ...]:
+    def peers(self) -> tuple[Any, ...]:
         """Subscribers outside: one for each process, ``HERE`` for rospy's own in this one."""
 
     @abstractmethod
@@ -84,7 +84,7 @@ class OutsideSubscriber(Closable):
     def publishers(self) -> int:
         """Publishers that are connected; all of this process count as one."""
 
-    def links(self) -> Tuple[Any, ...]:
+    def links(self) -> tuple[Any, ...]:
         """Connections to other processes, as the transport describes them."""
         return ()
 
@@ -109,8 +109,8 @@ class Transport(ABC):
         topic: str,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
-        options: Dict[str, Any],
+        queue_size: int | None,
+        options: dict[str, Any],
     ) -> OutsidePublisher:
         """Register a publisher of a global topic name.
 
@@ -120,7 +120,7 @@ class Transport(ABC):
 
     @abstractmethod
     def subscribe(
-        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+        self, topic: str, datatype: Any, receive: Receive, options: dict[str, Any]
     ) -> OutsideSubscriber:
         """Register a subscriber; ``receive`` gets every message from outside, on any thread."""
 
@@ -129,10 +129,10 @@ class Transport(ABC):
         """Type of a topic that has a live publisher or subscriber anywhere, else empty."""
 
     @abstractmethod
-    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+    def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message of the arguments of ``publish``, with rospy's rules and errors."""
 
-    def age_of(self, message: Any) -> Optional[float]:
+    def age_of(self, message: Any) -> float | None:
         """Seconds since the time stamp of a message, None without one; quick, raises nothing."""
         return None
 
@@ -146,7 +146,7 @@ class Services(ABC):
 
     @abstractmethod
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> Closable:
         """Offer a service under a global name; ``handler`` is called on any thread."""
 
@@ -159,7 +159,7 @@ class Ticker(ABC):
         """Seconds; steady, or simulated time when the system runs on it."""
 
     @abstractmethod
-    def wait(self, until: Optional[float]) -> None:
+    def wait(self, until: float | None) -> None:
         """Return at ``until`` (None: never), after ``wake``, or earlier for no reason."""
 
     @abstractmethod
@@ -189,9 +189,9 @@ class Node(ABC):
         timed_out: raised by a wait for a message that did not come in time.
     """
 
-    closed: Type[Exception] = HandleClosed
-    interrupted: Type[Exception] = DyKnowError
-    timed_out: Type[Exception] = DyKnowError
+    closed: type[Exception] = HandleClosed
+    interrupted: type[Exception] = DyKnowError
+    timed_out: type[Exception] = DyKnowError
 
     @abstractmethod
     def is_shutdown(self) -> bool:

@@ -21,14 +21,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import (
     Collection,
-    Dict,
-    FrozenSet,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Set,
     Tuple,
 )
 
@@ -61,7 +56,7 @@ def is_standard(top: str) -> bool:
     return origin.startswith(_STANDARD)
 
 
-def package_spec(top: str, path: Collection[str]) -> Optional[ModuleSpec]:
+def package_spec(top: str, path: Collection[str]) -> ModuleSpec | None:
     """Find a top-level module; of a catkin package, with every folder that holds its modules.
 
     A package in a devel space has its authors' modules in the source space, and generated ones
@@ -118,8 +113,8 @@ class CatkinFinder:
             sys.meta_path.insert(0, cls())
 
     def find_spec(
-        self, fullname: str, path: Optional[Sequence[str]], target: Optional[ModuleType] = None
-    ) -> Optional[ModuleSpec]:
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         """Find a package that is in a source folder; everything else is left to Python."""
         if path is not None or fullname in sys.builtin_module_names:
             return None
@@ -140,7 +135,7 @@ def script_file(path: str) -> str:
     return os.path.realpath(found.group(2)) if found else real
 
 
-def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, str]:
+def source_files(top: str, path: Collection[str] | None = None) -> dict[str, str]:
     """Return the source files of a top-level module and its submodules, by module name."""
     spec = package_spec(top, sys.path if path is None else path)
     if spec is None:
@@ -149,7 +144,7 @@ def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, 
     if not folders:
         origin = spec.origin or ""
         return {top: origin} if origin.endswith(".py") else {}
-    files: Dict[str, str] = {}
+    files: dict[str, str] = {}
     for folder in folders:
         for here, below, names in os.walk(folder):
             below[:] = sorted(each for each in below if each not in _LEFT_OUT)
@@ -162,7 +157,7 @@ def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, 
     return files
 
 
-def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
+def reached_from(module: str, files: Mapping[str, str]) -> list[str]:
     """Return those ``files`` that the import of a module executes, at once or in its functions."""
     waiting, reached = [module], {}
     while waiting:
@@ -177,7 +172,7 @@ def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
 
 
 @functools.lru_cache(maxsize=1000)
-def _imported_names(file: str, module: str, stamp: Optional[Stamp]) -> List[str]:
+def _imported_names(file: str, module: str, stamp: Stamp | None) -> list[str]:
     """Full names of a file's imports; some may be classes and functions."""
     try:
         tree = ast.parse(Path(file).read_bytes(), file)
@@ -195,7 +190,7 @@ def _imported_names(file: str, module: str, stamp: Optional[Stamp]) -> List[str]
     return names
 
 
-def stamps(files: Collection[str]) -> Dict[str, Stamp]:
+def stamps(files: Collection[str]) -> dict[str, Stamp]:
     """Return the time and size of each file that exists, which change when it is written."""
     found = {}
     for file in files:
@@ -213,7 +208,7 @@ class Dependents:
     def __init__(self, library: str, apart: Collection[str] = ()) -> None:
         self._library = library
         self._apart = frozenset(apart)
-        self._known: Dict[str, bool] = {}
+        self._known: dict[str, bool] = {}
 
     def has(self, top: str) -> bool:
         """Whether a top-level module needs the library; the library itself does not."""
@@ -223,11 +218,11 @@ class Dependents:
             self._known[top] = self._looked_up(top, {})
         return self._known[top]
 
-    def imported_by(self, files: Collection[str]) -> FrozenSet[str]:
+    def imported_by(self, files: Collection[str]) -> frozenset[str]:
         """Return the top-level modules that these files import and that need the library."""
         return frozenset(filter(self.has, _imported_tops(files)))
 
-    def _looked_up(self, top: str, seen: Dict[str, bool]) -> bool:
+    def _looked_up(self, top: str, seen: dict[str, bool]) -> bool:
         if top in self._known:
             return self._known[top]
         if top in seen or top == self._library or top in self._apart or is_standard(top):
@@ -238,13 +233,13 @@ class Dependents:
         return self._library in names or any(self._looked_up(name, seen) for name in names)
 
 
-def _imported_tops(files: Collection[str]) -> Set[str]:
+def _imported_tops(files: Collection[str]) -> set[str]:
     """Top-level names of the imports of all these files."""
     return {top for file, stamp in stamps(files).items() for top in _read_imports(file, stamp)}
 
 
 @functools.lru_cache(maxsize=None)
-def _read_imports(file: str, stamp: Stamp) -> FrozenSet[str]:
+def _read_imports(file: str, stamp: Stamp) -> frozenset[str]:
     """Read a file that may have errors; a parser would take thirty times as long."""
     return frozenset(_IMPORTED.findall(Path(file).read_text(encoding="utf-8", errors="replace")))
 

@@ -21,7 +21,7 @@ import sys
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Tuple, Type
+from typing import Callable, Iterable, Mapping
 
 from lxml import etree
 
@@ -57,7 +57,7 @@ class PluginClass:
     file: Path
 
 
-def read(plugin_file: PluginFile) -> List[PluginClass]:
+def read(plugin_file: PluginFile) -> list[PluginClass]:
     """Read one description.
 
     Raises:
@@ -97,13 +97,13 @@ class Plugins:
     def __init__(self, find: Callable[[], Iterable[PluginFile]]) -> None:
         self._find = find
         self._lock = state_lock("plug-ins")
-        self._classes: Dict[str, PluginClass] = {}
-        self._broken: Tuple[str, ...] = ()
+        self._classes: dict[str, PluginClass] = {}
+        self._broken: tuple[str, ...] = ()
 
     def refresh(self) -> None:
         """Read the descriptions again; a broken one is remembered and hides no other."""
-        classes: Dict[str, PluginClass] = {}
-        broken: List[str] = []
+        classes: dict[str, PluginClass] = {}
+        broken: list[str] = []
         for plugin_file in sorted(self._find(), key=lambda each: (each.package, str(each.file))):
             try:
                 for declared in read(plugin_file):
@@ -113,7 +113,7 @@ class Plugins:
         with self._lock:
             self._classes, self._broken = classes, tuple(broken)
 
-    def declared(self) -> List[PluginClass]:
+    def declared(self) -> list[PluginClass]:
         """All declared classes, by name."""
         self.refresh()
         with self._lock:
@@ -134,8 +134,8 @@ class Plugins:
 class Package:
     """The modules that a declared class comes with."""
 
-    tops: FrozenSet[str]  # their top-level names
-    folders: List[str]  # of plug-ins, not on ``sys.path``
+    tops: frozenset[str]  # their top-level names
+    folders: list[str]  # of plug-ins, not on ``sys.path``
     files: Mapping[str, str]  # source files by module name
 
     @classmethod
@@ -158,14 +158,14 @@ class ClassImports:
 
     def __init__(
         self,
-        library_importer: Callable[[Context, str, Package], Optional[Importer]] = lambda *_: None,
+        library_importer: Callable[[Context, str, Package], Importer | None] = lambda *_: None,
     ) -> None:
         self._library_importer = library_importer
         #: By package: stamps of its files, and its modules; None for the process's own.
-        self._generations: Dict[str, Tuple[Mapping[str, Stamp], Optional[Importer]]] = {}
+        self._generations: dict[str, tuple[Mapping[str, Stamp], Importer | None]] = {}
         CatkinFinder.install()
 
-    def load(self, declared: PluginClass, context: Context) -> Type[Nodelet]:
+    def load(self, declared: PluginClass, context: Context) -> type[Nodelet]:
         """Import a declared class.
 
         Raises:
@@ -199,7 +199,7 @@ class ClassImports:
             importer = self._generation(top, package)
         return importlib.import_module(name) if importer is None else importer.import_module(name)
 
-    def _generation(self, top: str, package: Package) -> Optional[Importer]:
+    def _generation(self, top: str, package: Package) -> Importer | None:
         now = stamps(package.files.values())
         if top not in self._generations:
             self._generations[top] = now, None

@@ -11,7 +11,7 @@ in ``dyknow.proxy``.
 from __future__ import annotations
 
 import functools
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable
 
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
@@ -59,7 +59,7 @@ class Publisher(_Handle):
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
         self.publication = publication
-        self._events: Optional[SubscriberEvents] = None
+        self._events: SubscriberEvents | None = None
         if listener is not None:
             self._events = SubscriberEvents(context, name, publication, listener)
             context.close_with(self._events)
@@ -93,9 +93,9 @@ class Subscriber(_Handle):
         context: Context,
         name: str,
         datatype: Any,
-        callback: Optional[Callable[..., Any]],
+        callback: Callable[..., Any] | None,
         callback_args: Any,
-        queue_size: Optional[int],
+        queue_size: int | None,
         overlaps: bool = False,
         at_once: bool = False,
         **options: Any,
@@ -151,7 +151,7 @@ class SubscriberEvents(Closable):
         self._what = f"the subscriber listener of '{name}'"
         self._publication = publication
         self._listener = listener
-        self._known: Dict[Tuple[str, Any], None] = {}
+        self._known: dict[tuple[str, Any], None] = {}
         self._due = False
         publication.watch(self._changed)
         self._changed()

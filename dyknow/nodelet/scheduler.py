@@ -20,7 +20,7 @@ import threading
 import time
 import traceback
 import weakref
-from typing import Callable, Deque, Dict, List, Optional
+from typing import Callable
 
 from dyknow.locks import flag_lock, reentrant_state_lock, state_condition
 from dyknow.nodelet.crash_record import CrashRecord, as_word
@@ -94,9 +94,9 @@ class Strand:
         self.mark = as_word(mark)
         self.alive = True
         #: When the running task began, by ``clock``; None if none runs.
-        self.began: Optional[float] = None
+        self.began: float | None = None
         self.clock = executor.clock
-        self._tasks: Deque[Task] = collections.deque()
+        self._tasks: collections.deque[Task] = collections.deque()
         self._busy = held
         self._ready = executor.ready
         self._held = held
@@ -166,9 +166,7 @@ class Strand:
 class Executor:
     """Runs strands, on threads that ``record`` whose code they run."""
 
-    def __init__(
-        self, record: Optional[CrashRecord] = None, clock: Clock = time.monotonic
-    ) -> None:
+    def __init__(self, record: CrashRecord | None = None, clock: Clock = time.monotonic) -> None:
         self.clock = clock
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
         self.record = record or CrashRecord()
@@ -190,7 +188,7 @@ class ManualExecutor(Executor):
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         super().__init__(clock=clock)
-        self._queue: Deque[Strand] = collections.deque()
+        self._queue: collections.deque[Strand] = collections.deque()
 
     def ready(self, strand: Strand) -> None:
         self._queue.append(strand)
@@ -222,12 +220,12 @@ class _Worker:
 
     def __init__(self) -> None:
         #: The one that it runs; None while it waits.
-        self.strand: Optional[Strand] = None
+        self.strand: Strand | None = None
         #: Whether it is to end as soon as it can, since another was hired in its place.
         self.replaced = False
         self.wake = flag_lock()  # taken while it sleeps
         self.wake.acquire()
-        self.thread: Optional[threading.Thread] = None
+        self.thread: threading.Thread | None = None
 
 
 class WorkerPool(Executor):
@@ -245,10 +243,10 @@ class WorkerPool(Executor):
 
     def __init__(
         self,
-        size: Optional[int],
+        size: int | None,
         stuck_after: float = 10.0,
         clock: Clock = time.monotonic,
-        record: Optional[CrashRecord] = None,
+        record: CrashRecord | None = None,
         stay: float = _STAY,
     ) -> None:
         """Start the threads: one for each of ``size`` callbacks at the same time, or None to grow.
@@ -262,10 +260,10 @@ class WorkerPool(Executor):
         self._grows = size is None
         self._stay = stay if self._grows else -1.0
         self._stuck_after = stuck_after
-        self._queue: Deque[Strand] = collections.deque()
-        self._idle: Deque[_Worker] = collections.deque()
+        self._queue: collections.deque[Strand] = collections.deque()
+        self._idle: collections.deque[_Worker] = collections.deque()
         self._woken = 0  # workers that were woken and have not noticed yet
-        self._workers: List[_Worker] = []
+        self._workers: list[_Worker] = []
         self._quiet = state_condition("worker pool")
         self._drainers = 0
         self._closed = False
@@ -324,7 +322,7 @@ class WorkerPool(Executor):
         worker.thread.start()
 
     def _work(self, worker: _Worker) -> None:
-        strand: Optional[Strand] = None
+        strand: Strand | None = None
         words, word = self.record.words, self.record.take()
         queue, clock = self._queue, self.clock
         is_woken = self._grows
@@ -408,7 +406,7 @@ class WorkerPool(Executor):
                     self._awake.set()  # taken up between the check and the clear
                 continue
             now = self.clock()
-            stuck: Dict[_Worker, float] = {}
+            stuck: dict[_Worker, float] = {}
             for worker, strand in working:
                 began = strand.began
                 if began is not None and worker.strand is strand and now - began >= _LOOK:

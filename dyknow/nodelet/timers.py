@@ -14,7 +14,7 @@ import heapq
 import itertools
 import logging
 import threading
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable
 
 from dyknow.locks import flag_lock, state_lock
 from dyknow.nodelet.middleware import Ticker
@@ -53,7 +53,7 @@ class Timer:
         self._pending = flag_lock()
         self._done = False
         self._last: Any = None
-        self._took: Optional[float] = None
+        self._took: float | None = None
 
     def is_alive(self) -> bool:
         """Whether it will call back again."""
@@ -100,10 +100,10 @@ class TimerQueue:
         self.ticker = ticker
         self._lock = state_lock("timers")
         self._order = itertools.count()
-        self._heap: List[Tuple[float, int, Timer]] = []
+        self._heap: list[tuple[float, int, Timer]] = []
         self._pause = _PAUSE
         self._latest = 0.0  # time that was seen; less shows that it went back
-        self._thread: Optional[threading.Thread] = None
+        self._thread: threading.Thread | None = None
         self._closed = False
 
     def add(self, timer: Timer) -> None:
@@ -133,10 +133,10 @@ class TimerQueue:
             self._heap = []
         self.ticker.wake()
 
-    def tick(self) -> Optional[float]:
+    def tick(self) -> float | None:
         """Fire the timers that are due; returns when the next one is."""
         now = self.ticker.now()
-        fired: List[Tuple[Timer, float]] = []
+        fired: list[tuple[Timer, float]] = []
         with self._lock:
             if now < self._latest:
                 self._rewind(now)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, List
+from typing import Any
 
 import dyknow
 from dyknow.nodelets.stamps import StampField
@@ -30,7 +30,7 @@ class Sink(dyknow.Nodelet):
         self.stamp = StampField.of(datatype)
         self.period = get_positive(self.nh, "~period", 5.0, "s")
         self.count = 0
-        self.latencies: List[float] = []
+        self.latencies: list[float] = []
         self.sub = self.nh.Subscriber("in", datatype, self.on_message, queue_size=100)
         self.timer = self.nh.Timer(self.nh.Duration(self.period), self.on_timer)
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Any
 
 
 class StampField:
@@ -20,7 +20,7 @@ class StampField:
         self._name = name
 
     @classmethod
-    def of(cls, datatype: Any) -> Optional[StampField]:
+    def of(cls, datatype: Any) -> StampField | None:
         """Find the field of a message class; None if its messages are not stamped."""
         types = dict(zip(datatype.__slots__, datatype._slot_types))
         if types.get("header") in ("std_msgs/Header", "Header"):

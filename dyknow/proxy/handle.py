@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Any
 
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.handle import PlainNodeHandle
@@ -42,7 +42,7 @@ class NodeHandle(PlainNodeHandle):
         """
         return self._proxy.get_statistics()
 
-    def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
+    def set_reconfigure_callback(self, callback: ReconfigureCallback | None) -> None:
         """Call back when ports were connected elsewhere.
 
         The callback gets two maps from port to topic, of in-ports and of out-ports; a topic is

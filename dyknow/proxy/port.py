@@ -10,7 +10,7 @@ topic, so a handle that is made later has the same connection.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, List, Optional, Sequence
+from typing import Any, Sequence
 
 from dyknow.locks import state_lock
 from dyknow.model.graph import PortState
@@ -31,9 +31,9 @@ class ProxyPort:
         self.name = name
         self.datatype = datatype
         self.topic = topic
-        self.handles: List[Any] = []
-        self._traffics: List[Traffic] = []
-        self._free: List[Traffic] = []
+        self.handles: list[Any] = []
+        self._traffics: list[Traffic] = []
+        self._free: list[Traffic] = []
 
     @property
     def state(self) -> PortState:
@@ -82,7 +82,7 @@ class OutPort(ProxyPort):
 
     def __init__(self, name: str, datatype: Any, topic: str) -> None:
         super().__init__(name, datatype, topic)
-        self.publication: Optional[Publication] = None
+        self.publication: Publication | None = None
         #: Held while handles come and go: a new one must not share a publication that the last
         #: one is about to withdraw.
         self.lock = state_lock("port")

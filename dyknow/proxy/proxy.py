@@ -11,7 +11,7 @@ no callback, and looking at ports and statistics needs no turn.
 from __future__ import annotations
 
 import collections
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Sequence, Tuple
 
 from dyknow import names
 from dyknow.datatypes import types_fit
@@ -48,10 +48,10 @@ class NodeletProxy(Closable):
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._ports: Dict[str, ProxyPort] = {}
+        self._ports: dict[str, ProxyPort] = {}
         self._turn = turn_lock("reconfiguration")
         self._reconfigurations = 0
-        self._callback: Optional[ReconfigureCallback] = None
+        self._callback: ReconfigureCallback | None = None
         #: Called after every change of a port, on the thread that made it.
         self.on_change: Callable[[], None] = lambda: None
 
@@ -70,11 +70,11 @@ class NodeletProxy(Closable):
 
     # For the services
 
-    def get_config(self) -> List[PortState]:
+    def get_config(self) -> list[PortState]:
         """Return the ports, in the order of their declaration."""
         return [port.state for port in list(self._ports.values())]
 
-    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
+    def set_config(self, config: Sequence[tuple[str, str]]) -> None:
         """Connect ports to topics, all or none.
 
         Args:
@@ -108,7 +108,7 @@ class NodeletProxy(Closable):
 
     # For the handle
 
-    def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
+    def set_reconfigure_callback(self, callback: ReconfigureCallback | None) -> None:
         """Call back after every reconfiguration with the maps of in-ports and of out-ports."""
         self._callback = callback
 
@@ -118,7 +118,7 @@ class NodeletProxy(Closable):
         name: str,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
+        queue_size: int | None,
         listener: Any,
         **options: Any,
     ) -> PortPublisher:
@@ -159,7 +159,7 @@ class NodeletProxy(Closable):
 
     # Scripts have other rules.
 
-    def _find(self, name: str) -> Optional[ProxyPort]:
+    def _find(self, name: str) -> ProxyPort | None:
         return self._ports.get(name)
 
     def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
@@ -175,13 +175,13 @@ class NodeletProxy(Closable):
 
     # Inside
 
-    def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Change]:
+    def _checked(self, config: Sequence[tuple[str, str]]) -> list[Change]:
         guards = self._context.runtime.guards()
         guards.check_sizes((text for pair in config for text in pair), len(config))
         counts = collections.Counter(name for name, _ in config)
-        problems: List[DyKnowError] = [DuplicatePort(name) for name in counts if counts[name] > 1]
-        changes: List[Change] = []
-        types: Dict[str, str] = {}
+        problems: list[DyKnowError] = [DuplicatePort(name) for name in counts if counts[name] > 1]
+        changes: list[Change] = []
+        types: dict[str, str] = {}
         for name, text in config:
             port = self._find(name)
             if port is None:
@@ -210,7 +210,7 @@ class NodeletProxy(Closable):
             raise RemappedTopic(topic, target)
         return topic
 
-    def _check_type(self, port: ProxyPort, topic: str, types: Dict[str, str]) -> None:
+    def _check_type(self, port: ProxyPort, topic: str, types: dict[str, str]) -> None:
         # ``types`` has the type of each topic, or of the first port that comes to it.
         wanted = port.datatype._type
         if wanted == "*":
@@ -222,9 +222,9 @@ class NodeletProxy(Closable):
         if not types_fit(present, wanted):
             raise TypeMismatch(topic, f"{wanted} (port '{port.name}')", present)
 
-    def _maps(self, changes: Sequence[Change]) -> Tuple[Dict[str, str], Dict[str, str]]:
+    def _maps(self, changes: Sequence[Change]) -> tuple[dict[str, str], dict[str, str]]:
         topics = {port.name: topic for port, topic in changes}
-        maps: Dict[str, Dict[str, str]] = {IN: {}, OUT: {}}
+        maps: dict[str, dict[str, str]] = {IN: {}, OUT: {}}
         for port in self._ports.values():
             maps[port.direction][port.name] = topics.get(port.name, port.topic)
         return maps[IN], maps[OUT]

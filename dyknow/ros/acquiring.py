@@ -14,7 +14,7 @@ import os
 import time
 import uuid
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterable, Optional, Tuple, Union
+from typing import Any, Callable, Iterable
 
 import rospy
 
@@ -49,13 +49,13 @@ class AcquiredStream:
         session: StreamSession,
         status: StreamStatus,
         lease: float,
-        on_event: Optional[OnEvent],
+        on_event: OnEvent | None,
     ) -> None:
         self.claim_id = status.claim_id
         self.tag = status.tag
         self.lease = lease
-        self.spawned: Tuple[str, ...] = ()
-        self.reused: Tuple[str, ...] = ()
+        self.spawned: tuple[str, ...] = ()
+        self.reused: tuple[str, ...] = ()
         self._client = client
         self._session = session
         self._notifications: EventQueue[StreamEvent] = EventQueue(on_event or (lambda event: None))
@@ -85,19 +85,19 @@ class AcquiredStream:
         return self._status.detail
 
     @property
-    def nodelets(self) -> Tuple[str, ...]:
+    def nodelets(self) -> tuple[str, ...]:
         """Names of the nodelets that it needs, as last reported by the manager."""
         return self._status.nodelets
 
     @property
-    def bindings(self) -> Dict[str, str]:
+    def bindings(self) -> dict[str, str]:
         """Names for the variables of the tag, such as ``{"?camera": "left"}``.
 
         A repair may change them, which is an event.
         """
         return dict(each.split("=", 1) for each in self._status.bindings)
 
-    def wait_until_active(self, timeout: Optional[float] = None) -> bool:
+    def wait_until_active(self, timeout: float | None = None) -> bool:
         """Wait for the stream.
 
         Args:
@@ -191,18 +191,18 @@ class AcquiredStream:
 
 def acquire(
     tag: str,
-    datatype: Union[str, Any] = "",
+    datatype: str | Any = "",
     *,
     max_silence: float = 0.0,
     min_rate: float = 0.0,
     max_age: float = 0.0,
-    exclude: Union[str, Iterable[str]] = (),
-    prefer: Union[str, Iterable[str]] = (),
-    avoid: Union[str, Iterable[str]] = (),
+    exclude: str | Iterable[str] = (),
+    prefer: str | Iterable[str] = (),
+    avoid: str | Iterable[str] = (),
     budget: float = 0.0,
     pending: bool = False,
     lease: float = LEASE,
-    on_event: Optional[OnEvent] = None,
+    on_event: OnEvent | None = None,
     client_id: str = "",
     manager: str = "",
     timeout: float = CHANGE_TIMEOUT,
@@ -269,18 +269,18 @@ def acquire(
     return stream
 
 
-def _shown(status: StreamStatus) -> Tuple[object, ...]:
+def _shown(status: StreamStatus) -> tuple[object, ...]:
     """Return the fields whose change triggers an event."""
     return status.state, status.topic, status.detail, status.bindings
 
 
-def _names(given: Union[str, Iterable[str]]) -> Tuple[str, ...]:
+def _names(given: str | Iterable[str]) -> tuple[str, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _ask(
     client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
-) -> Tuple[StreamStatus, Optional[Acquisition]]:
+) -> tuple[StreamStatus, Acquisition | None]:
     """Request a stream; return its status, and the answer unless it is still pending."""
     status = StreamStatus(
         "", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0

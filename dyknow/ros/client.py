@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import rosgraph.names
 from dyknow_msgs import msg, srv
@@ -61,7 +61,7 @@ class ProxyClient:
         """Prepare calls in the name of the master's caller; nothing is sent yet."""
         self._master = master
 
-    def get_config(self, nodelet: str, timeout: float = ASK_TIMEOUT) -> Tuple[PortState, ...]:
+    def get_config(self, nodelet: str, timeout: float = ASK_TIMEOUT) -> tuple[PortState, ...]:
         """Return the ports of a nodelet."""
         answer = self._call(names.join(nodelet, "get_config"), srv.GetConfig, timeout)
         return tuple(map(port_from, answer.ports))
@@ -96,7 +96,7 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         self.manager: str = rosgraph.names.script_resolve_name("dyknow", manager)
         super().__init__(Master(caller or f"/dyknow_client_{os.getpid()}"))
         self._kept_lock = state_lock("kept services")
-        self._kept: Dict[str, ServiceClient] = {}
+        self._kept: dict[str, ServiceClient] = {}
 
     def close(self) -> None:
         """Close the connections that are kept; later calls look up their services again."""
@@ -127,14 +127,14 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     def set_protection(self, name: str, is_protected: bool) -> None:
         self._change("set_protection", srv.SetProtection, name=name, is_protected=is_protected)
 
-    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+    def connect(self, moves: Sequence[tuple[str, Mapping[str, str]]]) -> None:
         nodelets = [msg.NodeletConfig(name, config_message(config)) for name, config in moves]
         self._change("connect", srv.Connect, nodelets=nodelets)
 
     def get_model(self, timeout: float = ASK_TIMEOUT) -> Model:
         return model_from(self._ask("get_model", srv.GetModel, timeout).model)
 
-    def nodelet_managers(self) -> List[str]:
+    def nodelet_managers(self) -> list[str]:
         return self._nodes_with("/load_nodelet")
 
     # Streams; connections for what is asked often are kept, so that a later renewal of a lease
@@ -159,11 +159,11 @@ class ManagerClient(ProxyClient, BaseManagerClient):
             self._change("replan_stream", srv.ReplanStream, claim_id=claim_id, dry_run=dry_run)
         )
 
-    def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamStatus, ...]:
+    def list_streams(self, timeout: float = ASK_TIMEOUT) -> tuple[StreamStatus, ...]:
         answer = self._ask("list_streams", srv.ListStreams, timeout, kept=True)
         return tuple(map(stream_from, answer.streams))
 
-    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
+    def find_bindings(self, tag: str, datatype: str = "") -> tuple[str, ...]:
         answer = self._ask(
             "find_bindings", srv.FindBindings, ASK_TIMEOUT, tag, datatype, kept=True
         )
@@ -200,7 +200,7 @@ class ManagerClient(ProxyClient, BaseManagerClient):
             client = self._kept[service]
         return client.call(timeout, *request, **fields)
 
-    def _nodes_with(self, service: str) -> List[str]:
+    def _nodes_with(self, service: str) -> list[str]:
         """Return the nodes that offer a service of such a name, sorted."""
         _, _, services = self._master.ask("getSystemState")
         return sorted(name[: -len(service)] for name, _ in services if name.endswith(service))

@@ -13,7 +13,7 @@ import threading
 import time
 import uuid
 from functools import partial
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional
+from typing import TYPE_CHECKING, Any, Callable
 
 import rospy
 from bond.msg import Constants, Status
@@ -89,7 +89,7 @@ class ClientBond(rospy.SubscribeListener):
 class StreamSession:
     """Keeps the claims of this process alive; every method is safe from any thread."""
 
-    _sessions: Dict[str, StreamSession] = {}
+    _sessions: dict[str, StreamSession] = {}
     _sessions_lock = state_lock("stream sessions")
 
     @classmethod
@@ -113,9 +113,9 @@ class StreamSession:
         self._users = 0
         self._turn = turn_lock("opening of a stream session")
         self._state_lock = state_lock("streams of a session")
-        self._streams: Dict[str, AcquiredStream] = {}
-        self._due: Dict[str, float] = {}
-        self._bond: Optional[ClientBond] = None
+        self._streams: dict[str, AcquiredStream] = {}
+        self._due: dict[str, float] = {}
+        self._bond: ClientBond | None = None
         self._subscriber: Any = None
         self._worker = PeriodicWorker("renewing leases", self._keep, self._until_due)
 
@@ -183,7 +183,7 @@ class StreamSession:
         if due:
             self._refresh([stream.claim_id for stream in due])
 
-    def _until_due(self) -> Optional[float]:
+    def _until_due(self) -> float | None:
         """Seconds until the next lease has to be renewed; None without leases."""
         with self._state_lock:
             soonest = min(self._due.values(), default=None)
@@ -208,7 +208,7 @@ class StreamSession:
             if stream.claim_id in self._due:
                 self._due[stream.claim_id] = due
 
-    def _refresh(self, claim_ids: List[str]) -> None:
+    def _refresh(self, claim_ids: list[str]) -> None:
         """Ask for the current status: events are not latched, so some may have been missed."""
         with self._state_lock:
             events = {key: self._streams[key].events for key in claim_ids if key in self._streams}

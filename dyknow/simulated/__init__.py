@@ -15,15 +15,10 @@ import time
 from dataclasses import replace
 from typing import (
     Callable,
-    Dict,
     Iterable,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
 )
 
 from dyknow import names
@@ -81,7 +76,7 @@ class SimulatedClock(Clock):
     def now(self) -> float:
         return self.time
 
-    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+    def wait(self, condition: threading.Condition, seconds: float | None) -> None:
         self.time += seconds or 0.0
 
 
@@ -108,7 +103,7 @@ class SimulatedManagerClient(BaseManagerClient):
 
     def __init__(
         self,
-        host: Optional[FakeHost] = None,
+        host: FakeHost | None = None,
         clock: Clock = STEADY,
         now: Callable[[], float] = time.time,
     ) -> None:
@@ -123,14 +118,14 @@ class SimulatedManagerClient(BaseManagerClient):
         self.host = host or SimulatedHost()
         self.is_up = True
         self.delay = 0.0
-        self.calls: List[Tuple[str, str]] = []
+        self.calls: list[tuple[str, str]] = []
         self._clock = clock
-        self.rates: Dict[Tuple[str, str], Tuple[float, float]] = {}
+        self.rates: dict[tuple[str, str], tuple[float, float]] = {}
         self.on_model: Callable[[Model], None] = lambda model: None
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
-        self._claims: Set[str] = set()
-        self._altered: Dict[str, Dict[str, object]] = {}
+        self._claims: set[str] = set()
+        self._altered: dict[str, dict[str, object]] = {}
         self._start = time.monotonic()
         store = Store(":memory:")
         self._loop = ControlLoop(clock=clock)
@@ -205,7 +200,7 @@ class SimulatedManagerClient(BaseManagerClient):
         with self._request("set_protection", name):
             self.core.set_protection(name, is_protected)
 
-    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+    def connect(self, moves: Sequence[tuple[str, Mapping[str, str]]]) -> None:
         with self._request("connect", ", ".join(name for name, _ in moves)):
             self.core.connect(moves)
 
@@ -217,11 +212,11 @@ class SimulatedManagerClient(BaseManagerClient):
         with self._request("get_graph"):
             return self._show(self.core.graph_model())
 
-    def nodelet_managers(self) -> List[str]:
+    def nodelet_managers(self) -> list[str]:
         with self._request("nodelet_managers"):
             return sorted(self.host.processes)
 
-    def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
+    def get_config(self, nodelet: str) -> tuple[PortState, ...]:
         with self._request("get_config", nodelet):
             return self._ports(nodelet)
 
@@ -263,11 +258,11 @@ class SimulatedManagerClient(BaseManagerClient):
         with self._request("replan_stream", claim_id):
             return self._answers.replanned(self.reconciler.replan(claim_id, dry_run))
 
-    def list_streams(self) -> Tuple[StreamStatus, ...]:
+    def list_streams(self) -> tuple[StreamStatus, ...]:
         with self._request("list_streams"):
             return tuple(map(self._answers.status, self.reconciler.claims()))
 
-    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
+    def find_bindings(self, tag: str, datatype: str = "") -> tuple[str, ...]:
         with self._request("find_bindings", tag):
             found, _ = self.reconciler.find_bindings(tag, datatype)
             return tuple(map(written_bindings, found))
@@ -293,7 +288,7 @@ class SimulatedManagerClient(BaseManagerClient):
         if not self.is_up:
             raise HostError(f"service {self.manager}/{method} is not there")
 
-    def _ports(self, nodelet: str) -> Tuple[PortState, ...]:
+    def _ports(self, nodelet: str) -> tuple[PortState, ...]:
         self._check_runs(nodelet)
         return self.host.ports(nodelet)
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import itertools
 import time
@@ -12,14 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import (
     Callable,
     Collection,
-    Dict,
-    FrozenSet,
     Iterable,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Tuple,
 )
 
 from dyknow import names
@@ -54,13 +50,13 @@ class FakeNodelet:
     """
 
     request: LoadRequest
-    ports: Dict[str, PortState] = field(default_factory=dict)
-    sent: Dict[str, int] = field(default_factory=dict)
+    ports: dict[str, PortState] = field(default_factory=dict)
+    sent: dict[str, int] = field(default_factory=dict)
     latched: set[str] = field(default_factory=set)
     reconfigurations: int = 0
     kept: set[str] = field(default_factory=set)
 
-    def topics(self, direction: str) -> List[str]:
+    def topics(self, direction: str) -> list[str]:
         """Return the topics of its ``in``-ports or its ``out``-ports."""
         ports = self.ports.values()
         return [port.topic for port in ports if port.direction == direction and port.topic]
@@ -71,7 +67,7 @@ class FakeProcess:
     """A nodelet manager in memory, and its nodelets by name."""
 
     state: ProcessState
-    nodelets: Dict[str, FakeNodelet] = field(default_factory=dict)
+    nodelets: dict[str, FakeNodelet] = field(default_factory=dict)
 
 
 class FakeListening(Listening):
@@ -82,7 +78,7 @@ class FakeListening(Listening):
         self.messages = 0
         self._host = host
 
-    def count(self) -> Optional[Count]:
+    def count(self) -> Count | None:
         now = self._host.clock()
         return Count(self.messages, now, now, age=self._host.age_on(self.topic))
 
@@ -99,7 +95,7 @@ class FakeHost(Host):
 
     def __init__(
         self,
-        sources: Mapping[str, Sequence[Tuple[str, str, str]]],
+        sources: Mapping[str, Sequence[tuple[str, str, str]]],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Make a host without a nodelet manager.
@@ -117,15 +113,15 @@ class FakeHost(Host):
         self.scripts: set[str] = set()
         self.ending: set[str] = set()
         #: Ports of nodelet types that do not show until they have a subscriber.
-        self.lazy: Dict[str, Collection[str]] = {}
+        self.lazy: dict[str, Collection[str]] = {}
         #: Ordinary topics that are published.
         self.topics: set[str] = set()
         #: Nodelets, by name or type, and ordinary topics that send nothing.
         self.silent: set[str] = set()
         #: How many messages make one that is sent; 1 by default.
-        self.dividers: Dict[str, int] = {}
+        self.dividers: dict[str, int] = {}
         #: Seconds that are added to the age of messages; None for messages without a stamp.
-        self.delays: Dict[str, Optional[float]] = {}
+        self.delays: dict[str, float | None] = {}
         #: Stopped nodelet managers that seem to be well until they are called.
         self.unnoticed: set[str] = set()
         #: ROS types without a header.
@@ -133,7 +129,7 @@ class FakeHost(Host):
         #: Nodelets whose connections fail with a timeout, and are made by ``arrive``.
         self.slow: set[str] = set()
         #: Problems by nodelet.
-        self.details: Dict[str, str] = {}
+        self.details: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
         #: Called before each operation with its name and argument; may raise.
@@ -141,17 +137,17 @@ class FakeHost(Host):
         #: Called after each change of nodelets and connections.
         self.on_change: Callable[[], None] = lambda: None
         #: Every operation, in order.
-        self.calls: List[Tuple[str, str]] = []
-        self.listeners: List[FakeListening] = []
-        self.processes: Dict[str, FakeProcess] = {}
-        self.parameters: Dict[str, object] = {}
+        self.calls: list[tuple[str, str]] = []
+        self.listeners: list[FakeListening] = []
+        self.processes: dict[str, FakeProcess] = {}
+        self.parameters: dict[str, object] = {}
         self._incarnations = itertools.count(1)
         self._hung: set[str] = set()
-        self._crashes: List[Crash] = []
-        self._cut: Dict[str, ProcessState] = {}
-        self._passed: Dict[str, int] = {}
-        self._ages: Dict[str, Optional[float]] = {}
-        self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
+        self._crashes: list[Crash] = []
+        self._cut: dict[str, ProcessState] = {}
+        self._passed: dict[str, int] = {}
+        self._ages: dict[str, float | None] = {}
+        self._on_the_way: list[tuple[FakeNodelet, dict[str, str]]] = []
 
     # Faults and other events
 
@@ -172,7 +168,7 @@ class FakeHost(Host):
         self._on_the_way.clear()
 
     def crash(
-        self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
+        self, manager: str, running: Iterable[str] | None = (), unloading: Iterable[str] = ()
     ) -> None:
         """Let a nodelet manager crash; ``running`` is None if it is not known whose code ran."""
         at_work = None if running is None else frozenset(map(names.mark, running))
@@ -196,7 +192,7 @@ class FakeHost(Host):
     def is_hung(self, manager: str) -> bool:
         return manager in self._hung
 
-    def arrive(self) -> List[str]:
+    def arrive(self) -> builtins.list[str]:
         """Make the connections that took too long, but not those to stopped processes."""
         waiting, self._on_the_way = self._on_the_way, []
         arrived = []
@@ -281,13 +277,13 @@ class FakeHost(Host):
         passed = self._passed[name] = self._passed.get(name, 0) + 1
         return passed % divider == 0
 
-    def _aged(self, inputs: Iterable[str], name: str, kind: str = "") -> Optional[float]:
+    def _aged(self, inputs: Iterable[str], name: str, kind: str = "") -> float | None:
         """Age of what something sends that it makes of these topics."""
         delay = self.delays.get(name, self.delays.get(kind, 0.0))
         ages = [self._ages.get(topic) for topic in inputs]
         return None if delay is None else delay + max([age or 0.0 for age in ages], default=0.0)
 
-    def age_on(self, topic: str) -> Optional[float]:
+    def age_on(self, topic: str) -> float | None:
         """Seconds by which the latest message of a topic was old when it was sent."""
         return self._ages.get(topic)
 
@@ -303,11 +299,11 @@ class FakeHost(Host):
         return process.nodelets[name]
 
     @property
-    def running(self) -> List[str]:
+    def running(self) -> builtins.list[str]:
         """Names of all nodelets that run."""
         return sorted(name for process in self.processes.values() for name in process.nodelets)
 
-    def publishers(self, topic: str) -> List[str]:
+    def publishers(self, topic: str) -> builtins.list[str]:
         """Names of the nodelets that publish on a topic and are not stopped."""
         return sorted(
             name
@@ -331,7 +327,7 @@ class FakeHost(Host):
             raise HostError(f"no package declares a nodelet type '{source}'")
         return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
 
-    def states(self) -> Dict[str, ProcessState]:
+    def states(self) -> dict[str, ProcessState]:
         hung = self._hung - self.unnoticed
         return {
             name: self._cut.get(name)
@@ -416,13 +412,13 @@ class FakeHost(Host):
         for parameter in parameters:
             self.parameters.pop(f"{name}/{parameter}", None)
 
-    def list(self, manager: str) -> List[str]:
+    def list(self, manager: str) -> builtins.list[str]:
         return sorted(self._alive(manager).nodelets)
 
     def detail(self, name: str) -> str:
         return self.details.get(name, "")
 
-    def ports(self, name: str) -> Tuple[PortState, ...]:
+    def ports(self, name: str) -> tuple[PortState, ...]:
         self._step("ports", name)
         nodelet = self._process_of(name).nodelets[name]
         lazy = self.lazy.get(nodelet.request.source, ())
@@ -453,14 +449,14 @@ class FakeHost(Host):
         nodelet.kept.update(set(config) & set(self.lazy.get(nodelet.request.source, ())))
         self._apply(nodelet, config)
 
-    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
+    def published(self, topics: Iterable[str]) -> frozenset[str]:
         self._step("published", "")
         return frozenset(topics) & self.topics
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]
-    ) -> Dict[str, Optional[Mapping[str, Count]]]:
-        found: Dict[str, Optional[Mapping[str, Count]]] = {}
+    ) -> dict[str, Mapping[str, Count] | None]:
+        found: dict[str, Mapping[str, Count] | None] = {}
         for manager in sorted(wanted):
             for name in sorted(wanted[manager]):
                 asked = self.clock()
@@ -485,7 +481,7 @@ class FakeHost(Host):
                 }
         return found
 
-    def is_stamped(self, datatype: str) -> Optional[bool]:
+    def is_stamped(self, datatype: str) -> bool | None:
         return datatype not in self.unstamped
 
     def listen(self, topic: str) -> Listening:
@@ -516,7 +512,7 @@ class FakeHost(Host):
 
     def _alive(self, manager: str) -> FakeProcess:
         assert_no_state_lock(f"asking nodelet manager {manager}")
-        process: Optional[FakeProcess] = self.processes.get(manager)
+        process: FakeProcess | None = self.processes.get(manager)
         if manager in self._hung or manager in self._cut:
             self.unnoticed.discard(manager)
             raise HostTimeout(f"nodelet manager '{manager}' does not answer")
@@ -544,6 +540,6 @@ class FakeHost(Host):
             raise HostError(f"nodelet '{name}' does not answer")
         return self._alive(process.state.name)
 
-    def _place_of(self, name: str) -> Optional[FakeProcess]:
+    def _place_of(self, name: str) -> FakeProcess | None:
         hosting = (each for each in self.processes.values() if name in each.nodelets)
         return next(hosting, None)

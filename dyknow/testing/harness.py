@@ -10,7 +10,7 @@ import logging
 import time
 import unittest
 from concurrent.futures import Future
-from typing import Any, Collection, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
+from typing import Any, Collection, Mapping, Sequence, TypeVar
 
 import rospy
 
@@ -95,9 +95,9 @@ class NodeletHarness(Harness):
         self._executor = ManualExecutor(self._ticker.now)
         middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
         self._runtime = Runtime(middleware, self._executor)
-        self._classes: Dict[str, Type[Nodelet]] = {}
+        self._classes: dict[str, type[Nodelet]] = {}
         self._loader = Loader(self._runtime, lambda type_name, _: self._classes[type_name])
-        self._publishers: Dict[str, Publisher] = {}
+        self._publishers: dict[str, Publisher] = {}
         context = Context(self._runtime, "/harness")
         context.start()
         self._handle = PlainNodeHandle(context, "/")
@@ -114,11 +114,11 @@ class NodeletHarness(Harness):
 
     def load(
         self,
-        nodelet_class: Type[NodeletType],
+        nodelet_class: type[NodeletType],
         name: str = "/nodelet",
-        ports: Optional[Mapping[str, str]] = None,
-        parameters: Optional[Mapping[str, Any]] = None,
-        remappings: Optional[Mapping[str, str]] = None,
+        ports: Mapping[str, str] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        remappings: Mapping[str, str] | None = None,
         my_argv: Sequence[str] = (),
     ) -> NodeletType:
         """Load a nodelet and return it once its ``on_init`` has returned.
@@ -152,7 +152,7 @@ class NodeletHarness(Harness):
         self._loader.unload(nodelet.name)
         self._raise_failures()
 
-    def topics(self, nodelet: Nodelet) -> Dict[str, str]:
+    def topics(self, nodelet: Nodelet) -> dict[str, str]:
         """Return the topic of each port of a nodelet, empty where it is disconnected."""
         return {port.name: port.topic for port in NodeletProxy.of(nodelet.context).get_config()}
 
@@ -169,12 +169,12 @@ class NodeletHarness(Harness):
     # Input and output
 
     @property
-    def parameters(self) -> Dict[str, Any]:
+    def parameters(self) -> dict[str, Any]:
         """The parameter server, by global names."""
         return self._node.parameters
 
     @property
-    def log(self) -> List[LogEntry]:
+    def log(self) -> list[LogEntry]:
         """The log entries of the nodelets, in order."""
         return self._node.log
 
@@ -187,12 +187,12 @@ class NodeletHarness(Harness):
             self._publishers[topic] = publisher
         publisher.publish(message)
 
-    def listen(self, topic: str) -> List[Any]:
+    def listen(self, topic: str) -> list[Any]:
         """Return a list to which every message is appended that is published from now on.
 
         They are the very objects that were published.
         """
-        received: List[Any] = []
+        received: list[Any] = []
         self._handle.Subscriber(_global(topic), _Anything, received.append)
         return received
 
@@ -287,14 +287,14 @@ class _FailureLog(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
-        self._texts: List[str] = []
+        self._texts: list[str] = []
         self._logger = logging.getLogger("rosout.dyknow")
         self._logger.addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
         self._texts.append(record.getMessage())
 
-    def take(self) -> List[str]:
+    def take(self) -> list[str]:
         texts, self._texts = self._texts, []
         return texts
 
@@ -307,7 +307,7 @@ def _global(name: str) -> str:
     return names.resolve(name, "/", "/")
 
 
-def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> Dict[str, str]:
+def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> dict[str, str]:
     """Return the remappings that connect ports of a nodelet at its load.
 
     The handle that declares a port is not known yet, so its name is remapped in both namespaces.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Sequence
 
 import rospy
 import rospy.msg
@@ -64,7 +64,7 @@ class HarnessTicker(ManualTicker):
 class HarnessTransport(LocalTransport):
     """The local transport, with messages made as rospy makes them."""
 
-    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+    def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message as ``rospy.Publisher.publish`` does."""
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
 
@@ -73,7 +73,7 @@ class HarnessServices(LocalServices):
     """The local services, whose handlers may return whatever rospy makes a response of."""
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> LocalService:
         """Offer a service."""
 
@@ -107,7 +107,7 @@ class HarnessNode(LocalNode):
         self.ticker = ticker
         self.services = services
         self.call_service = call_service
-        self.log: List[LogEntry] = []
+        self.log: list[LogEntry] = []
 
     def member(self, name: str, handle: Any) -> Any:
         """Return rospy's own where that needs no master, else a substitute."""
@@ -214,7 +214,7 @@ class LocalServiceProxy:
 
     call = __call__
 
-    def wait_for_service(self, timeout: Optional[float] = None) -> None:
+    def wait_for_service(self, timeout: float | None = None) -> None:
         if self.resolved_name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{self.resolved_name}' is not offered")
 
@@ -222,9 +222,9 @@ class LocalServiceProxy:
         """Close nothing: there is no connection."""
 
 
-def _nested(flat: Dict[str, Any]) -> Dict[str, Any]:
+def _nested(flat: dict[str, Any]) -> dict[str, Any]:
     """``{"a/b": 1}`` as ``{"a": {"b": 1}}``."""
-    nested: Dict[str, Any] = {}
+    nested: dict[str, Any] = {}
     for key, value in flat.items():
         *path, last = key.split("/")
         inner = nested

@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 import time
 import unittest
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 import rosgraph
 import rosmaster.master
@@ -59,9 +59,9 @@ class RosHarness(Harness):
         _join_ros()
         #: Name of the nodelet manager.
         self.manager = f"/nodelet_manager_{os.getpid()}_{next(_numbers)}"
-        self._publishers: Dict[str, rospy.Publisher] = {}
-        self._subscribers: List[rospy.Subscriber] = []
-        self._parameters: List[str] = []
+        self._publishers: dict[str, rospy.Publisher] = {}
+        self._subscribers: list[rospy.Subscriber] = []
+        self._parameters: list[str] = []
         self._output = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
             [find_node("dyknow", "nodelet_manager")[0], f"__name:={self.manager[1:]}"],
@@ -96,9 +96,9 @@ class RosHarness(Harness):
         self,
         nodelet_type: str,
         name: str = "/nodelet",
-        ports: Optional[Mapping[str, str]] = None,
-        parameters: Optional[Mapping[str, Any]] = None,
-        remappings: Optional[Mapping[str, str]] = None,
+        ports: Mapping[str, str] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        remappings: Mapping[str, str] | None = None,
         my_argv: Sequence[str] = (),
     ) -> str:
         """Load a declared nodelet and return its global name once its ``on_init`` has returned.
@@ -136,7 +136,7 @@ class RosHarness(Harness):
         """Unload a nodelet."""
         rospy.ServiceProxy(f"{self.manager}/unload_nodelet", NodeletUnload)(name)
 
-    def topics(self, name: str) -> Dict[str, str]:
+    def topics(self, name: str) -> dict[str, str]:
         """Return the topic of each port of a nodelet, empty where it is disconnected."""
         return {port.name: port.topic for port in self._proxies().get_config(name, _PATIENCE)}
 
@@ -168,12 +168,12 @@ class RosHarness(Harness):
         self.wait_until(lambda: connected() > 0, what=f"{topic} has a subscriber")
         publisher.publish(message)
 
-    def listen(self, topic: str, datatype: Any) -> List[Any]:
+    def listen(self, topic: str, datatype: Any) -> list[Any]:
         """Return a list to which every message is appended that arrives from now on.
 
         It returns once the present publishers of the topic are connected.
         """
-        received: List[Any] = []
+        received: list[Any] = []
         subscriber = rospy.Subscriber(topic, datatype, received.append, queue_size=1000)
         self._subscribers.append(subscriber)
         publishers = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])

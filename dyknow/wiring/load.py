@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Iterator, Mapping
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.steps import ReversibleStep, check_connected
@@ -17,7 +17,7 @@ from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, LoadPlan
 
 
-def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:
+def steps_of(plan: LoadPlan, client: BaseManagerClient) -> list[ReversibleStep]:
     """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
     library = [*((None, each) for each in plan.added), *zip(plan.replaced, plan.replacing)]
     return [
@@ -29,7 +29,7 @@ def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:
 
 
 def _put(
-    old: Optional[Transformation], new: Transformation, client: BaseManagerClient
+    old: Transformation | None, new: Transformation, client: BaseManagerClient
 ) -> ReversibleStep:
     """Add a transformation, or replace an old one."""
 
@@ -106,7 +106,7 @@ def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManage
 
 def _by_declaration(
     nodelet: SpawnRequest, blueprint: Transformation
-) -> Tuple[Dict[str, str], Dict[str, str]]:
+) -> tuple[dict[str, str], dict[str, str]]:
     """Split the connections into those of declared and of undeclared ports."""
     ports = {port.name for port in blueprint.ports}
     declared = {port: topic for port, topic in nodelet.config.items() if port in ports}

@@ -9,15 +9,9 @@ from dataclasses import dataclass, field
 from typing import (
     Callable,
     Collection,
-    Dict,
-    FrozenSet,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
 )
 
 from dyknow.datatypes import ANY, types_fit
@@ -48,11 +42,11 @@ class Kept:
 
     wanted: SpawnRequest
     present: NodeletStatus
-    differences: Tuple[str, ...] = ()
-    declared: FrozenSet[str] = frozenset()
+    differences: tuple[str, ...] = ()
+    declared: frozenset[str] = frozenset()
 
     @property
-    def moves(self) -> Dict[str, str]:
+    def moves(self) -> dict[str, str]:
         """New topics of those ports that are to be moved; empty to disconnect."""
         present = self.present.connections
         disconnected = dict.fromkeys(present, "")
@@ -90,20 +84,20 @@ class LoadPlan:
         former: those that the library has now, by label.
     """
 
-    added: List[Transformation] = field(default_factory=list)
-    replaced: List[Transformation] = field(default_factory=list)
-    replacing: List[Transformation] = field(default_factory=list)
-    same: List[str] = field(default_factory=list)
-    spawned: List[SpawnRequest] = field(default_factory=list)
-    remade: List[Kept] = field(default_factory=list)
-    kept: List[Kept] = field(default_factory=list)
-    any_manager: Set[str] = field(default_factory=set)
-    problems: List[str] = field(default_factory=list)
-    blueprints: Dict[str, Transformation] = field(default_factory=dict)
-    former: Dict[str, Transformation] = field(default_factory=dict)
+    added: list[Transformation] = field(default_factory=list)
+    replaced: list[Transformation] = field(default_factory=list)
+    replacing: list[Transformation] = field(default_factory=list)
+    same: list[str] = field(default_factory=list)
+    spawned: list[SpawnRequest] = field(default_factory=list)
+    remade: list[Kept] = field(default_factory=list)
+    kept: list[Kept] = field(default_factory=list)
+    any_manager: set[str] = field(default_factory=set)
+    problems: list[str] = field(default_factory=list)
+    blueprints: dict[str, Transformation] = field(default_factory=dict)
+    former: dict[str, Transformation] = field(default_factory=dict)
 
     @property
-    def made(self) -> List[SpawnRequest]:
+    def made(self) -> list[SpawnRequest]:
         """All nodelets to make, for the first time or again, readers before writers."""
         wanted = [*self.spawned, *(each.wanted for each in self.remade)]
         return readers_first(wanted, self.blueprints)
@@ -116,7 +110,7 @@ def plan_load(
     is_own_manager: Callable[[str], bool] = lambda name: False,
     replace: bool = False,
     any_manager: bool = False,
-    stored: Optional[Stored] = None,
+    stored: Stored | None = None,
 ) -> LoadPlan:
     """Compare a wiring with the running system.
 
@@ -135,7 +129,7 @@ def plan_load(
     plan.blueprints = {**plan.former, **{each.label: each for each in wiring.transformations}}
     _plan_transformations(plan, wiring, replace)
     for nodelet in wiring.nodelets:
-        problems: List[str] = []
+        problems: list[str] = []
         blueprint = plan.blueprints.get(nodelet.label)
         if blueprint is None:
             problems.append(
@@ -206,7 +200,7 @@ def _is_remade(
     nodelet: SpawnRequest,
     present: NodeletStatus,
     replace: bool,
-    stored: Optional[Stored],
+    stored: Stored | None,
 ) -> bool:
     """Keep a running nodelet, or make it again; returns whether it is to be made again."""
     if present.transformation != nodelet.label:
@@ -228,7 +222,7 @@ def _is_remade(
         )
         return False
     is_replaced = nodelet.label in (each.label for each in plan.replaced) and not blueprint.node
-    outdated: Tuple[str, ...] = ()
+    outdated: tuple[str, ...] = ()
     if not is_replaced:
         outdated = _otherwise_made(blueprint, nodelet, present, stored)
     declared = frozenset(port.name for port in blueprint.ports)
@@ -252,14 +246,14 @@ def _otherwise_made(
     blueprint: Transformation,
     nodelet: SpawnRequest,
     present: NodeletStatus,
-    stored: Optional[Stored],
-) -> Tuple[str, ...]:
+    stored: Stored | None,
+) -> tuple[str, ...]:
     """Compare a running nodelet, as far as it is visible, with the file's request for it.
 
     A nodelet keeps the transformation that it was made from when the library gets another, and the
     parameters that were given to it.
     """
-    found: List[str] = []
+    found: list[str] = []
     try:
         wanted = set_on_load(blueprint, completed(blueprint, nodelet.parameters))
     except InvalidParameters:
@@ -283,7 +277,7 @@ def _otherwise_made(
 
 def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
     """Find topics to which ports of different types are to be connected."""
-    first: Dict[str, Tuple[str, str]] = {}
+    first: dict[str, tuple[str, str]] = {}
     for nodelet in wiring.nodelets:
         blueprint = plan.blueprints.get(nodelet.label)
         types = {port.name: port.datatype for port in blueprint.ports} if blueprint else {}
@@ -298,16 +292,16 @@ def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
 
 
 def readers_first(
-    nodelets: List[SpawnRequest], blueprints: Mapping[str, Transformation]
-) -> List[SpawnRequest]:
+    nodelets: list[SpawnRequest], blueprints: Mapping[str, Transformation]
+) -> list[SpawnRequest]:
     """Order nodelets so that a stream's readers are there before it begins, as far as possible."""
     ordered = sorted(nodelets, key=lambda nodelet: nodelet.name)
-    reading: Dict[str, List[SpawnRequest]] = {}
+    reading: dict[str, list[SpawnRequest]] = {}
     for nodelet in ordered:
         for topic in _topics(nodelet, blueprints, "in"):
             reading.setdefault(topic, []).append(nodelet)
-    done: Dict[str, SpawnRequest] = {}
-    entered: Set[str] = set()
+    done: dict[str, SpawnRequest] = {}
+    entered: set[str] = set()
     # Depth first, with a stack of its own: chains may be longer than Python's recursion allows.
     stack = [(nodelet, False) for nodelet in reversed(ordered)]
     while stack:
@@ -328,7 +322,7 @@ def readers_first(
 
 def _topics(
     nodelet: SpawnRequest, blueprints: Mapping[str, Transformation], direction: str
-) -> List[str]:
+) -> list[str]:
     connections = nodelet.config
     return [
         connections[port.name]

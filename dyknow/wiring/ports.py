@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Container, Dict, Iterable, List, Sequence, Tuple
+from typing import Container, Iterable, Sequence
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
@@ -15,7 +15,7 @@ from dyknow.model.graph import NodeletStatus, PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 
 
-def by_name(ports: Iterable[PortState]) -> List[PortState]:
+def by_name(ports: Iterable[PortState]) -> list[PortState]:
     """Sort ports: the manager shows them in the order in which the nodelet made them."""
     return sorted(ports, key=lambda port: port.name)
 
@@ -29,7 +29,7 @@ def check_ends(source: str, out: PortState, target: str, into: PortState) -> Non
 
     ``source`` and ``target`` are their names, `NODELET:PORT`.
     """
-    problems: List[str] = []
+    problems: list[str] = []
     if out.direction != OUT:
         problems.append(f"'{source}' is an in-port, expected an out-port first")
     if into.direction != IN:
@@ -77,14 +77,14 @@ class Topic:
 
     name: str
     datatype: str
-    sources: Tuple[PortRef, ...]
-    targets: Tuple[PortRef, ...]
-    tags: Tuple[str, ...] = ()
+    sources: tuple[PortRef, ...]
+    targets: tuple[PortRef, ...]
+    tags: tuple[str, ...] = ()
 
 
-def topics_of(nodelets: Iterable[NodeletStatus]) -> List[Topic]:
+def topics_of(nodelets: Iterable[NodeletStatus]) -> list[Topic]:
     """List the topics that nodelets are connected to, by name."""
-    ends: Dict[str, List[Tuple[PortRef, PortState]]] = {}
+    ends: dict[str, list[tuple[PortRef, PortState]]] = {}
     for nodelet in sorted(nodelets, key=lambda each: each.name):
         for port in by_name(nodelet.ports):
             if port.topic:
@@ -92,7 +92,7 @@ def topics_of(nodelets: Iterable[NodeletStatus]) -> List[Topic]:
     return [_topic(name, ends[name]) for name in sorted(ends)]
 
 
-def _topic(name: str, ends: Sequence[Tuple[PortRef, PortState]]) -> Topic:
+def _topic(name: str, ends: Sequence[tuple[PortRef, PortState]]) -> Topic:
     types = (port.datatype for _, port in ends if port.datatype not in ANY)
     out_ports = [port for _, port in ends if port.direction == OUT]
     return Topic(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Dict, Iterable, Iterator, List, Tuple
+from typing import Callable, Iterable, Iterator
 from xml.sax.saxutils import quoteattr
 
 from dyknow import names
@@ -22,7 +22,7 @@ from dyknow.manager.specifications.xml_reader import (
     NEEDED,
     Attribute,
     Element,
-    Node,
+    XmlNode,
     XmlReader,
 )
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
@@ -39,8 +39,8 @@ class CannotSave(DyKnowError):
 class Wiring:
     """Requests for nodelets, by name, and the transformations they are made from, by label."""
 
-    transformations: Tuple[Transformation, ...] = ()
-    nodelets: Tuple[SpawnRequest, ...] = ()
+    transformations: tuple[Transformation, ...] = ()
+    nodelets: tuple[SpawnRequest, ...] = ()
 
     def to_xml(self) -> str:
         """Write the wiring as canonical XML: the same text for equal wirings."""
@@ -56,7 +56,7 @@ class Wiring:
         return "\n".join(lines)
 
 
-def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
+def wiring_of(snapshot: Model) -> tuple[Wiring, list[NodeletStatus]]:
     """Take the wiring out of a model.
 
     Returns:
@@ -87,7 +87,7 @@ def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
     return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
 
 
-def _nodelet_xml(nodelet: SpawnRequest) -> List[str]:
+def _nodelet_xml(nodelet: SpawnRequest) -> list[str]:
     attributes = [("name", nodelet.name), ("transformation", nodelet.label)]
     attributes.extend([("manager", nodelet.manager)] if nodelet.manager else [])
     attributes.extend([("protected", "true")] if nodelet.is_protected else [])
@@ -156,7 +156,7 @@ def read_wiring(
     findings = Findings(file, DEFAULT_LIMITS.problems)
     nodelets = _NodeletReader(findings, limit)
     units = XmlReader(findings, DEFAULT_LIMITS, _WIRING).read(data)
-    transformations: List[Transformation] = []
+    transformations: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
         transformations += transformations_of(nodelets.take(units), findings)
     findings.raise_if_any()
@@ -177,10 +177,10 @@ class _NodeletReader:
         self._findings = findings
         self._limit = limit
         self._most = NO_GUARDS.nodelets
-        self.requests: List[SpawnRequest] = []
-        self._lines: Dict[str, int] = {}
+        self.requests: list[SpawnRequest] = []
+        self._lines: dict[str, int] = {}
 
-    def take(self, units: Iterable[Node]) -> Iterator[Node]:
+    def take(self, units: Iterable[XmlNode]) -> Iterator[XmlNode]:
         """Read the nodelets among the units, and return the transformations."""
         for unit in units:
             if unit.name == "nodelet":
@@ -188,7 +188,7 @@ class _NodeletReader:
             else:
                 yield unit
 
-    def _read(self, nodelet: Node) -> None:
+    def _read(self, nodelet: XmlNode) -> None:
         if len(self.requests) >= self._most:
             self._most = self._limit()
         if len(self.requests) >= self._most:
@@ -203,7 +203,7 @@ class _NodeletReader:
                 nodelet.line, f"the nodelet '{name}' is there already, in line {first}"
             )
         good = [each for each in nodelet.children if each.is_good]
-        config: Dict[str, str] = {}
+        config: dict[str, str] = {}
         for each in good:
             if each.name == "connection":
                 self._connect(config, each)
@@ -223,7 +223,7 @@ class _NodeletReader:
             )
         )
 
-    def _connect(self, config: Dict[str, str], connection: Node) -> None:
+    def _connect(self, config: dict[str, str], connection: XmlNode) -> None:
         port = connection.get("port")
         if not port:
             self._findings.problem(connection.line, 'port=""; expected the name of a port')
@@ -233,7 +233,7 @@ class _NodeletReader:
             )
         config[port] = self._global(connection, "topic")
 
-    def _global(self, node: Node, key: str) -> str:
+    def _global(self, node: XmlNode, key: str) -> str:
         """Return the global name that an attribute has; empty if there is a problem with it."""
         name = node.attributes.get(key)
         if name is None:

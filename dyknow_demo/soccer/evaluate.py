@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, Sequence, Tuple
+from typing import Sequence
 
 import numpy as np
 
@@ -26,7 +26,7 @@ FALSE = 0.5
 _FACTORS = (2, 4)
 
 
-def measure(name: str, seed: int, times: Sequence[float]) -> Tuple[int, List[float]]:
+def measure(name: str, seed: int, times: Sequence[float]) -> tuple[int, list[float]]:
     """Measure the errors of one of ``CAMERAS`` in the world of a seed, at some times (s).
 
     Returns:

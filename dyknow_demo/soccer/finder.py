@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Iterator, Mapping, NamedTuple, Tuple
 
 import cv2
 import numpy as np
@@ -26,9 +26,9 @@ Box = Tuple[float, float, float, float]
 class Colour(NamedTuple):
     """Lowest and highest values, both inclusive, of Y, U and V."""
 
-    y: Tuple[int, int]
-    u: Tuple[int, int]
-    v: Tuple[int, int]
+    y: tuple[int, int]
+    u: tuple[int, int]
+    v: tuple[int, int]
 
     def mask(self, planes: Pixels, slack: int = 0) -> Pixels:
         """Mark (255) the pixels of planes that have the colour, or U and V a little beside it."""
@@ -66,7 +66,7 @@ class Find:
             that is filled; or the score of the forest.
     """
 
-    centre: Tuple[float, float]
+    centre: tuple[float, float]
     radius: float
     box: Box
     outline: Array
@@ -75,7 +75,7 @@ class Find:
 
 def find_balls(
     pyramid: Mapping[int, Pixels], colour: Colour, roundness: float = 0.5
-) -> List[Find]:
+) -> list[Find]:
     """Find round regions of a colour, the best first.
 
     Args:
@@ -86,7 +86,7 @@ def find_balls(
     """
     coarse, fine = max(pyramid), min(pyramid)
     _, rows, columns = pyramid[fine].shape
-    found: List[Find] = []
+    found: list[Find] = []
     for window in _windows(colour.mask(pyramid[coarse], _SLACK)):
         left, top, right, bottom = (coarse // fine * each for each in window)
         left, top, right, bottom = (
@@ -102,7 +102,7 @@ def find_balls(
             if find is not None and find.score >= roundness:
                 found.append(find)
     found.sort(key=lambda find: (-find.score, find.centre))
-    unique: List[Find] = []
+    unique: list[Find] = []
     for each in found:
         if not any(
             math.dist(each.centre, other.centre) <= max(each.radius, other.radius)
@@ -112,7 +112,7 @@ def find_balls(
     return unique
 
 
-def outlines_in(mask: Pixels, offset: Tuple[int, int] = (0, 0)) -> List[Any]:
+def outlines_in(mask: Pixels, offset: tuple[int, int] = (0, 0)) -> list[Any]:
     """Outlines of the connected regions of a mask, (n, 1, 2)."""
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=offset)
     return list(found)
@@ -136,7 +136,7 @@ def full_resolution(pixels: Array, factor: int) -> Array:
     return (pixels + 0.5) * factor - 0.5
 
 
-def _windows(mask: Pixels) -> Iterator[Tuple[int, int, int, int]]:
+def _windows(mask: Pixels) -> Iterator[tuple[int, int, int, int]]:
     """Left, top, right, bottom of the largest regions of a mask, with a margin."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     regions = stats[1:]
@@ -146,7 +146,7 @@ def _windows(mask: Pixels) -> Iterator[Tuple[int, int, int, int]]:
         yield left - margin, top - margin, left + width + margin, top + height + margin
 
 
-def _find(outline: Any, size: Tuple[int, int], factor: int) -> Optional[Find]:
+def _find(outline: Any, size: tuple[int, int], factor: int) -> Find | None:
     area = area_of(outline)
     circle = fit_circle(inner_points(outline, size)) if area >= _AREA else None
     if circle is None or circle.radius + 0.5 > _SIZE * size[0]:
@@ -156,14 +156,14 @@ def _find(outline: Any, size: Tuple[int, int], factor: int) -> Optional[Find]:
     )
 
 
-def inner_points(outline: Any, size: Tuple[int, int]) -> Array:
+def inner_points(outline: Any, size: tuple[int, int]) -> Array:
     """Points (n, 2) of an outline, but not those on the border of the image."""
     points = outline.reshape(-1, 2).astype(np.float64)
     inner: Array = points[np.all((points > 0) & (points < np.array(size) - 1), axis=1)]
     return inner
 
 
-def _visible(circle: Circle, size: Tuple[int, int]) -> float:
+def _visible(circle: Circle, size: tuple[int, int]) -> float:
     """Area of the part of a circle's inside that lies in the image."""
     reach = circle.radius + 0.5
     columns, rows = (
@@ -190,7 +190,7 @@ class Circle(NamedTuple):
     agreement: float
 
 
-def fit_circle(points: Array) -> Optional[Circle]:
+def fit_circle(points: Array) -> Circle | None:
     """Fit a circle to points (n, 2), some of which may belong to something else.
 
     Returns:

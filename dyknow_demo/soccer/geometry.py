@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -161,7 +161,7 @@ def floor_from_camera(height: float, pitch: float, roll: float = 0.0) -> Array:
 class Mount(NamedTuple):
     """How a camera is mounted: the joints that move it, and its pose for their angles."""
 
-    joints: Tuple[str, ...]
+    joints: tuple[str, ...]
     owner_from_camera: Callable[[Sequence[float]], Array]
 
 

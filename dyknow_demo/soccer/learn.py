@@ -15,7 +15,7 @@ import argparse
 import itertools
 import sys
 from pathlib import Path
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, List, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -61,12 +61,12 @@ class AnnotatedFrame(NamedTuple):
         Raises:
             ValueError: the file is no image.
         """
-        pixels: Optional[Pixels] = cv2.imread(str(self.image), cv2.IMREAD_COLOR)
+        pixels: Pixels | None = cv2.imread(str(self.image), cv2.IMREAD_COLOR)
         if pixels is None:
             raise ValueError(f"{self.image} is no image")
         return pixels
 
-    def boxes(self, pixels: Pixels) -> List[Box]:
+    def boxes(self, pixels: Pixels) -> list[Box]:
         """Boxes of the balls in pixels of the image."""
         height, width = pixels.shape[:2]
         return [
@@ -75,7 +75,7 @@ class AnnotatedFrame(NamedTuple):
         ]
 
 
-def read_frames(folder: Path) -> List[AnnotatedFrame]:
+def read_frames(folder: Path) -> list[AnnotatedFrame]:
     """Find the annotated images of a folder, sorted by name.
 
     Beside each is a text file in the format of the YOLO detectors; class 0 are balls.
@@ -87,7 +87,7 @@ def read_frames(folder: Path) -> List[AnnotatedFrame]:
     return [AnnotatedFrame(image, _balls(text)) for image, text in files if text.is_file()]
 
 
-def _balls(file: Path) -> List[Box]:
+def _balls(file: Path) -> list[Box]:
     balls = []
     for number, line in enumerate(file.read_text().splitlines(), 1):
         if not line.strip():
@@ -204,7 +204,7 @@ def train(examples: Sequence[Example], trees: int = _TREES) -> Any:
     return forest
 
 
-def score(examples: Sequence[Example], forest: Any) -> List[Scored]:
+def score(examples: Sequence[Example], forest: Any) -> list[Scored]:
     """Score the regions of each frame by the forest."""
     scored = []
     for each in examples:
@@ -214,7 +214,7 @@ def score(examples: Sequence[Example], forest: Any) -> List[Scored]:
     return scored
 
 
-def count(scored: Sequence[Scored], threshold: float) -> Tuple[int, int]:
+def count(scored: Sequence[Scored], threshold: float) -> tuple[int, int]:
     """Count balls and false ones among the best finds of the frames."""
     best = [frame[0][1] for frame in scored if frame and frame[0][0] >= threshold]
     return sum(best), len(best) - sum(best)
@@ -232,7 +232,7 @@ def choose(scored: Sequence[Scored]) -> float:
     return float(good[0] if good else _THRESHOLDS[int(np.argmax(precise))])
 
 
-def main(argv: Optional[Sequence[str]] = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Train, evaluate and print.
 
     Returns:
@@ -254,7 +254,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         print(f"no annotated frames of three days in '{options.frames}'", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
-    days: Dict[str, List[Example]] = {}
+    days: dict[str, list[Example]] = {}
     for number, frame in enumerate(tqdm(frames, unit="frame", disable=None, leave=False)):
         days.setdefault(frame.day, []).append(example_of(frame, number))
     if not options.no_judging:
@@ -265,10 +265,10 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     return 0
 
 
-def _judge(days: Dict[str, List[Example]]) -> float:
+def _judge(days: dict[str, list[Example]]) -> float:
     """Print the scores of each day that is left out; return the threshold for all days."""
-    inner: Dict[Tuple[str, str], List[Scored]] = {}
-    outer: Dict[str, List[Scored]] = {}
+    inner: dict[tuple[str, str], list[Scored]] = {}
+    outer: dict[str, list[Scored]] = {}
     pairs = list(itertools.combinations_with_replacement(days, 2))
     for one, other in tqdm(pairs, unit="forest", disable=None, leave=False):
         rest = [each for day in days if day not in (one, other) for each in days[day]]

@@ -11,7 +11,7 @@ balls is decided by a random forest of OpenCV's, which ``dyknow_demo.soccer.lear
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, List, NamedTuple, Sequence, Set, Tuple
+from typing import Any, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -74,7 +74,7 @@ def load_forest(file: Path = MODEL) -> Any:
 
 def find_learnt(
     planes: Pixels, factor: int, forest: Any, threshold: float = THRESHOLD
-) -> List[Find]:
+) -> list[Find]:
     """Find balls in planes (3, rows, columns) at a factor, the best first."""
     finds = []
     for score, region in best_regions(regions(planes), forest, threshold):
@@ -87,12 +87,12 @@ def find_learnt(
 
 def best_regions(
     found: Sequence[Region], forest: Any, threshold: float
-) -> List[Tuple[float, Region]]:
+) -> list[tuple[float, Region]]:
     """Choose regions of at least the threshold that overlap no better one, the best first."""
     if not found:
         return []
     scores = forest.predict(np.array([each.features for each in found], np.float32))[1].ravel()
-    chosen: List[Tuple[float, Region]] = []
+    chosen: list[tuple[float, Region]] = []
     for number in np.argsort(-scores, kind="stable"):
         region, score = found[number], float(scores[number])
         if score < threshold:
@@ -109,7 +109,7 @@ def _shared(one: _Box, other: _Box) -> float:
     return max(width, 0) * max(height, 0) / min(one[2] * one[3], other[2] * other[3])
 
 
-def regions(planes: Pixels) -> List[Region]:
+def regions(planes: Pixels) -> list[Region]:
     """Find regions in planes (3, rows, columns); the same planes give the same order."""
     y, u, v = planes
     yellow: Any = np.maximum(128 - u.astype(np.int16), 0)
@@ -119,8 +119,8 @@ def regions(planes: Pixels) -> List[Region]:
     whole = np.array([plane.mean() for plane in planes])
     edges = cv2.morphologyEx(y, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     stack = cv2.merge([y, u, v, orange])
-    found: List[Region] = []
-    seen: Set[Tuple[int, ...]] = set()
+    found: list[Region] = []
+    seen: set[tuple[int, ...]] = set()
     for number, plane in enumerate((yellow, orange)):
         for level in _LEVELS:
             for outline in outlines_in(cv2.inRange(plane, level, 255)):
@@ -142,7 +142,7 @@ def _may_be_ball(outline: Any, box: _Box) -> bool:
     return max(width, height) <= largest and area_of(outline) >= least
 
 
-def _describe(stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Array) -> List[float]:
+def _describe(stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Array) -> list[float]:
     """Colour, contrast to the surroundings, shape and shading of a region."""
     left, top, width, height = box
     rows, columns = edges.shape

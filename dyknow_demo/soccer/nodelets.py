@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, List, Mapping, Sequence, Tuple
+from typing import Any, Callable, Mapping, Sequence
 
 import cv2
 import message_filters
@@ -257,7 +257,7 @@ class BallDetector(dyknow.Nodelet):
         self.pairs.registerCallback(self.on_planes)
 
     @staticmethod
-    def finder_of(colour: str) -> Callable[[Mapping[int, Pixels]], List[Find]]:
+    def finder_of(colour: str) -> Callable[[Mapping[int, Pixels]], list[Find]]:
         """Return the function that finds balls in planes by their factors."""
         if colour == _LEARNT:
             forest = learnt.load_forest()
@@ -337,7 +337,7 @@ class Localization(dyknow.Nodelet):
         self.pose_sub = self.nh.Subscriber("pose", pose, self.on_pose, queue_size=20)
         self.objects_sub = self.nh.Subscriber("objects", pose, self.on_object, queue_size=5)
 
-    def read_place(self, given: Any) -> Tuple[float, ...]:
+    def read_place(self, given: Any) -> tuple[float, ...]:
         """Read the place of one camera."""
         try:
             return tuple(float(given[name]) for name in ("x", "y", "yaw"))

@@ -10,7 +10,7 @@ follow each other from top to bottom in ``mono8``: any viewer can show them.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Sequence
+from typing import Any, Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -37,11 +37,11 @@ def shrink(packed: Pixels, smaller: Sequence[Pixels]) -> None:
             cv2.resize(plane, (columns, rows), dst=written, interpolation=cv2.INTER_AREA)
 
 
-def pyramid(packed: Pixels, factors: Iterable[int]) -> Dict[int, Pixels]:
+def pyramid(packed: Pixels, factors: Iterable[int]) -> dict[int, Pixels]:
     """Make planes of an image (UYVY) at several factors: powers of 2, from 2."""
     wanted = sorted(factors)
     rows, columns = packed.shape[:2]
-    made: Dict[int, Pixels] = {
+    made: dict[int, Pixels] = {
         1 << level: np.empty((3, rows >> level, columns >> level), np.uint8)
         for level in range(1, wanted[-1].bit_length())
     }
@@ -49,7 +49,7 @@ def pyramid(packed: Pixels, factors: Iterable[int]) -> Dict[int, Pixels]:
     return {each: made[each] for each in wanted}
 
 
-def blank_planes(image: Any, levels: int) -> List[Any]:
+def blank_planes(image: Any, levels: int) -> list[Any]:
     """Make an image for the planes of another one at each of the first factors, to be written."""
     return [
         blank(image.header, 3 * (image.height >> level), image.width >> level, "mono8")

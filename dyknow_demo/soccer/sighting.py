@@ -13,7 +13,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Iterable, Optional, Sequence, Tuple
+from typing import Iterable, Sequence
 
 import numpy as np
 
@@ -60,13 +60,13 @@ class Sighting:
     covariance: Array
 
 
-def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Optional[Sighting]:
+def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Sighting | None:
     """Locate the best find, in the order given, that can be a ball on the floor."""
     sightings = (sight(find, geometry) for find in finds)
     return next((each for each in sightings if each is not None), None)
 
 
-def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
+def sight(find: Find, geometry: Geometry) -> Sighting | None:
     """Locate a ball; None if it is above the horizon or does not have a ball's size."""
     axis, angle = cone(geometry.camera.rays(find.outline))
     # The outline runs through the outermost pixels' centres.
@@ -87,7 +87,7 @@ def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
     return Sighting(eye + distance * ray, error**2 * moved.T @ moved)
 
 
-def cone(rays: Array) -> Tuple[Array, float]:
+def cone(rays: Array) -> tuple[Array, float]:
     """Fit a circular cone to unit vectors (n, 3); return its axis and half its angle (rad).
 
     On a cone axis . ray = cos(angle), so (axis / cos(angle)) . ray = 1: linear least squares.
@@ -107,8 +107,8 @@ class History:
     def __init__(self, angular: Sequence[bool]) -> None:
         """Make an empty history; ``angular`` marks the components that are angles in rad."""
         self._angular = np.array(angular)
-        self._times: Deque[float] = deque(maxlen=_LENGTH)
-        self._values: Deque[Array] = deque(maxlen=_LENGTH)
+        self._times: deque[float] = deque(maxlen=_LENGTH)
+        self._values: deque[Array] = deque(maxlen=_LENGTH)
 
     def add(self, time: float, values: Sequence[float]) -> None:
         """Add values; a time (s) that is not after the last one starts a new history."""
@@ -118,7 +118,7 @@ class History:
         self._times.append(time)
         self._values.append(np.array(values, np.float64))
 
-    def at(self, time: float) -> Optional[Tuple[float, ...]]:
+    def at(self, time: float) -> tuple[float, ...] | None:
         """Interpolate linearly, or extrapolate a little; None further outside."""
         times = self._times
         if not times or not times[0] - _REACH <= time <= times[-1] + _REACH:

@@ -15,7 +15,7 @@ longer side, y to the left, z up.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Tuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,8 +50,8 @@ _FORGETS = 4.0  # s
 class RobotState(NamedTuple):
     """Place on the field, x, y (m) and yaw (rad), and angles (rad) of ``geometry.JOINTS``."""
 
-    place: Tuple[float, float, float]
-    angles: Tuple[float, ...]
+    place: tuple[float, float, float]
+    angles: tuple[float, ...]
 
 
 class SoccerWorld:
@@ -99,14 +99,14 @@ class SoccerWorld:
         head_pitch = float(np.clip(down, *geometry.HEAD_PITCH_LIMITS))
         return RobotState(place, (head_yaw, head_pitch, -0.45 * knee, knee, -0.5 * knee))
 
-    def encoders(self, time: float) -> Tuple[float, ...]:
+    def encoders(self, time: float) -> tuple[float, ...]:
         """The angles as the robot's encoders read them."""
         return tuple(
             round(each / geometry.ENCODER_STEP) * geometry.ENCODER_STEP
             for each in self.robot(time).angles
         )
 
-    def believed_place(self, time: float) -> Tuple[float, float, float]:
+    def believed_place(self, time: float) -> tuple[float, float, float]:
         """The robot's place as estimated by its self-localization: x, y (m), yaw (rad)."""
         count = time / _FORGETS
         before = math.floor(count)

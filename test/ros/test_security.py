@@ -288,6 +288,7 @@ class ProtectionTest(ManagerCase):
         manager.client.spawn("relay", "/two")
         self.assertIn("protected from unloading", refusal(CHILD))
         self.assertEqual(refusal(CHILD, "/two"), "")
+        eventually(lambda: manager.nodelet("/two") is None, 10.0, "its end is known")
         with self.assertRaises(Refused):
             manager.client.destroy(RELAY)
         manager.kill_child()

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Tuple
-
 from dyknow.cli.commands import (
     acquire,
     connect,
@@ -29,7 +27,7 @@ _FOUND = (each for module in _MODULES for each in vars(module).values())
 _BY_NAME = {each.name: each for each in _FOUND if isinstance(each, Command)}
 
 #: Titles and commands, in the order of the help.
-GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = tuple(
+GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = tuple(
     (title, tuple(_BY_NAME[name] for name in names.split()))
     for title, names in (
         ("What runs", "list info stats graph doctor"),

@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import time
-from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Iterable
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import hertz, seconds, seconds_or_none
@@ -131,7 +131,7 @@ _RETRY = 1.0
         type=seconds_or_none,
     ),
 )
-def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.lease is not None:
         claim, answer = _ask(arguments, shell, arguments.lease)
         shell.show(_acquired_json(claim, answer), _describe(claim, answer))
@@ -158,9 +158,9 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 def _ask(
     arguments: argparse.Namespace, shell: Shell, lease: float
-) -> Tuple[StreamStatus, Optional[Acquisition]]:
+) -> tuple[StreamStatus, Acquisition | None]:
     """Ask for the stream; returns its claim, and the answer unless it waits."""
-    answer: Optional[Acquisition] = None
+    answer: Acquisition | None = None
     try:
         request = request_of(arguments, lease, arguments.max_silence)
         answer = shell.client.acquire_stream(request)
@@ -186,7 +186,7 @@ class _Holding:
     def __init__(self, shell: Shell, claim_id: str, events: EventReader) -> None:
         self._shell = shell
         self._claim_id = claim_id
-        self._events: Optional[EventReader] = events
+        self._events: EventReader | None = events
 
     def run(self) -> int:
         """Hold the claim until it ends; returns the exit code."""
@@ -210,7 +210,7 @@ class _Holding:
             self._events.close()
             self._events = None
 
-    def _next_event(self, patience: float) -> Optional[StreamEvent]:
+    def _next_event(self, patience: float) -> StreamEvent | None:
         if self._events is None:
             time.sleep(max(0.0, patience))
             return None
@@ -242,13 +242,13 @@ class _Holding:
         return True
 
 
-def _acquired_json(claim: StreamStatus, answer: Optional[Acquisition]) -> Dict[str, Any]:
+def _acquired_json(claim: StreamStatus, answer: Acquisition | None) -> dict[str, Any]:
     """Write the claim and the cost of its plan, which is null while the claim waits."""
     cost, least_cost = (None, None) if answer is None else (answer.cost, answer.least_cost)
     return {**stream_json(claim), "cost": cost, "least_cost": least_cost}
 
 
-def _describe(claim: StreamStatus, answer: Optional[Acquisition] = None) -> Iterable[str]:
+def _describe(claim: StreamStatus, answer: Acquisition | None = None) -> Iterable[str]:
     place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
     yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
     yield f"  claim {claim.claim_id}"

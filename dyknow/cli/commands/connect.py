@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
+from typing import TYPE_CHECKING, Sequence
 
 from dyknow import names
 from dyknow.cli import completion
@@ -105,7 +105,7 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
 
 def _connect_ports(
     client: ShellClient, source: PortRef, target: PortRef, topic: str
-) -> Tuple[str, List[PortMove]]:
+) -> tuple[str, list[PortMove]]:
     """Connect an out-port to an in-port; return the topic, and the moves that were made."""
     out, into = _find_port(client, source), _find_port(client, target)
     check_ends(str(source), out, str(target), into)
@@ -117,7 +117,7 @@ def _connect_ports(
 
 def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortState) -> str:
     published, heard = client.topics_in_use()
-    taken: Set[str] = set()
+    taken: set[str] = set()
     if names.topic_after(nodelet, out.name) in heard | published:  # perhaps by a port
         graph = client.get_graph()
         taken = {port.topic for each in graph.nodelets for port in each.ports}
@@ -126,7 +126,7 @@ def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortSta
 
 def _connect_to_topic(
     client: ShellClient, reference: PortRef, topic: str, direction: str
-) -> List[PortMove]:
+) -> list[PortMove]:
     """Connect a port of this direction to a topic; return the moves that were made."""
     nodelet = client.get_graph().nodelet(topic) if client.is_nodelet(topic) else None
     if nodelet is not None:
@@ -170,7 +170,7 @@ def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
+def _ports_of(client: ShellClient, nodelet: str) -> tuple[PortState, ...]:
     """Ask a nodelet for its ports.
 
     Raises:
@@ -214,14 +214,14 @@ def _find_port(client: ShellClient, reference: PortRef) -> PortState:
     )
 
 
-def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> List[PortMove]:
+def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:
     """Move ports in this order, all or none; return the moves that were needed.
 
     Raises:
         CannotConnect: one was refused; the text says so if one could not be moved back.
     """
     moves = [move for move in wanted if move.before != move.after]
-    by_nodelet: Dict[str, Dict[str, str]] = {}
+    by_nodelet: dict[str, dict[str, str]] = {}
     for move in moves:
         by_nodelet.setdefault(move.port.nodelet, {})[move.port.port] = move.after
     if moves:
@@ -232,7 +232,7 @@ def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> List[PortMove]:
     return moves
 
 
-def _end(shell: Shell, end: Union[PortRef, str]) -> Union[PortRef, str]:
+def _end(shell: Shell, end: PortRef | str) -> PortRef | str:
     return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
+from typing import TYPE_CHECKING, Iterator, Sequence
 
 from dyknow import names
 from dyknow.cli import completion
@@ -122,7 +122,7 @@ def to_dot(snapshot: Model) -> str:
 
     The names of nodes are `n` or `t` followed by the name of the nodelet or topic.
     """
-    inside: Dict[str, List[str]] = {}
+    inside: dict[str, list[str]] = {}
     nodelets = sorted(snapshot.nodelets, key=lambda nodelet: nodelet.name)
     spaces = _with_parents(names.parent(nodelet.name) for nodelet in nodelets)
     for nodelet in nodelets:
@@ -151,7 +151,7 @@ def to_dot(snapshot: Model) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _with_parents(spaces: Iterator[str]) -> Set[str]:
+def _with_parents(spaces: Iterator[str]) -> set[str]:
     found = {"/"}
     for space in spaces:
         while space not in found:
@@ -172,7 +172,7 @@ def _oval(nodelet: NodeletStatus) -> str:
     return f"{_id('n', nodelet.name)} [shape=ellipse, label={quote(*label)}{more}];"
 
 
-def _boxes(space: str, spaces: Sequence[str], inside: Dict[str, List[str]]) -> Iterator[str]:
+def _boxes(space: str, spaces: Sequence[str], inside: dict[str, list[str]]) -> Iterator[str]:
     yield from inside.get(space, ())
     for child in spaces:
         if child != "/" and names.parent(child) == space:

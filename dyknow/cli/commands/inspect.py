@@ -11,12 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from typing import (
     TYPE_CHECKING,
-    Dict,
     Iterator,
-    List,
-    Optional,
     Sequence,
-    Tuple,
     Union,
 )
 
@@ -69,7 +65,7 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
+def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
     rows = [("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
@@ -98,7 +94,7 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
     "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",
     argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name),
 )
-def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _info(arguments: argparse.Namespace, shell: Shell) -> int | None:
     snapshot = shell.client.get_graph()
     present = _named(shell, arguments.names, snapshot)
     if present or len(arguments.names) > 1:
@@ -107,7 +103,7 @@ def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return None if len(present) == len(arguments.names) else FAILED
 
 
-def _named(shell: Shell, names: Sequence[str], snapshot: Model) -> List[NodeletStatus]:
+def _named(shell: Shell, names: Sequence[str], snapshot: Model) -> list[NodeletStatus]:
     """Return the nodelets of these names; the other names are reported."""
     wanted = [shell.resolve(name) for name in names]
     for name in wanted:
@@ -194,7 +190,7 @@ def _stats_problem(arguments: argparse.Namespace) -> str:
     argument("-n --count", "N", "with --watch: end after N times", type=positive),
     problem=_stats_problem,
 )
-def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.watch is None:
         return _show_once(shell, arguments.names)
     names = [shell.resolve(name) for name in arguments.names]
@@ -209,7 +205,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         screen.wait(begin)
 
 
-def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
+def _show_once(shell: Shell, names: Sequence[str]) -> int | None:
     snapshot = shell.client.get_graph()
     present = [each.name for each in _named(shell, names, snapshot)]
     if names and not present:
@@ -222,14 +218,14 @@ def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
     return FAILED if silent or len(present) < len(names) else None
 
 
-def _all(snapshot: Model) -> List[str]:
+def _all(snapshot: Model) -> list[str]:
     return [each.name for each in snapshot.nodelets]
 
 
-def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
+def _ask(shell: Shell, names: Sequence[str]) -> dict[str, Answer]:
     """Ask all nodelets at the same time, so that none waits for one that hangs."""
 
-    def ask(name: str) -> Tuple[str, Answer]:
+    def ask(name: str) -> tuple[str, Answer]:
         try:
             return name, shell.client.get_statistics(name)
         except (Refused, NodeletUnreachable) as error:
@@ -240,7 +236,7 @@ def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
         return dict(pool.map(ask, unique))
 
 
-def _counts(shell: Shell, answers: Dict[str, Answer]) -> Tuple[Json, List[str]]:
+def _counts(shell: Shell, answers: dict[str, Answer]) -> tuple[Json, list[str]]:
     """Write statistics as JSON, and as a table with the details of their nodelets below."""
     value = {
         "nodelets": [
@@ -258,9 +254,9 @@ def _counts(shell: Shell, answers: Dict[str, Answer]) -> Tuple[Json, List[str]]:
     return value, [*_statistics_table(answers), *details]
 
 
-def _statistics_table(answers: Dict[str, Answer]) -> List[str]:
+def _statistics_table(answers: dict[str, Answer]) -> list[str]:
     """Write a line of statistics for each port; times in milliseconds."""
-    rows: List[Tuple[str, ...]] = [_HEAD]
+    rows: list[tuple[str, ...]] = [_HEAD]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", *[""] * 9))
@@ -287,11 +283,11 @@ def _statistics_table(answers: Dict[str, Answer]) -> List[str]:
     return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
 
 
-def _count(number: Optional[int]) -> str:
+def _count(number: int | None) -> str:
     return "-" if number is None else str(number)
 
 
-def _milliseconds(duration: Optional[float]) -> str:
+def _milliseconds(duration: float | None) -> str:
     return f"{duration * 1000:.2f}" if duration else "-"
 
 
@@ -306,12 +302,12 @@ def _milliseconds(duration: Optional[float]) -> str:
     "dyknow doctor --json | jq -r '.findings[] | select(.is_error) | .cure'",
     flag("-q --quiet", "do not list the checks without a finding"),
 )
-def _doctor(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _doctor(arguments: argparse.Namespace, shell: Shell) -> int | None:
     from dyknow.ros.shell.doctor import Doctor, Finding  # rospy takes its time to import
 
     shell.client.managers()  # without a ROS master there is nothing to examine
-    found: Dict[str, List[Finding]] = {}
-    lines: List[str] = []
+    found: dict[str, list[Finding]] = {}
+    lines: list[str] = []
     for name, check in Doctor(shell.client).checks():
         try:
             found[name] = list(check())

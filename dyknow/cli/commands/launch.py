@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
+from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import positive, seconds
@@ -142,7 +142,7 @@ def _summary(plan: Sequence[Treatment]) -> Iterator[str]:
         yield f"left alone: {', '.join(each.node for each in group)} ({why})"
 
 
-def _table(plan: Sequence[Treatment]) -> List[str]:
+def _table(plan: Sequence[Treatment]) -> list[str]:
     rows = [("NODE", "RUNS", "HOW")]
     for each in sorted(plan, key=lambda each: each.node):
         how = f"{each.how.value}: {each.why}" if each.why else each.how.value
@@ -151,7 +151,7 @@ def _table(plan: Sequence[Treatment]) -> List[str]:
     return columns(rows)
 
 
-def _as_json(each: Treatment) -> Dict[str, Any]:
+def _as_json(each: Treatment) -> dict[str, Any]:
     return {
         "node": each.node,
         "program": each.program,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from typing import TYPE_CHECKING, Iterable, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Iterable, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.output import Json, columns, count, transformation_json, write_file
@@ -56,7 +56,7 @@ def _library(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show({"transformations": [transformation_json(each) for each in chosen]}, lines)
 
 
-def _long_list(transformations: Sequence[Transformation]) -> List[str]:
+def _long_list(transformations: Sequence[Transformation]) -> list[str]:
     rows = [("LABEL", "TYPE", "SOURCE", "COST", "IN", "OUT")]
     for each in transformations:
         directions = [port.direction for port in each.ports]
@@ -66,7 +66,7 @@ def _long_list(transformations: Sequence[Transformation]) -> List[str]:
     return columns(rows, right=(3, 4, 5))
 
 
-def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
+def _chosen(shell: Shell, labels: Sequence[str]) -> list[Transformation]:
     known = {each.label: each for each in shell.client.get_model().transformations}
     if not labels:
         return list(known.values())
@@ -86,9 +86,9 @@ def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
     "dyknow import cameras.xml\ndyknow export | ROS_MASTER_URI=http://other:11311 dyknow import -",
     _FILES,
 )
-def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    imported: List[Json] = []
-    failed: List[Json] = []
+def _import(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    imported: list[Json] = []
+    failed: list[Json] = []
     for file in arguments.files:
         try:
             added = shell.client.add_transformation(_read(file))
@@ -167,7 +167,7 @@ def specification_text(transformations: Iterable[Transformation]) -> str:
     "dyknow remove 'undistort(cam1)'",
     _labels("+", "what to remove; nodelets made from it run on"),
 )
-def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return shell.for_each("label", "removed", arguments.labels, shell.client.remove_transformation)
 
 
@@ -202,11 +202,11 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         default="en",
     ),
 )
-def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _check(arguments: argparse.Namespace, shell: Shell) -> int | None:
     ontology = _ontology(arguments)
     unread = ontology.warnings if ontology is not None else ()
-    shown: List[Json] = []
-    lines: List[str] = [_with_warning(problem) for problem in unread]
+    shown: list[Json] = []
+    lines: list[str] = [_with_warning(problem) for problem in unread]
     for file in arguments.files:
         labels, problems, warnings = _report(file, ontology)
         lines.extend(map(str, problems))
@@ -227,7 +227,7 @@ def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return FAILED if any(each["problems"] for each in shown) else None
 
 
-def _ontology(arguments: argparse.Namespace) -> Optional[Ontology]:
+def _ontology(arguments: argparse.Namespace) -> Ontology | None:
     if not arguments.ontology:
         return None
     from dyknow.manager.specifications.ontology import load_ontology
@@ -238,8 +238,8 @@ def _ontology(arguments: argparse.Namespace) -> Optional[Ontology]:
 
 
 def _report(
-    file: str, ontology: Optional[Ontology]
-) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
+    file: str, ontology: Ontology | None
+) -> tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
     from dyknow.manager.specifications.specification import parse, parse_file
     from dyknow.ros.hosting.installed import missing_here

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Dict, Optional
+from typing import TYPE_CHECKING
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import given_parameter, graph_name, port_topic
@@ -62,7 +62,7 @@ _NAMES = argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", 
     ),
 )
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
-    config: Dict[str, str] = {}
+    config: dict[str, str] = {}
     for port, topic in arguments.connect:
         if port in config:
             raise DuplicatePort(port)
@@ -102,7 +102,7 @@ def _runs(model: Model, name: str) -> bool:
     "dyknow destroy slow\ndyknow destroy $(dyknow list /cam1)",
     _NAMES,
 )
-def _destroy(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _destroy(arguments: argparse.Namespace, shell: Shell) -> int | None:
     names = map(shell.resolve, arguments.names)
     return shell.for_each("nodelet", "destroyed", names, shell.client.destroy)
 
@@ -114,7 +114,7 @@ def _destroy(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     "dyknow protect camera",
     _NAMES,
 )
-def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _protect(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return _set_protection(arguments, shell, True)
 
 
@@ -125,11 +125,11 @@ def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     "dyknow unprotect camera",
     _NAMES,
 )
-def _unprotect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _unprotect(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return _set_protection(arguments, shell, False)
 
 
-def _set_protection(arguments: argparse.Namespace, shell: Shell, value: bool) -> Optional[int]:
+def _set_protection(arguments: argparse.Namespace, shell: Shell, value: bool) -> int | None:
     done, names = f"{arguments.command}ed", map(shell.resolve, arguments.names)
     return shell.for_each(
         "nodelet", done, names, lambda name: shell.client.set_protection(name, value)

@@ -13,7 +13,7 @@ import signal
 import sys
 import tempfile
 import time
-from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.cli import completion
@@ -158,7 +158,7 @@ def _start(path: str, words: Sequence[str], name: str, output: str) -> ProcessId
 
 def _settled(
     master: Master, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
-) -> List[PortState]:
+) -> list[PortState]:
     """Wait until a node has made its ports.
 
     Raises:
@@ -168,7 +168,7 @@ def _settled(
 
     client = ProxyClient(master)
     begin = since = time.monotonic()
-    ports: List[PortState] = []
+    ports: list[PortState] = []
     while True:
         now = time.monotonic()
         if not process.alive:

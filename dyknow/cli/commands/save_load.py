@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator, List, Optional
+from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator
 
 from dyknow.cli import completion
 from dyknow.cli.output import Json, count, write_file
@@ -83,7 +83,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
         "where a nodelet manager is not running, let the DyKnow manager choose another",
     ),
 )
-def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
     client = shell.client
     try:
         wiring = _read(arguments.file, lambda: _limit(client))
@@ -144,7 +144,7 @@ def _read(file: str, limit: Callable[[], int]) -> Wiring:
 
 
 def _outcome(plan: LoadPlan, failed: Collection[str]) -> Json:
-    def done(subjects: Iterable[str]) -> List[str]:
+    def done(subjects: Iterable[str]) -> list[str]:
         return [each for each in subjects if each not in failed]
 
     return {

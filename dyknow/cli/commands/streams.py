@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Dict, Iterable, Iterator, List, Optional, Sequence, Set, Union
+from typing import TYPE_CHECKING, Iterable, Iterator, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.commands.acquire import DEMAND, request_of
@@ -36,10 +36,10 @@ class _Supply:
     """
 
     tag: str
-    transformations: Set[str] = field(default_factory=set)
-    nodelets: Set[str] = field(default_factory=set)
-    datatypes: Set[str] = field(default_factory=set)
-    bindings: Optional[List[Dict[str, str]]] = None
+    transformations: set[str] = field(default_factory=set)
+    nodelets: set[str] = field(default_factory=set)
+    datatypes: set[str] = field(default_factory=set)
+    bindings: list[dict[str, str]] | None = None
 
 
 @command(
@@ -80,7 +80,7 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show({"tags": result}, columns(rows))
 
 
-def _bindings(shell: Shell, tag: str) -> Optional[List[Dict[str, str]]]:
+def _bindings(shell: Shell, tag: str) -> list[dict[str, str]] | None:
     try:
         found = shell.client.find_bindings(tag)
     except Refused:  # the tag is not a term, so it cannot be requested
@@ -89,7 +89,7 @@ def _bindings(shell: Shell, tag: str) -> Optional[List[Dict[str, str]]]:
     return [dict(each) for each in pairs]
 
 
-def _written(bindings: Optional[List[Dict[str, str]]]) -> str:
+def _written(bindings: list[dict[str, str]] | None) -> str:
     """Write ``?camera=left|right``; several variables in turn, ``?a=x ?b=y, ?a=x ?b=z``."""
     if bindings is None:
         return "-"
@@ -103,11 +103,11 @@ def _written(bindings: Optional[List[Dict[str, str]]]) -> str:
     return ", ".join(" ".join(f"{x}={name}" for x, name in each.items()) for each in shown) + more
 
 
-def _supplies(model: Model) -> List[_Supply]:
+def _supplies(model: Model) -> list[_Supply]:
     """Return the supplies of all tags, which are equal if only their variables' names differ."""
-    found: Dict[str, _Supply] = {}
+    found: dict[str, _Supply] = {}
 
-    def of(ports: Iterable[Union[Port, PortState]]) -> Iterator[_Supply]:
+    def of(ports: Iterable[Port | PortState]) -> Iterator[_Supply]:
         for port in ports:
             for tag in port.tags if port.direction == OUT else ():
                 supply = found.setdefault(_numbered(tag), _Supply(tag))
@@ -161,7 +161,7 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show(result, lines)
 
 
-def _plan_json(answer: Union[Acquisition, Replanned]) -> Json:
+def _plan_json(answer: Acquisition | Replanned) -> Json:
     return {
         "cost": answer.cost,
         "spawned": list(answer.spawned),
@@ -187,7 +187,7 @@ def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show({"streams": [stream_json(each) for each in streams]}, lines)
 
 
-def _stream_table(streams: Sequence[StreamStatus]) -> List[str]:
+def _stream_table(streams: Sequence[StreamStatus]) -> list[str]:
     rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE", "DETAIL")]
     rows += [
         (
@@ -203,7 +203,7 @@ def _stream_table(streams: Sequence[StreamStatus]) -> List[str]:
     return columns(rows)
 
 
-def _stream_details(streams: Sequence[StreamStatus]) -> List[str]:
+def _stream_details(streams: Sequence[StreamStatus]) -> list[str]:
     lines = []
     for each in streams:
         detail = f" ({each.detail})" if each.detail else ""
@@ -230,7 +230,7 @@ def _stream_details(streams: Sequence[StreamStatus]) -> List[str]:
     "dyknow release 3f0c1a2b4d5e",
     argument("claims", "ID", "a claim; see 'streams'", completion.claims, nargs="+"),
 )
-def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+def _release(arguments: argparse.Namespace, shell: Shell) -> int | None:
     known = {each.claim_id for each in shell.client.list_streams()}
 
     def release(claim: str) -> None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import collections
 import itertools
 from dataclasses import dataclass, field
-from typing import Callable, Deque, Iterable, Mapping, NamedTuple, Tuple
+from typing import Callable, Iterable, Mapping, NamedTuple, Tuple
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
@@ -69,8 +69,10 @@ class Flow:
     quiet_from: float
     quiet_until: float
     came_after: float = _NEVER
-    counts: Deque[Count] = field(default_factory=collections.deque)
-    samples: Deque[Sample] = field(default_factory=lambda: collections.deque(maxlen=SAMPLES))
+    counts: collections.deque[Count] = field(default_factory=collections.deque)
+    samples: collections.deque[Sample] = field(
+        default_factory=lambda: collections.deque(maxlen=SAMPLES)
+    )
     _counting_since: float = 0.0
     _sampled: Count | None = None
 

@@ -51,7 +51,7 @@ class Judgement(NamedTuple):
 
 
 @dataclass
-class History:
+class StreamHistory:
     """A claim's stream since it was changed last.
 
     Attributes:
@@ -82,7 +82,7 @@ class Judge(ABC):
 
     def __init__(self, flows: Flows) -> None:
         self._flows = flows
-        self._histories: dict[str, History] = {}
+        self._histories: dict[str, StreamHistory] = {}
 
     @abstractmethod
     def limit(self, claim: Claim) -> float:
@@ -100,13 +100,13 @@ class Judge(ABC):
     def judge(self, parts: StreamParts, now: float) -> Judgement | None:
         """Find the part that keeps a stream from its limit; None if there is none or unknown."""
 
-    def history(self, claim_id: str) -> History:
+    def history(self, claim_id: str) -> StreamHistory:
         """Return the history of a claim's stream."""
-        return self._histories.setdefault(claim_id, History())
+        return self._histories.setdefault(claim_id, StreamHistory())
 
     def restart(self, claim_id: str, now: float) -> None:
         """Start again with a stream that was changed."""
-        self._histories[claim_id] = History(now)
+        self._histories[claim_id] = StreamHistory(now)
 
     def keep(self, claim_ids: set[str]) -> None:
         """Forget all other claims."""

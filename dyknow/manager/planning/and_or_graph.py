@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import heapq
-from typing import Collection, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Collection, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.library import Operator
 from dyknow.manager.planning.patterns import Theta
@@ -17,14 +17,14 @@ from dyknow.manager.planning.search import Instance, Search
 class Draft(NamedTuple):
     """A way to the goal: the supplier of each node, the instances, suppliers first, their cost."""
 
-    chosen: Dict[Need, Instance]
-    order: List[Instance]
+    chosen: dict[Need, Instance]
+    order: list[Instance]
     cost: int
 
 
-def drafted(request: Request, chosen: Dict[Need, Instance]) -> Draft:
+def drafted(request: Request, chosen: dict[Need, Instance]) -> Draft:
     """Follow choices, which have no cycle, from the goal."""
-    order: List[Instance] = []
+    order: list[Instance] = []
     stack = [(chosen[Need(request.goal, ())], True)]
     entered = set()
     while stack:
@@ -44,7 +44,7 @@ def is_sound(request: Request, draft: Draft) -> bool:
     return len({*nodelets}) == len(nodelets)
 
 
-def _nodelet(request: Request, instance: Instance) -> Tuple[Operator, Theta]:
+def _nodelet(request: Request, instance: Instance) -> tuple[Operator, Theta]:
     """Return what is equal for instances that are one nodelet.
 
     Private variables distinguish nodelets, but are bound only where a plan is written.
@@ -105,7 +105,7 @@ class AndOrGraph:
         ]
         self.makes = _turned(self.offers, len(order))
         self.users = _turned(self.needs, len(self._nodes))
-        by_nodelet: Dict[Tuple[Operator, Theta], List[int]] = {}
+        by_nodelet: dict[tuple[Operator, Theta], list[int]] = {}
         for number, each in enumerate(order):
             by_nodelet.setdefault(_nodelet(request, each), []).append(number)
         self.twins = [
@@ -125,14 +125,14 @@ class AndOrGraph:
             return 0
         return self._request.source(instance.action, instance.theta, node).latency
 
-    def numbers(self, draft: Draft) -> List[int]:
+    def numbers(self, draft: Draft) -> list[int]:
         """Return the numbers here of a draft's instances; useless ones are left out."""
         return [self._numbers[each.key] for each in draft.order if each.key in self._numbers]
 
     def cost(self, actions: Collection[int]) -> int:
         return _cost(self._request, [self._instances[each] for each in actions])
 
-    def drafted(self, way: Dict[int, int]) -> Draft:
+    def drafted(self, way: dict[int, int]) -> Draft:
         """Return the draft that chooses suppliers so."""
         chosen = dict(self._there)
         chosen.update((self._nodes[node], self._instances[each]) for node, each in way.items())
@@ -141,7 +141,7 @@ class AndOrGraph:
     def _is_late(self, done: int) -> bool:
         return self.limit is not None and done > self.limit
 
-    def derive(self, actions: Iterable[int]) -> Dict[int, int]:
+    def derive(self, actions: Iterable[int]) -> dict[int, int]:
         """Supply all nodes that some actions alone can supply in time.
 
         Of twins the one with fast inputs is taken, which supplies all that the other one does.
@@ -155,7 +155,7 @@ class AndOrGraph:
                 missing.pop(self.twins[action][0], None)
         if self.limit is not None:
             return self._soonest(missing)
-        way: Dict[int, int] = {}
+        way: dict[int, int] = {}
         waiting = sorted([action for action, left in missing.items() if not left])
         for action in waiting:  # grows meanwhile
             for node in self.makes[action]:
@@ -164,8 +164,8 @@ class AndOrGraph:
                     waiting += self._met(node, missing)
         return way
 
-    def _soonest(self, missing: Dict[int, int]) -> Dict[int, int]:
-        way: Dict[int, int] = {}
+    def _soonest(self, missing: dict[int, int]) -> dict[int, int]:
+        way: dict[int, int] = {}
         heap = [(0, -1, action) for action, left in missing.items() if not left]
         heapq.heapify(heap)  # nodes by the times when they are supplied, and actions by theirs
         while heap:
@@ -181,7 +181,7 @@ class AndOrGraph:
                     heapq.heappush(heap, (begun, -1, user))
         return way
 
-    def _met(self, node: int, missing: Dict[int, int]) -> List[int]:
+    def _met(self, node: int, missing: dict[int, int]) -> list[int]:
         """Supply a node; return the users that miss nothing any more."""
         found = []
         for user in self.users[node]:
@@ -194,7 +194,7 @@ class AndOrGraph:
 
     def cheapest(
         self, prices: Sequence[float], use_sum: bool = True
-    ) -> Tuple[Dict[int, int], List[int], Optional[float]]:
+    ) -> tuple[dict[int, int], list[int], float | None]:
         """Supply all nodes as cheaply as possible at some prices, by Knuth's algorithm.
 
         Args:
@@ -213,7 +213,7 @@ class AndOrGraph:
         last = [-1] * len(missing)
         heap = [(total[action], action) for action, left in enumerate(missing) if not left]
         heapq.heapify(heap)
-        way: Dict[int, int] = {}
+        way: dict[int, int] = {}
         goal = None
         while heap and not (use_sum and 0 in way):
             price, action = heapq.heappop(heap)
@@ -233,7 +233,7 @@ class AndOrGraph:
                         heapq.heappush(heap, (total[user], user))
         return way, last, goal
 
-    def followed(self, way: Dict[int, int]) -> List[int]:
+    def followed(self, way: dict[int, int]) -> list[int]:
         """Return the actions that choices lead to from the goal; none if it is not reached."""
         waiting = [way[0]] if 0 in way else []
         found = {*waiting}
@@ -245,9 +245,9 @@ class AndOrGraph:
         return waiting
 
 
-def _turned(edges: List[List[int]], count: int) -> List[List[int]]:
+def _turned(edges: list[list[int]], count: int) -> list[list[int]]:
     """Turn edges round, to so many ends."""
-    found: List[List[int]] = [[] for _ in range(count)]
+    found: list[list[int]] = [[] for _ in range(count)]
     for begin, ends in enumerate(edges):
         for end in ends:
             found[end].append(begin)

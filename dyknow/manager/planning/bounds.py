@@ -13,7 +13,6 @@ D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing 
 from __future__ import annotations
 
 import heapq
-from typing import Dict, List, Optional, Tuple
 
 from dyknow.manager.planning.library import Operator
 from dyknow.manager.planning.patterns import Pattern
@@ -41,15 +40,15 @@ class Bounds:
         """Collect the reach of the goal; as a whole, also where a demand is met at no cost."""
         self._goal = request.goal
         self.is_simple = not request.goal.wanted
-        self.users: Dict[Pattern, List[int]] = {request.goal: []}
-        self._actions: List[Optional[Operator]] = []
-        self._costs: List[int] = []
-        self._needs: List[Tuple[Pattern, ...]] = []
+        self.users: dict[Pattern, list[int]] = {request.goal: []}
+        self._actions: list[Operator | None] = []
+        self._costs: list[int] = []
+        self._needs: list[tuple[Pattern, ...]] = []
         #: What a supplier serves: the first pattern, and more where there are any.
-        self._first: List[Pattern] = []
-        self._more: Dict[int, List[Pattern]] = {}
+        self._first: list[Pattern] = []
+        self._more: dict[int, list[Pattern]] = {}
         users = self.users
-        places: Dict[Operator, int] = {}
+        places: dict[Operator, int] = {}
         patterns = [request.goal]
         for pattern in patterns:  # grows meanwhile
             fact = request.cheapest_fact(pattern)
@@ -81,10 +80,10 @@ class Bounds:
     def _serve(
         self,
         pattern: Pattern,
-        places: Dict[Operator, int],
+        places: dict[Operator, int],
         action: Operator,
         cost: int,
-        needs: Tuple[Pattern, ...],
+        needs: tuple[Pattern, ...],
     ) -> bool:
         """Let an action supply a pattern; return whether it is new."""
         place = places.get(action)
@@ -100,21 +99,21 @@ class Bounds:
     def _add(
         self,
         pattern: Pattern,
-        action: Optional[Operator],
+        action: Operator | None,
         cost: int,
-        needs: Tuple[Pattern, ...],
+        needs: tuple[Pattern, ...],
     ) -> None:
         self._first.append(pattern)
         self._actions.append(action)
         self._costs.append(cost)
         self._needs.append(needs)
 
-    def _served(self, place: int) -> Tuple[Pattern, ...]:
+    def _served(self, place: int) -> tuple[Pattern, ...]:
         return (self._first[place], *self._more.get(place, ()))
 
     def least(
-        self, use_sum: bool = True, below: Optional[int] = None
-    ) -> Tuple[Dict[Pattern, int], Dict[Pattern, Operator]]:
+        self, use_sum: bool = True, below: int | None = None
+    ) -> tuple[dict[Pattern, int], dict[Pattern, Operator]]:
         """Return the least costs of demands, and the action that supplies each so.
 
         Args:
@@ -143,8 +142,8 @@ class Bounds:
         ]
         heapq.heapify(heap)
         pop, push = heapq.heappop, heapq.heappush
-        value: Dict[Pattern, int] = {}
-        chosen: Dict[Pattern, Operator] = {}
+        value: dict[Pattern, int] = {}
+        chosen: dict[Pattern, Operator] = {}
         while heap:
             key = pop(heap)
             price, place = key >> _BITS, by_rank[key & _RANK]
@@ -163,7 +162,7 @@ class Bounds:
                         push(heap, total[user] << _BITS | ranks[user])
         return value, chosen
 
-    def above(self, least: Dict[Pattern, int], below: int) -> Tuple[Dict[Pattern, int], int]:
+    def above(self, least: dict[Pattern, int], below: int) -> tuple[dict[Pattern, int], int]:
         """Return the least cost of a plan besides a demand, if it costs less than a bound.
 
         Args:
@@ -173,9 +172,9 @@ class Bounds:
         Returns:
             That, and its cost besides a demand of which nothing is known.
         """
-        found: Dict[Pattern, int] = {}
+        found: dict[Pattern, int] = {}
         rest = below
-        suppliers: Dict[Pattern, List[Tuple[int, int]]] = {}
+        suppliers: dict[Pattern, list[tuple[int, int]]] = {}
         for place, needs in enumerate(self._needs):
             floor = max([least.get(need, below) for need in needs], default=0)
             for pattern in self._served(place):

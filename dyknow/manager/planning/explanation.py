@@ -18,7 +18,7 @@ can be drawn::
 from __future__ import annotations
 
 import re
-from typing import Dict, List, NamedTuple, Set, Tuple
+from typing import NamedTuple
 
 from dyknow.graphviz import quote
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
@@ -56,11 +56,11 @@ def as_tree(answer: Answer) -> str:
         lines[0] += f", latency {answer.latency:g} s as stated"
     steps = {(step.action.label, step.bindings): step for step in answer.steps}
     charges = dict(answer.charges)
-    waiting: List[Tuple[str, bool, str, Source]] = [("", True, "", answer.goal)]
-    seen: Set[Tuple[str, Bindings]] = set()
+    waiting: list[tuple[str, bool, str, Source]] = [("", True, "", answer.goal)]
+    seen: set[tuple[str, Bindings]] = set()
     while waiting:
         lead, is_last, port, source = waiting.pop()
-        inputs: Tuple[Tuple[str, Source], ...] = ()
+        inputs: tuple[tuple[str, Source], ...] = ()
         if isinstance(source, Live):
             name = source.nodelet or source.topic
             how = f"runs as {name}" if source.nodelet else _TOPIC
@@ -86,7 +86,7 @@ def as_tree(answer: Answer) -> str:
     return "\n".join(lines)
 
 
-def read_tree(text: str) -> Tuple[str, List[Entry]]:
+def read_tree(text: str) -> tuple[str, list[Entry]]:
     """Read the title and the lines of a plan that ``as_tree`` wrote.
 
     Raises:
@@ -112,9 +112,9 @@ def tree_as_dot(text: str) -> str:
         ValueError: the text is something else.
     """
     title, entries = read_tree(text)
-    nodes: Dict[str, str] = {}
-    edges: List[str] = []
-    path: List[str] = []
+    nodes: dict[str, str] = {}
+    edges: list[str] = []
+    path: list[str] = []
     for entry in entries:
         is_topic = entry.how.split(", ")[0] == _TOPIC
         name, out = (entry.what, "") if is_topic else _nodelet_and_port(entry.what)
@@ -142,7 +142,7 @@ def _how_good(plan: Plan) -> str:
     return f"{known}; its time was over" if plan.is_cut_short else known
 
 
-def _nodelet_and_port(what: str) -> Tuple[str, str]:
+def _nodelet_and_port(what: str) -> tuple[str, str]:
     """Take ``label.port [bindings]`` apart."""
     found = _BOUND.match(what)
     what, bindings = found.groups() if found else (what, "")

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import Callable, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted, is_sound
 from dyknow.manager.planning.bounds import Bounds
@@ -165,7 +165,7 @@ class _Improvement:
             draft = graph.drafted(graph.derive(best))
         return Improved(draft, bound, budget.is_cut_short)
 
-    def _first(self, draft: Draft) -> List[int]:
+    def _first(self, draft: Draft) -> list[int]:
         """Return a plan to begin with; none if all that is cheaper is too late or unsound."""
         graph = self._graph
         # Some of the draft may be without use for a cheaper plan, and so not be there.
@@ -180,7 +180,7 @@ class _Improvement:
                 return self._pruned(best, order)
         return []
 
-    def _pruned(self, actions: Iterable[int], order: Sequence[int]) -> List[int]:
+    def _pruned(self, actions: Iterable[int], order: Sequence[int]) -> list[int]:
         """Leave out actions that the goal is reached without, as far as the budget lasts."""
         graph = self._graph
         kept = set(graph.followed(graph.derive(actions)))
@@ -191,7 +191,7 @@ class _Improvement:
                 kept = set(graph.followed(graph.derive(kept - {action}))) or kept
         return sorted(kept)
 
-    def _is_alone(self, action: int, kept: Set[int]) -> bool:
+    def _is_alone(self, action: int, kept: set[int]) -> bool:
         """Whether an action is the only one to supply a node that other actions need."""
         graph = self._graph
         return any(
@@ -202,7 +202,7 @@ class _Improvement:
 
     # Landmark cuts
 
-    def _cuts(self) -> Tuple[int, List[int]]:
+    def _cuts(self) -> tuple[int, list[int]]:
         """Return a bound that no plan is below, and the remaining cost of each action.
 
         M. Helmert and C. Domshlak, "Landmarks, critical paths and abstractions: what's the
@@ -223,7 +223,7 @@ class _Improvement:
                 rest[action] -= least
         return bound, rest
 
-    def _cut(self, rest: List[int]) -> List[int]:
+    def _cut(self, rest: list[int]) -> list[int]:
         """Return the actions that lead from the existing parts to where the goal costs no more."""
         graph = self._graph
         _, dearest, price = graph.cheapest(rest, use_sum=False)
@@ -239,7 +239,7 @@ class _Improvement:
                     zone.add(dearest[action])
                     waiting.append(dearest[action])
         # Of these actions only those count that are reached without the zone.
-        by_node: List[List[int]] = [[] for _ in graph.offers]
+        by_node: list[list[int]] = [[] for _ in graph.offers]
         for action, node in enumerate(dearest):
             if node >= 0:
                 by_node[node].append(action)
@@ -256,7 +256,7 @@ class _Improvement:
 
     def branched(
         self, bound: int, rest: Sequence[int], below: int, left: int
-    ) -> Tuple[List[int], bool]:
+    ) -> tuple[list[int], bool]:
         """Search all plans that may cost less than a known one.
 
         A plan that has some actions, but not others, needs one more of those that supply a node
@@ -274,8 +274,8 @@ class _Improvement:
         """
         graph, budget = self._graph, self._budget
         costs = graph.costs
-        best: List[int] = []
-        stack: List[Tuple[FrozenSet[int], FrozenSet[int]]] = [(frozenset(), frozenset())]
+        best: list[int] = []
+        stack: list[tuple[frozenset[int], frozenset[int]]] = [(frozenset(), frozenset())]
         while stack:
             has, lacks = stack.pop()
             if budget.steps < left or not budget.spend(4 * len(has) + 20):
@@ -296,7 +296,7 @@ class _Improvement:
             stack += reversed(branches)
         return best, True
 
-    def _choices(self, has: FrozenSet[int], lacks: FrozenSet[int]) -> Optional[List[int]]:
+    def _choices(self, has: frozenset[int], lacks: frozenset[int]) -> list[int] | None:
         """Return a set of actions, one of which is in every plan with `has` but without `lacks`.
 
         None if `has` is a plan.
@@ -318,7 +318,7 @@ class _Improvement:
 
     # Large neighbourhoods
 
-    def _varied(self, best: List[int], bound: int) -> List[int]:
+    def _varied(self, best: list[int], bound: int) -> list[int]:
         """Search the neighbourhoods of plans, as long as the budget lasts."""
         graph, budget, chance = self._graph, self._budget, self._chance
         costs = graph.costs
@@ -328,7 +328,7 @@ class _Improvement:
             out = set(chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present)))))
             kept = [action for action in present if action not in out]
             derived = graph.derive(kept)
-            prices: List[float] = [
+            prices: list[float] = [
                 cost
                 * (1 + chance.random())
                 / max(1, sum([node not in derived for node in graph.makes[action]]))

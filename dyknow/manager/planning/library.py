@@ -16,7 +16,7 @@ import heapq
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple
 from weakref import WeakValueDictionary
 
 from dyknow.datatypes import types_fit
@@ -64,12 +64,12 @@ class Head:
     action: Operator
     cost: int
     port: str
-    texts: Tuple[str, ...]
-    atoms: Tuple[Atom, ...]
+    texts: tuple[str, ...]
+    atoms: tuple[Atom, ...]
     datatype: str
     rate: float
     latency: int
-    live: Optional[Live]
+    live: Live | None
 
     @property
     def label(self) -> str:
@@ -119,28 +119,28 @@ class Operator:
     )
     label: str
     cost: int
-    transformation: Optional[Transformation]
-    ports: Tuple[str, ...]
-    inputs: Tuple[Pattern, ...]
-    variables: Tuple[str, ...]
-    types: Tuple[Types, ...]
-    shares: Tuple[Tuple[int, ...], ...]
-    heads: Tuple[Head, ...]
+    transformation: Transformation | None
+    ports: tuple[str, ...]
+    inputs: tuple[Pattern, ...]
+    variables: tuple[str, ...]
+    types: tuple[Types, ...]
+    shares: tuple[tuple[int, ...], ...]
+    heads: tuple[Head, ...]
     has_private: bool
-    slow: Optional[Operator]
+    slow: Operator | None
 
     @property
     def base(self) -> Operator:
         """The action whose nodelet it is."""
         return self.slow or self
 
-    def tags(self, port: int) -> Tuple[str, ...]:
+    def tags(self, port: int) -> tuple[str, ...]:
         """Return the tags of an in-port as they are written."""
         assert self.transformation is not None
         return _in_ports(self.transformation)[port].tags
 
 
-def _in_ports(transformation: Transformation) -> List[Port]:
+def _in_ports(transformation: Transformation) -> list[Port]:
     ports = transformation.ports
     return [port for port in ports if port.direction == IN and port.tags and read_tags(port.tags)]
 
@@ -156,11 +156,11 @@ class Offer(NamedTuple):
     """
 
     head: Head
-    types: Tuple[Types, ...]
-    places: Optional[Tuple[Argument, ...]]
+    types: tuple[Types, ...]
+    places: tuple[Argument, ...] | None
 
 
-def _by_order(head: Head) -> Tuple[int, str, str]:
+def _by_order(head: Head) -> tuple[int, str, str]:
     """Sort by cost, then by the attributes that distinguish heads."""
     return head.cost, head.action.label, head.port
 
@@ -174,9 +174,9 @@ class Bucket:
         #: The cheapest first.
         self.heads = sorted(heads, key=_by_order)
         #: By place and name, or None for a variable; filled when first needed, by any thread.
-        self._by_place: Dict[int, Dict[Optional[str], List[Head]]] = {}
+        self._by_place: dict[int, dict[str | None, list[Head]]] = {}
 
-    def _index(self, place: int) -> Dict[Optional[str], List[Head]]:
+    def _index(self, place: int) -> dict[str | None, list[Head]]:
         index = self._by_place.get(place)
         if index is None:
             index = {}
@@ -190,7 +190,7 @@ class Bucket:
             self._by_place[place] = index
         return index
 
-    def find(self, limits: Known, names: Names) -> List[Head]:
+    def find(self, limits: Known, names: Names) -> list[Head]:
         """Return those whose arguments may meet the limits, the cheapest first."""
         best = [self.heads]
         fewest = len(self.heads)
@@ -222,15 +222,15 @@ class OperatorIndex:
     """The actions of a library."""
 
     def __init__(
-        self, names: Names, actions: Dict[str, Operator], facts: Buckets, makers: Buckets
+        self, names: Names, actions: dict[str, Operator], facts: Buckets, makers: Buckets
     ) -> None:
         self.names = names
         self.actions = actions
         self.facts = facts
         self.makers = makers
         # Results about the patterns of in-ports; it does not matter by which thread.
-        self._offers: Dict[Pattern, Tuple[Offer, ...]] = {}
-        self._cheapest: Dict[Pattern, Optional[Head]] = {}
+        self._offers: dict[Pattern, tuple[Offer, ...]] = {}
+        self._cheapest: dict[Pattern, Head | None] = {}
 
     def changed(self, removed: Iterable[str], added: Sequence[Operator]) -> OperatorIndex:
         """Make another library; actions of known labels are replaced."""
@@ -249,7 +249,7 @@ class OperatorIndex:
         )
         return OperatorIndex(self.names, actions, facts, makers)
 
-    def offers(self, pattern: Pattern) -> Tuple[Offer, ...]:
+    def offers(self, pattern: Pattern) -> tuple[Offer, ...]:
         """Return how makers can supply a pattern."""
         found = self._offers.get(pattern)
         if found is None:
@@ -273,7 +273,7 @@ class OperatorIndex:
             elif not head.is_ground or solutions(atoms, pattern, self.names):
                 yield Offer(head, types, None)
 
-    def count_makers(self, pattern: Pattern) -> Tuple[int, int]:
+    def count_makers(self, pattern: Pattern) -> tuple[int, int]:
         """Return how many makers may supply a pattern, and a bound that none of them is below."""
         atom = pattern.atoms[0]
         keys = [(each, len(atom)) for each in self.names.below(frozenset((str(atom[0]),)))]
@@ -281,7 +281,7 @@ class OperatorIndex:
         count = sum([len(each.heads) for each in buckets])
         return count, min([each.heads[0].cost for each in buckets], default=0)
 
-    def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
+    def cheapest_fact(self, pattern: Pattern) -> Head | None:
         """Return the cheapest fact that supplies a pattern."""
         if pattern in self._cheapest:
             return self._cheapest[pattern]
@@ -294,14 +294,14 @@ class OperatorIndex:
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
     """Sort heads into buckets."""
-    found: Dict[Tuple[str, int], Dict[Head, None]] = {}
+    found: dict[tuple[str, int], dict[Head, None]] = {}
     for head in heads:
         for atom in head.atoms:
             found.setdefault((str(atom[0]), len(atom)), {})[head] = None
     return {key: Bucket(*key, some) for key, some in found.items()}
 
 
-def _edited(old: Buckets, gone: set[Operator], come: List[Operator]) -> Buckets:
+def _edited(old: Buckets, gone: set[Operator], come: list[Operator]) -> Buckets:
     """Return buckets without the heads of some actions, and with those of other actions."""
     new = dict(old)
     more = bucketed([head for action in come for head in action.heads])
@@ -325,7 +325,7 @@ def candidates(
 
     Names of live streams, which are local to a request, are not entered.
     """
-    best: Optional[List[List[Head]]] = None
+    best: list[list[Head]] | None = None
     fewest = 0
     for atom in pattern.atoms:
         functor = str(atom[0])
@@ -352,7 +352,7 @@ def candidates(
 
 def matching(
     heads: Iterable[Head], pattern: Pattern, known: Known, names: Names
-) -> Iterator[Tuple[Head, Theta]]:
+) -> Iterator[tuple[Head, Theta]]:
     """Yield the out-ports without variables that supply a pattern, with its wanted variables."""
     for head in heads:
         if head.has_type(pattern.datatype):
@@ -368,15 +368,15 @@ class Reader:
         self._names = names
         self._patterns: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
 
-    def read(self, transformations: Iterable[Transformation]) -> List[Operator]:
+    def read(self, transformations: Iterable[Transformation]) -> list[Operator]:
         return [self._read(each) for each in transformations]
 
     def _read(self, transformation: Transformation) -> Operator:
         ports = _in_ports(transformation)
         outs = [port for port in transformation.ports if port.direction == OUT and port.tags]
-        variables: Tuple[str, ...] = ()
-        types: Tuple[Types, ...] = ()
-        shares: Tuple[Tuple[int, ...], ...] = ((),) * len(ports)
+        variables: tuple[str, ...] = ()
+        types: tuple[Types, ...] = ()
+        shares: tuple[tuple[int, ...], ...] = ((),) * len(ports)
         has_private = False
         if "?" in "".join([text for port in ports for text in port.tags]):
             variables, of_names, shares = _variables(
@@ -441,10 +441,10 @@ class Reader:
 
 @lru_cache(maxsize=_REMEMBERED)
 def _variables(
-    premises: Tuple[Tuple[_Arguments, ...], ...],
-    out: Tuple[_Arguments, ...],
-    parameters: Tuple[str, ...],
-) -> Tuple[Tuple[str, ...], Tuple[Types, ...], Tuple[Tuple[int, ...], ...]]:
+    premises: tuple[tuple[_Arguments, ...], ...],
+    out: tuple[_Arguments, ...],
+    parameters: tuple[str, ...],
+) -> tuple[tuple[str, ...], tuple[Types, ...], tuple[tuple[int, ...], ...]]:
     """Return the variables of an action, their types, and those of each in-port."""
     needed = [[Term("", *each) for each in premise] for premise in premises]
     supplied = [Term("", *each) for each in out]

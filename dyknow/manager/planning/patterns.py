@@ -10,11 +10,8 @@ acts as a type: it subsumes the supplied name in its place.
 from __future__ import annotations
 
 from typing import (
-    Dict,
     FrozenSet,
     Iterable,
-    List,
-    Optional,
     Sequence,
     Tuple,
     Union,
@@ -65,11 +62,11 @@ class Pattern:
 
     def __init__(
         self,
-        atoms: Tuple[Atom, ...],
+        atoms: tuple[Atom, ...],
         datatype: str,
-        types: Tuple[Types, ...],
-        wanted: Tuple[int, ...] = (),
-        slow: Optional[Pattern] = None,
+        types: tuple[Types, ...],
+        wanted: tuple[int, ...] = (),
+        slow: Pattern | None = None,
     ) -> None:
         self.atoms = atoms
         self.datatype = datatype
@@ -81,7 +78,7 @@ class Pattern:
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
     @property
-    def key(self) -> Tuple[object, ...]:
+    def key(self) -> tuple[object, ...]:
         """Equal for patterns with the same meaning."""
         return self.atoms, self.datatype, self.types, self.wanted
 
@@ -96,10 +93,10 @@ class Names:
     def __init__(self, ontology: Subsumption) -> None:
         self.ontology = ontology
         self.is_plain = ontology is NO_ONTOLOGY
-        self._canonical: Dict[str, str] = {}
-        self._above: Dict[str, Types] = {}
-        self._below: Dict[str, List[str]] = {}
-        self._entered: Dict[str, None] = {}
+        self._canonical: dict[str, str] = {}
+        self._above: dict[str, Types] = {}
+        self._below: dict[str, list[str]] = {}
+        self._entered: dict[str, None] = {}
 
     def canonical(self, name: str) -> str:
         """Return one name for all names of an entity."""
@@ -147,7 +144,7 @@ class Names:
             )
         )
 
-    def kinds(self, name: str) -> List[str]:
+    def kinds(self, name: str) -> list[str]:
         """Return the most specific types of a canonical name, as people write them."""
         return sorted(map(self.written, self.narrowed(self.above(name) - {name})))
 
@@ -194,10 +191,10 @@ class Names:
         return True
 
 
-def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> Tuple[Atom, ...]:
+def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> tuple[Atom, ...]:
     """Number the variables of terms by their places in a list."""
     canonical = names.canonical
-    found: List[Atom] = []
+    found: list[Atom] = []
     for term in terms:
         args = [variables.index(arg) if arg[:1] == "?" else canonical(arg) for arg in term.args]
         found.append((canonical(term.functor), *args))
@@ -245,14 +242,14 @@ def can_match(supplied: Atom, demanded: Atom, types: Sequence[Types], names: Nam
     return True
 
 
-def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[Theta]:
+def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> list[Theta]:
     """Match ground atoms with a pattern.
 
     Returns:
         The names that the wanted variables can stand for, sorted; empty if the pattern is not
         met. Without wanted variables that is the empty tuple, or nothing.
     """
-    ways: List[Dict[int, str]] = [{}]
+    ways: list[dict[int, str]] = [{}]
     for demanded in pattern.atoms:
         more = []
         for atom in supplied:
@@ -274,7 +271,7 @@ def limits_of(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known
     if names.is_plain and not pattern.types:
         return atom[1:]  # type: ignore[return-value]
     by_variable = dict(zip(pattern.wanted, known))
-    found: List[Limit] = []
+    found: list[Limit] = []
     for arg in atom[1:]:
         if isinstance(arg, str):
             found.append(names.limit(frozenset((arg,))))
@@ -285,7 +282,7 @@ def limits_of(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known
 
 def pushed(
     supplied: Sequence[Atom], pattern: Pattern, own: Sequence[Types], names: Names
-) -> Optional[Tuple[Types, ...]]:
+) -> tuple[Types, ...] | None:
     """Unify the atoms of an out-port, which may have variables of some types, with a pattern.
 
     Returns:

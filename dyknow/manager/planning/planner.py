@@ -16,14 +16,9 @@ import time
 from typing import (
     AbstractSet,
     Callable,
-    Dict,
-    FrozenSet,
     Iterable,
-    List,
     Mapping,
     Sequence,
-    Set,
-    Tuple,
 )
 
 from dyknow.manager.planning.and_or_graph import Draft, drafted, is_sound
@@ -107,7 +102,7 @@ class Planner:
         paused: AbstractSet[str] = NO_LABELS,
         budget: float = BUDGET,
         wishes: Wishes = NO_WISHES,
-        feeders: Mapping[str, FrozenSet[str]] = NO_FEEDERS,
+        feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
     ) -> Answer:
         """Find the cheapest way to a stream.
 
@@ -162,13 +157,13 @@ class Planner:
         live: Iterable[TaggedStream],
         exclude: AbstractSet[str],
         wishes: Wishes,
-    ) -> Dict[str, int]:
+    ) -> dict[str, int]:
         """Return the charges of the parts of a plan besides their costs, by label."""
         return _charges(self._library, demand, list(live), exclude, wishes)
 
     def bindings(
         self, demand: Demand, live: Iterable[TaggedStream] = (), budget: float = BUDGET
-    ) -> Tuple[List[Bindings], bool]:
+    ) -> tuple[list[Bindings], bool]:
         """Find all that the variables of a demand can stand for.
 
         Args:
@@ -197,10 +192,10 @@ def _has_twins(plan: Plan) -> bool:
     return len({(step.action.label, step.bindings) for step in plan.steps}) < len(plan.steps)
 
 
-def _choices(request: Request, actions: Dict[Pattern, Operator]) -> Dict[Need, Instance]:
+def _choices(request: Request, actions: dict[Pattern, Operator]) -> dict[Need, Instance]:
     """Return the suppliers of the nodes where no name is bound."""
     needs = {pattern: Need(pattern, ()) for pattern in actions}
-    made: Dict[Operator, Instance] = {}
+    made: dict[Operator, Instance] = {}
     for action in actions.values():
         if action not in made:
             inputs = tuple([needs[each] for each in action.inputs])
@@ -214,7 +209,7 @@ def _charges(
     streams: Sequence[TaggedStream],
     exclude: AbstractSet[str],
     wishes: Wishes,
-) -> Dict[str, int]:
+) -> dict[str, int]:
     """Return the charges of the parts that may help to meet a demand, by label.
 
     A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
@@ -226,11 +221,11 @@ def _charges(
     names = library.names
     request = Request(library, demand, streams, exclude)
     bounds = Bounds(Request(library, demand, (), exclude), is_whole=True)
-    tags: Dict[str, Set[Term]] = {}
+    tags: dict[str, set[Term]] = {}
     for stream, terms in streams:
         if stream.label not in exclude:
             tags.setdefault(stream.label, set()).update(terms)
-    suppliers: List[Set[str]] = []
+    suppliers: list[set[str]] = []
     for pattern in bounds.users:
         facts = [head for head, _ in request.facts(pattern)]
         makers = [action for action, _ in request.offers(pattern)]
@@ -240,7 +235,7 @@ def _charges(
                 tags.setdefault(action.label, set()).update(read_tags(head.texts))
         suppliers.append({*[e.label for e in actions], *[head.label for head in facts]})
 
-    def meant(wanted: Iterable[str]) -> FrozenSet[str]:
+    def meant(wanted: Iterable[str]) -> frozenset[str]:
         concepts = frozenset(map(names.canonical, wanted))
         return frozenset(
             label
@@ -268,12 +263,12 @@ class _Writer:
     def __init__(self, request: Request, draft: Draft) -> None:
         self._request = request
         self._chosen = draft.chosen
-        self._bindings: Dict[Instance, Bindings] = {}
-        self._unbound: Dict[Head, New] = {}
+        self._bindings: dict[Instance, Bindings] = {}
+        self._unbound: dict[Head, New] = {}
         #: When nodelets have their inputs, in microseconds.
-        self._begun: Dict[Instance, int] = {}
+        self._begun: dict[Instance, int] = {}
 
-    def source(self, node: Need) -> Tuple[Source, Tuple[str, ...], int]:
+    def source(self, node: Need) -> tuple[Source, tuple[str, ...], int]:
         """Return the supplier of a node, its tags, and its latency in microseconds."""
         chosen = self._chosen[node]
         head = self._request.source(chosen.action, chosen.theta, node)
@@ -294,7 +289,7 @@ class _Writer:
         if not action.variables and not action.has_private:
             return PlanStep(part, inputs)
         joined = dict(zip(action.variables, instance.theta))
-        bindings: Dict[str, str] = {}
+        bindings: dict[str, str] = {}
         for port, (source, texts, _) in enumerate(sources):
             way = self.way(source, texts, read_tags(action.tags(port)), joined)
             bindings = {**way, **bindings}
@@ -304,10 +299,10 @@ class _Writer:
     def way(
         self,
         source: Source,
-        texts: Tuple[str, ...],
+        texts: tuple[str, ...],
         demanded: Iterable[Term],
         joined: Mapping[str, str],
-    ) -> Dict[str, str]:
+    ) -> dict[str, str]:
         """Bind the variables of a demand to names as they are supplied."""
         names = self._request.names
         terms = read_tags(texts)
@@ -323,9 +318,9 @@ class _Writer:
 def _written(request: Request, improved: Improved) -> Plan:
     """Write a plan."""
     writer = _Writer(request, improved.draft)
-    steps: List[PlanStep] = []
-    charges: List[Charge] = []
-    freed: Set[Operator] = set()
+    steps: list[PlanStep] = []
+    charges: list[Charge] = []
+    freed: set[Operator] = set()
     for instance in improved.draft.order:
         action = instance.action.base
         if action in request.live:
@@ -340,7 +335,7 @@ def _written(request: Request, improved: Improved) -> Plan:
         steps.append(writer.step(instance, part))
     demand = request.demand
     goal, texts, latency = writer.source(Need(request.goal, ()))
-    bindings: Dict[str, str] = {}
+    bindings: dict[str, str] = {}
     if any(term.variables for term in demand.tags):
         bindings = writer.way(goal, texts, sorted(demand.tags), {})
     plan = Plan(

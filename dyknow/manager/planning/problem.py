@@ -11,7 +11,7 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Dict, FrozenSet, Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
+from typing import Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
 
 from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand, write_missing
@@ -32,7 +32,7 @@ class Demand(NamedTuple):
     lower rate, and plans whose stated latency is higher, do not meet it.
     """
 
-    tags: FrozenSet[Term]
+    tags: frozenset[Term]
     datatype: str = ""
     min_rate: float = 0.0
     max_age: float = 0.0
@@ -109,7 +109,7 @@ class PlanStep(NamedTuple):
     """A nodelet to make: its in-ports with their suppliers, and bindings of all variables."""
 
     action: Action
-    inputs: Tuple[Tuple[str, Source], ...]
+    inputs: tuple[tuple[str, Source], ...]
     bindings: Bindings = ()
 
 
@@ -130,12 +130,12 @@ class Plan(NamedTuple):
 
     demand: Demand
     goal: Source
-    steps: Tuple[PlanStep, ...]
+    steps: tuple[PlanStep, ...]
     cost: int
     least_cost: int = 0
     bindings: Bindings = ()
     is_cut_short: bool = False
-    charges: Tuple[Charge, ...] = ()
+    charges: tuple[Charge, ...] = ()
     latency: float = 0.0
 
     @property
@@ -144,7 +144,7 @@ class Plan(NamedTuple):
         return steps + sum([charge for _, charge in self.charges])
 
     @property
-    def live(self) -> Tuple[Live, ...]:
+    def live(self) -> tuple[Live, ...]:
         """Streams that are used as they are."""
         used = {source for step in self.steps for _, source in step.inputs}
         used.add(self.goal)
@@ -155,7 +155,7 @@ class Obstacle(NamedTuple):
     """A demand that something would supply, but for causes, which are sentences."""
 
     demand: Demand
-    causes: Tuple[str, ...]
+    causes: tuple[str, ...]
 
     def __str__(self) -> str:
         return f"{self.demand} cannot be used: {', and '.join(self.causes)}"
@@ -173,10 +173,10 @@ class NoPlan(NamedTuple):
     """
 
     demand: Demand
-    missing: Tuple[Demand, ...]
+    missing: tuple[Demand, ...]
     circular: bool
     latency: float = 0.0
-    obstacles: Tuple[Obstacle, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
     is_cut_short: bool = False
 
     @property
@@ -205,8 +205,8 @@ NOT_PREFERRED = 100
 class Wishes(NamedTuple):
     """Preferred and avoided parts: labels, and concepts of tags of out-ports."""
 
-    prefer: Tuple[str, ...] = ()
-    avoid: Tuple[str, ...] = ()
+    prefer: tuple[str, ...] = ()
+    avoid: tuple[str, ...] = ()
 
 
 NO_WISHES = Wishes()
@@ -214,7 +214,7 @@ NO_WISHES = Wishes()
 
 
 Answer = Union[Plan, NoPlan]
-NO_LABELS: FrozenSet[str] = frozenset()
+NO_LABELS: frozenset[str] = frozenset()
 """No label."""
 NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
 """No label, and no bindings."""
@@ -233,7 +233,7 @@ def ways_to_meet(
     demand: Demand,
     ontology: Subsumption = NO_ONTOLOGY,
     bindings: Mapping[str, str] = NO_BINDINGS,
-) -> Iterator[Dict[str, str]]:
+) -> Iterator[dict[str, str]]:
     """Yield the bindings of each way in which a stream meets a demand, given some of them.
 
     Tags of the stream that have variables supply nothing.

@@ -11,7 +11,7 @@ without a rate, without a ROS type. The fewest of these that stand in the way ar
 from __future__ import annotations
 
 import itertools
-from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow.manager.planning.library import Head, Operator
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
@@ -40,15 +40,15 @@ class _Open(NamedTuple):
     pattern: Pattern
     known: Known
     demand: Demand
-    rest: Tuple[str, ...] = ()
+    rest: tuple[str, ...] = ()
 
 
 def no_plan(request: Request, search: Search) -> NoPlan:
     """Return the reasons why there is no plan."""
     if not search.is_complete:
         return NoPlan(request.demand, (), False, is_cut_short=True)
-    missing: Set[Demand] = set()
-    obstacles: Set[Obstacle] = set()
+    missing: set[Demand] = set()
+    obstacles: set[Obstacle] = set()
     for each in _leaves(request, search):
         causes = each.rest + _causes(request, each)
         if causes:
@@ -84,7 +84,7 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
             yield each
 
 
-def _unmet(request: Request, search: Search, action: Operator, bounds: Known) -> List[_Open]:
+def _unmet(request: Request, search: Search, action: Operator, bounds: Known) -> list[_Open]:
     """Return the unmet demands of an action's in-ports."""
 
     def opened(port: int, bounds: Known) -> _Open:
@@ -106,10 +106,10 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
     never = [opened(at, bounds) for at, e in enumerate(action.inputs) if not search.can_be(e)]
     if never:
         return never
-    found: List[_Open] = []
+    found: list[_Open] = []
     joins = [bounds]
     for port in search.order(action, bounds):
-        more: List[Known] = []
+        more: list[Known] = []
         for each in joins[:_MOST_NAMED]:
             below = opened(port, each)
             answers = search.answers(below.pattern, below.known)
@@ -124,7 +124,7 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
     return found
 
 
-def _joined(known: Union[None, str, Types], types: Types, names: Names) -> Union[str, Types]:
+def _joined(known: None | str | Types, types: Types, names: Names) -> str | Types:
     """Return the constraint of a variable together with its type."""
     if isinstance(known, frozenset):
         if len(known) == 1 and known.issuperset(names.below(known)):
@@ -134,8 +134,8 @@ def _joined(known: Union[None, str, Types], types: Types, names: Names) -> Union
 
 
 def _shown(
-    terms: Sequence[Term], known: Mapping[str, Union[str, Types]], names: Names
-) -> Tuple[List[Term], List[str]]:
+    terms: Sequence[Term], known: Mapping[str, str | Types], names: Names
+) -> tuple[list[Term], list[str]]:
     """Write constraints of variables into terms, as people write it.
 
     Returns:
@@ -143,7 +143,7 @@ def _shown(
     """
     bound = {each: names.written(name) for each, name in known.items() if isinstance(name, str)}
     own = types_of(terms)
-    wanted: Dict[str, List[str]] = {}
+    wanted: dict[str, list[str]] = {}
     for variable, more in known.items():
         if isinstance(more, frozenset) and any(variable in term.args for term in terms):
             said = frozenset(map(names.canonical, own.get(variable, ())))
@@ -164,7 +164,7 @@ def _shown(
     return found, rest
 
 
-def _causes(request: Request, demand: _Open) -> Tuple[str, ...]:
+def _causes(request: Request, demand: _Open) -> tuple[str, ...]:
     """Return why nothing supplies a demand, as sentences, if anything like it is supplied."""
     alike = _alike(request, demand)
     for count in range(1, len(_CAUSES) + 1):
@@ -185,11 +185,11 @@ class _Alike(NamedTuple):
     """
 
     head: Head
-    lacking: Dict[str, Types]
-    failing: Set[int]
+    lacking: dict[str, Types]
+    failing: set[int]
 
 
-def _alike(request: Request, demand: _Open) -> List[_Alike]:
+def _alike(request: Request, demand: _Open) -> list[_Alike]:
     found = []
     pattern = demand.pattern
     for head in request.alike(pattern):
@@ -215,8 +215,8 @@ def _alike(request: Request, demand: _Open) -> List[_Alike]:
 
 
 def _lacking(
-    names: Names, action: Operator, demand: _Open, pairs: Sequence[Tuple[Atom, Atom]]
-) -> Optional[Dict[str, Types]]:
+    names: Names, action: Operator, demand: _Open, pairs: Sequence[tuple[Atom, Atom]]
+) -> dict[str, Types] | None:
     """Match atoms of an action without regard to types of the demand's variables.
 
     Returns:
@@ -227,7 +227,7 @@ def _lacking(
             return None
     known = dict(zip(demand.pattern.wanted, demand.known))
     bound = {each: name for each, name in known.items() if isinstance(name, str)}
-    own: Dict[int, str] = {}  # of the action
+    own: dict[int, str] = {}  # of the action
     arguments = [args for one, other in pairs for args in zip(one, other)]
     for have, want in arguments * 2:  # at first not all that are the same are known
         name = own.get(have) if isinstance(have, int) else have
@@ -250,7 +250,7 @@ def _lacking(
                 return None
         elif needed and not names.below(needed):
             return None
-    lacking: Dict[str, Types] = {}
+    lacking: dict[str, Types] = {}
     for variable, name in bound.items():
         more = known.get(variable)
         if isinstance(more, frozenset) and not names.fits(name, more):

@@ -16,16 +16,11 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import (
     AbstractSet,
-    Dict,
-    FrozenSet,
     Iterable,
     Iterator,
-    List,
     Mapping,
     NamedTuple,
-    Optional,
     Sequence,
-    Tuple,
 )
 
 from dyknow.manager.planning.library import (
@@ -58,7 +53,7 @@ _MOST_ALIKE = 5_000
 
 NO_CHARGES: Mapping[str, int] = MappingProxyType({})
 """Nothing has to be paid besides the costs."""
-NO_FEEDERS: Mapping[str, FrozenSet[str]] = MappingProxyType({})
+NO_FEEDERS: Mapping[str, frozenset[str]] = MappingProxyType({})
 """It is not known what feeds the live streams."""
 
 
@@ -92,7 +87,7 @@ class Request:
         paused: AbstractSet[str] = NO_LABELS,
         free: Mapping[str, Bindings] = NO_FREE,
         charges: Mapping[str, int] = NO_CHARGES,
-        feeders: Mapping[str, FrozenSet[str]] = NO_FEEDERS,
+        feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
         wanted: Sequence[str] = (),
     ) -> None:
         """Set it up; the arguments are those of `Planner.plan`.
@@ -103,8 +98,8 @@ class Request:
         self.names = names = library.names
         self.demand = demand
         self.limit = microseconds(demand.max_age) if demand.max_age else None
-        self._fast: Dict[Pattern, Pattern] = {}
-        self._fast_actions: Dict[Operator, Operator] = {}
+        self._fast: dict[Pattern, Pattern] = {}
+        self._fast_actions: dict[Operator, Operator] = {}
         self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)
         if demand.min_rate:
             self.goal = self._faster(self.goal)
@@ -123,7 +118,7 @@ class Request:
             for action in (*self.kept, *self.charges)
         }
         self._unusable = [each for each in streams if each[0].label in exclude]
-        by_name: Dict[str, List[TaggedStream]] = {}
+        by_name: dict[str, list[TaggedStream]] = {}
         for each in sorted(streams):
             if each[0].label not in exclude:
                 by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
@@ -188,7 +183,7 @@ class Request:
 
     # Demands
 
-    def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Operator, Offer]]:
+    def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[tuple[Operator, Offer]]:
         """Yield how makers can supply a pattern; known names rule some of them out."""
         min_rate = self.demand.min_rate
         if any(known) and self.crowd(pattern) is not None:
@@ -204,12 +199,12 @@ class Request:
             if min_rate and (not head.rate or pattern.slow is None):
                 yield self._faster_action(head.action), offer
 
-    def crowd(self, pattern: Pattern) -> Optional[int]:
+    def crowd(self, pattern: Pattern) -> int | None:
         """Return what very many makers that may supply a pattern cost at least; None for few."""
         count, least = self.library.count_makers(pattern)
         return min([least, *self._floors.values()]) if count > MANY else None
 
-    def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[Tuple[Head, Theta]]:
+    def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[tuple[Head, Theta]]:
         """Return the facts that supply a pattern, the cheapest first."""
         heads: Iterable[Head] = candidates(self.library.facts, pattern, known, self.names)
         if self._local:
@@ -224,7 +219,7 @@ class Request:
             )
         return matching(heads, pattern, known, self.names)
 
-    def cheapest_fact(self, pattern: Pattern) -> Optional[Head]:
+    def cheapest_fact(self, pattern: Pattern) -> Head | None:
         """Return the cheapest supplier of a pattern that needs nothing."""
         if not self._local and pattern.slow is None:
             found = self.library.cheapest_fact(pattern)

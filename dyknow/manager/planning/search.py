@@ -20,7 +20,7 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterator, NamedTuple, Sequence
 
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.library import Head, Offer, Operator
@@ -46,10 +46,10 @@ class Instance:
     action: Operator
     theta: Theta
     cost: int
-    needs: Tuple[Need, ...]
+    needs: tuple[Need, ...]
 
     @property
-    def key(self) -> Tuple[Operator, Theta]:
+    def key(self) -> tuple[Operator, Theta]:
         """Equal for equal instances of several searches."""
         return self.action, self.theta
 
@@ -73,10 +73,10 @@ class Subgoal:
         self.above = above
         self.is_bound = all(isinstance(each, str) for each in known)
         self.is_done = False
-        self.answers: Dict[Need, int] = {}
-        self.waiting: List[_Join] = []
-        self.facts: Iterator[Tuple[Head, Theta]] = iter(())
-        self.uses: List[Tuple[int, str, int, Operator, Offer]] = []
+        self.answers: dict[Need, int] = {}
+        self.waiting: list[_Join] = []
+        self.facts: Iterator[tuple[Head, Theta]] = iter(())
+        self.uses: list[tuple[int, str, int, Operator, Offer]] = []
 
 
 class _Use(NamedTuple):
@@ -100,17 +100,17 @@ class _Join(NamedTuple):
     use: _Use
     bounds: Known
     value: int
-    nodes: Tuple[Need, ...]
+    nodes: tuple[Need, ...]
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def _ordered(shares: Tuple[Tuple[int, ...], ...], known: Tuple[int, ...]) -> Sequence[int]:
+def _ordered(shares: tuple[tuple[int, ...], ...], known: tuple[int, ...]) -> Sequence[int]:
     """Order in-ports by their variables, of which some are known."""
     bound = set(known)
     left = list(range(len(shares)))
-    order: List[int] = []
+    order: list[int] = []
 
-    def rank(port: int) -> Tuple[bool, int, int]:
+    def rank(port: int) -> tuple[bool, int, int]:
         free = sum([each not in bound for each in shares[port]])
         return 0 < free == len(shares[port]), free, port
 
@@ -137,8 +137,8 @@ class Search:
         self,
         request: Request,
         bounds: Bounds,
-        least: Dict[Pattern, int],
-        below: Optional[int] = None,
+        least: dict[Pattern, int],
+        below: int | None = None,
     ) -> None:
         """Begin with the goal.
 
@@ -152,26 +152,26 @@ class Search:
         self._request = request
         self._names = request.names
         self._least = least
-        self._combine: Callable[[List[int]], int] = sum if below is None else max
+        self._combine: Callable[[list[int]], int] = sum if below is None else max
         self._users = bounds.users
         self._below = below
         #: Least cost of a plan besides each pattern, and others; by default that is found.
-        self._above: Optional[Dict[Pattern, int]] = None
+        self._above: dict[Pattern, int] | None = None
         self._above_others = 0
         if below is not None:
             self._above, self._above_others = bounds.above(least, below)
-        self.value: Dict[Need, int] = {}
-        self.chosen: Dict[Need, Instance] = {}
-        self.offers: Dict[Need, Dict[Instance, None]] = {}
-        self._subgoals: Dict[Tuple[Pattern, Known], Subgoal] = {}
+        self.value: dict[Need, int] = {}
+        self.chosen: dict[Need, Instance] = {}
+        self.offers: dict[Need, dict[Instance, None]] = {}
+        self._subgoals: dict[tuple[Pattern, Known], Subgoal] = {}
         self.is_complete = True
         self.reached = 0
-        self._best: Dict[Need, int] = {}
+        self._best: dict[Need, int] = {}
         #: The subgoals of each pattern, by the places and names that are known exactly, and types.
-        self._listeners: Dict[Pattern, Dict[Any, Dict[Theta, Subgoal]]] = {}
-        self._heap: List[Tuple[Any, ...]] = []
+        self._listeners: dict[Pattern, dict[Any, dict[Theta, Subgoal]]] = {}
+        self._heap: list[tuple[Any, ...]] = []
         self._pushed = 0
-        self._instances: Dict[Tuple[Operator, Theta], Instance] = {}
+        self._instances: dict[tuple[Operator, Theta], Instance] = {}
         known = (None,) * len(request.goal.wanted)
         self.goal = self._ask(request.goal, known, least.get(request.goal, 0))
 
@@ -195,7 +195,7 @@ class Search:
         """Whether a pattern could be supplied if no names were shared."""
         return pattern in self._least or pattern not in self._users
 
-    def answers(self, pattern: Pattern, known: Known) -> List[Need]:
+    def answers(self, pattern: Pattern, known: Known) -> list[Need]:
         """Return the nodes that were supplied for a subgoal."""
         found = self._subgoals.get((pattern, known))
         return list(found.answers) if found is not None else []
@@ -205,7 +205,7 @@ class Search:
         key: int,
         subgoal: Subgoal,
         label: str,
-        theta: Tuple[str, ...],
+        theta: tuple[str, ...],
         go_on: Callable[..., None],
         *details: Any,
     ) -> None:
@@ -246,7 +246,7 @@ class Search:
             self._push_use(subgoal)
         return subgoal
 
-    def _push_fact(self, subgoal: Subgoal) -> Optional[Head]:
+    def _push_fact(self, subgoal: Subgoal) -> Head | None:
         head, theta = next(subgoal.facts, (None, ()))
         if head is not None:
             key, label = subgoal.above + head.cost, head.action.label
@@ -290,7 +290,7 @@ class Search:
             rest = [self._combine([*floors[at:], 0]) for at in range(len(floors) + 1)]
             self._go_on(_Join(_Use(subgoal, action, offer, order, rest), bounds, 0, ()), key)
 
-    def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Optional[Known]:
+    def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Known | None:
         """Return the constraints on an action's variables, or None if it cannot supply this."""
         names = self._names
         if offer.places is None and offer.head.is_ground:
@@ -376,7 +376,7 @@ class Search:
             self._push(key, subgoal, action.label, theta, self._supply, *details)
 
     def _instance(
-        self, action: Operator, theta: Theta, cost: int, needs: Tuple[Need, ...]
+        self, action: Operator, theta: Theta, cost: int, needs: tuple[Need, ...]
     ) -> Instance:
         key = action, theta
         found = self._instances.get(key)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from sys import intern
-from typing import Dict, List, Optional, Set, Tuple, Union
 
 from dyknow.errors import InvalidTag, InvalidType
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
@@ -16,7 +15,7 @@ from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
-from dyknow.manager.specifications.xml_reader import Node
+from dyknow.manager.specifications.xml_reader import XmlNode
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import (
     IN,
@@ -53,17 +52,17 @@ class Builder:
         self,
         findings: Findings,
         limits: SpecificationLimits,
-        ontology: Optional[Concepts] = None,
+        ontology: Concepts | None = None,
     ) -> None:
         self._findings = findings
         self._ontology = ontology
         self._limits = limits
-        self._labels: Dict[str, int] = {}
-        self._nodes: Dict[str, int] = {}
-        self._good_yaml: Set[str] = set()
+        self._labels: dict[str, int] = {}
+        self._nodes: dict[str, int] = {}
+        self._good_yaml: set[str] = set()
         self._yaml_size = 0
 
-    def build(self, node: Node) -> Optional[Transformation]:
+    def build(self, node: XmlNode) -> Transformation | None:
         """Check a `<transformation>` without variables, and make the transformation.
 
         Returns:
@@ -93,13 +92,13 @@ class Builder:
             label.text, source_text, kind, cost, parameters, ports, isolated, external or ""
         )
 
-    def _problem(self, node: Node, message: str) -> None:
+    def _problem(self, node: XmlNode, message: str) -> None:
         self._findings.problem(node.line, message)
 
-    def _warning(self, node: Node, message: str) -> None:
+    def _warning(self, node: XmlNode, message: str) -> None:
         self._findings.warning(node.line, message)
 
-    def _check_label(self, label: Node) -> None:
+    def _check_label(self, label: XmlNode) -> None:
         if not label.text:
             self._problem(label, "<label> is empty; expected the transformation's name")
             return
@@ -112,7 +111,7 @@ class Builder:
             )
         self._labels.setdefault(label.text, label.line)
 
-    def _check_source(self, kind: str, source: Node) -> None:
+    def _check_source(self, kind: str, source: XmlNode) -> None:
         if kind == TOPIC:
             self._check_name("topic", source)
         elif kind == NODE:
@@ -129,7 +128,7 @@ class Builder:
             if trouble:
                 self._problem(source, f"<source> {trouble}; expected the nodelet, package/Class")
 
-    def _check_external(self, node: Node, kind: str, name: str, isolated: bool) -> None:
+    def _check_external(self, node: XmlNode, kind: str, name: str, isolated: bool) -> None:
         """Check that the transformation is the only one that describes an external node."""
         if kind != NODE:
             self._problem(node, f'node="{shorten(name)}": expected it with type="node" alone')
@@ -151,7 +150,7 @@ class Builder:
             )
         self._nodes.setdefault(name, node.line)
 
-    def _cost(self, node: Node) -> int:
+    def _cost(self, node: XmlNode) -> int:
         text = node.get("cost", "1")
         cost = int(text) if _COST.match(text) else _MAX_COST + 1
         if cost > _MAX_COST:
@@ -160,9 +159,9 @@ class Builder:
             )
         return cost
 
-    def _parameters(self, node: Node, kind: str, external: Optional[str]) -> Tuple[Parameter, ...]:
-        made: List[Parameter] = []
-        lines: Dict[str, int] = {}
+    def _parameters(self, node: XmlNode, kind: str, external: str | None) -> tuple[Parameter, ...]:
+        made: list[Parameter] = []
+        lines: dict[str, int] = {}
         for param in node.all("params"):
             name = param.get("name")
             self._check_name("parameter", param, name)
@@ -186,7 +185,7 @@ class Builder:
             self._warning(node, f"{what} has no parameters; these will never be set")
         return tuple(made)
 
-    def _check_value(self, name: str, type_: str, param: Node) -> None:
+    def _check_value(self, name: str, type_: str, param: XmlNode) -> None:
         text = param.text
         if type_ == "yaml":
             if text in self._good_yaml:
@@ -207,11 +206,11 @@ class Builder:
         if type_ == "yaml":
             self._good_yaml.add(text)
 
-    def ports(self, node: Node, is_template: bool = False) -> Tuple[Port, ...]:
+    def ports(self, node: XmlNode, is_template: bool = False) -> tuple[Port, ...]:
         """Check the ports and tags, also of a template that cannot be expanded."""
         ports = node.all("ports")
-        lines: Dict[str, int] = {}
-        stated: Dict[str, Tuple[float, float]] = {}
+        lines: dict[str, int] = {}
+        stated: dict[str, tuple[float, float]] = {}
         for port in ports:
             name = port.text
             if not is_template:
@@ -226,7 +225,7 @@ class Builder:
                     "expected names that differ, also between in and out",
                 )
             lines.setdefault(name, port.line)
-        tags: Dict[str, List[str]] = {name: [] for name in lines}
+        tags: dict[str, list[str]] = {name: [] for name in lines}
         self._distribute_tags(node, tags)
         outs = sum(port.get("type") == OUT for port in ports)
         ins = len(ports) - outs
@@ -247,7 +246,7 @@ class Builder:
             for port in ports
         )
 
-    def _stated(self, name: str, port: Node) -> float:
+    def _stated(self, name: str, port: XmlNode) -> float:
         """Read a number that an out-port states; 0 if it does not."""
         text = port.get(name)
         if not text:
@@ -264,7 +263,7 @@ class Builder:
             )
         return value
 
-    def _distribute_tags(self, node: Node, tags: Dict[str, List[str]]) -> None:
+    def _distribute_tags(self, node: XmlNode, tags: dict[str, list[str]]) -> None:
         for tag in node.all("tags"):
             port, text = tag.get("port"), tag.text
             if not text:
@@ -284,7 +283,7 @@ class Builder:
                 if text:
                     self._check_tag(tag)
 
-    def _check_tag(self, tag: Node) -> None:
+    def _check_tag(self, tag: XmlNode) -> None:
         found = _read_tag(tag.text)
         if isinstance(found, InvalidType):
             self._problem(tag, f"the tag '{shorten(tag.text)}': {found.expected}")
@@ -294,7 +293,7 @@ class Builder:
                 f"the tag '{shorten(tag.text)}' is passed over by the planner: {found.expected}",
             )
 
-    def _check_datatype(self, port: Node) -> None:
+    def _check_datatype(self, port: XmlNode) -> None:
         datatype = port.get("datatype")
         if datatype and not _DATATYPE.match(datatype):
             self._problem(
@@ -302,7 +301,7 @@ class Builder:
                 f'datatype="{shorten(datatype)}": expected a ROS type such as sensor_msgs/Image',
             )
 
-    def _check_name(self, what: str, node: Node, name: Optional[str] = None) -> None:
+    def _check_name(self, what: str, node: XmlNode, name: str | None = None) -> None:
         name = node.text if name is None else name
         trouble, doubt = _name_trouble(name)
         if trouble:
@@ -312,15 +311,15 @@ class Builder:
                 node, f"the {what} '{shorten(name)}' {doubt}; some tools will not find it"
             )
 
-    def _check_variables(self, node: Node, kind: str, ports: Tuple[Port, ...]) -> None:
+    def _check_variables(self, node: XmlNode, kind: str, ports: tuple[Port, ...]) -> None:
         """Note unbound variables, and types that are not classes.
 
         The streams at the in-ports of a nodelet bind its variables, so tags of out-ports and texts
         of parameters may use only variables that stand in the tags of in-ports.
         """
         in_ports = {port.name for port in ports if port.direction == IN}
-        used: List[Tuple[str, str, Node]] = []  # variable, where, element
-        bound: Dict[str, None] = {}
+        used: list[tuple[str, str, XmlNode]] = []  # variable, where, element
+        bound: dict[str, None] = {}
         for tag in node.all("tags"):
             term = _read_tag(tag.text) if "?" in tag.text else None
             if not isinstance(term, Term):
@@ -354,14 +353,14 @@ class Builder:
                 )
 
 
-def _ports_are_known(node: Node) -> bool:
+def _ports_are_known(node: XmlNode) -> bool:
     """Whether all ports could be read."""
     sections = (each for each in node.children if each.name == "ports")
     return all(port.is_good for section in sections for port in section.children)
 
 
 @lru_cache(maxsize=4096)
-def _read_tag(text: str) -> Union[Term, InvalidTag]:
+def _read_tag(text: str) -> Term | InvalidTag:
     """Read a tag, which is looked at several times, or return what is wrong with it."""
     try:
         return parse_tag(text)
@@ -370,7 +369,7 @@ def _read_tag(text: str) -> Union[Term, InvalidTag]:
 
 
 @lru_cache(maxsize=4096)
-def _name_trouble(name: str) -> Tuple[str, str]:
+def _name_trouble(name: str) -> tuple[str, str]:
     """Return the fault of a name and the doubt about it; empty texts for a ROS name."""
     if not name:
         return "is empty", ""

@@ -8,7 +8,7 @@ Messages quote the text; long texts and long lists are shortened.
 
 from __future__ import annotations
 
-from typing import Collection, Dict, Iterable, Tuple
+from typing import Collection, Iterable
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.similar import did_you_mean
@@ -33,9 +33,9 @@ class Findings:
     def __init__(self, file: str, max_problems: int) -> None:
         self._file = file
         self._max = max_problems
-        self._problems: Dict[Problem, None] = {}
-        self._warnings: Dict[Problem, None] = {}
-        self._rest: Tuple[Problem, ...] = ()
+        self._problems: dict[Problem, None] = {}
+        self._warnings: dict[Problem, None] = {}
+        self._rest: tuple[Problem, ...] = ()
         self._repetitions = 0
 
     def problem(self, line: int, message: str) -> None:
@@ -62,12 +62,12 @@ class Findings:
             self._warnings[Problem(self._file, line, message)] = None
 
     @property
-    def problems(self) -> Tuple[Problem, ...]:
+    def problems(self) -> tuple[Problem, ...]:
         """The errors by line, those of one line as they were found."""
         return tuple(sorted(self._problems, key=lambda problem: problem.line)) + self._rest
 
     @property
-    def warnings(self) -> Tuple[Problem, ...]:
+    def warnings(self) -> tuple[Problem, ...]:
         """The warnings by line."""
         return tuple(sorted(self._warnings, key=lambda problem: problem.line))
 

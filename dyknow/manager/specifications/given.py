@@ -10,7 +10,7 @@ A name such as `rate` overrides the transformation's parameter, or adds one. A v
 from __future__ import annotations
 
 from collections import Counter
-from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Iterable, Mapping, Sequence
 
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import listed, meant, shorten
@@ -20,17 +20,17 @@ from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import OUT, Parameter, Transformation
 
 
-def bindings_of(given: Iterable[Parameter]) -> Dict[str, str]:
+def bindings_of(given: Iterable[Parameter]) -> dict[str, str]:
     """Return the variables that are given, each with its name."""
     return {each.name: each.text for each in given if each.name[:1] == "?"}
 
 
-def names_of(given: Iterable[Parameter]) -> Tuple[str, ...]:
+def names_of(given: Iterable[Parameter]) -> tuple[str, ...]:
     """Return the names of the parameters that are given, without the variables."""
     return tuple(each.name for each in given if each.name[:1] != "?")
 
 
-def undeclared(transformation: Optional[Transformation], given: Iterable[Parameter]) -> List[str]:
+def undeclared(transformation: Transformation | None, given: Iterable[Parameter]) -> list[str]:
     """Describe the given parameters that a transformation with parameters does not declare.
 
     They are set all the same: a nodelet may read more parameters than its transformation declares.
@@ -46,11 +46,11 @@ def undeclared(transformation: Optional[Transformation], given: Iterable[Paramet
     ]
 
 
-def _terms(transformation: Transformation) -> List[Term]:
+def _terms(transformation: Transformation) -> list[Term]:
     return [term for port in transformation.ports for term in read_tags(port.tags)]
 
 
-def variables(transformation: Transformation) -> Set[str]:
+def variables(transformation: Transformation) -> set[str]:
     """Return the variables in the tags of a transformation."""
     return {variable for term in _terms(transformation) for variable in term.variables}
 
@@ -61,19 +61,19 @@ def shares_variables(transformation: Transformation) -> bool:
     return len(set(used)) < len(used)
 
 
-def filling_variables(transformation: Transformation) -> Set[str]:
+def filling_variables(transformation: Transformation) -> set[str]:
     """Return the variables that fill parameters."""
     texts = [parameter.text for parameter in transformation.parameters]
     return {variable for text in texts for variable in variables_of(text)}
 
 
-def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
+def filling(transformation: Transformation, bindings: Mapping[str, str]) -> tuple[Parameter, ...]:
     """Return the given parameters that fill the placeholders of a nodelet's parameters."""
     used = sorted(filling_variables(transformation))
     return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
 
 
-def exposed_variables(transformation: Transformation) -> Set[str]:
+def exposed_variables(transformation: Transformation) -> set[str]:
     """Return the variables that tell nodelets apart: those of out-ports and parameters."""
     outs = [port for port in transformation.ports if port.direction == OUT]
     found = {each for port in outs for term in read_tags(port.tags) for each in term.variables}
@@ -83,8 +83,8 @@ def exposed_variables(transformation: Transformation) -> Set[str]:
 def completed(
     transformation: Transformation,
     given: Sequence[Parameter],
-    ontology: Optional[Subsumption] = None,
-) -> Tuple[Parameter, ...]:
+    ontology: Subsumption | None = None,
+) -> tuple[Parameter, ...]:
     """Check parameters that are given to a nodelet.
 
     Args:
@@ -127,7 +127,7 @@ def completed(
 
 def set_on_load(
     transformation: Transformation, given: Sequence[Parameter]
-) -> Tuple[Parameter, ...]:
+) -> tuple[Parameter, ...]:
     """Return the parameters to set in a nodelet's namespace before it is loaded.
 
     Args:
@@ -140,8 +140,8 @@ def set_on_load(
     bindings = bindings_of(given)
     overriding = [each for each in given if each.name[:1] != "?"]
     overridden = names_of(overriding)
-    problems: List[str] = []
-    result: List[Parameter] = []
+    problems: list[str] = []
+    result: list[Parameter] = []
     for name, type_, text in transformation.parameters:
         if name in overridden:
             continue
@@ -164,7 +164,7 @@ def set_on_load(
     return (*result, *overriding)
 
 
-def _problems_of_variable(name: str, type_: str, text: str, known: Set[str]) -> Iterable[str]:
+def _problems_of_variable(name: str, type_: str, text: str, known: set[str]) -> Iterable[str]:
     if name not in known:
         yield f"unknown variable {shorten(name)}; known: {listed(known)}{meant(name, known)}"
     if type_ not in ("", "string"):

@@ -10,7 +10,7 @@ statements are listed in `warnings`.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Dict, FrozenSet, Iterable, List, Sequence, Tuple
+from typing import Iterable, Sequence
 
 from dyknow.errors import IndividualsError, LabelsError, Problem, UnknownConcept
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
@@ -40,23 +40,23 @@ class Ontology:
         warnings: Sequence[Problem] = (),
     ) -> None:
         """Use `load_ontology`, which reads the files."""
-        self.warnings: Tuple[Problem, ...] = tuple(warnings)
+        self.warnings: tuple[Problem, ...] = tuple(warnings)
         self._hierarchy = statements.hierarchy
         self._labels = labels
         self._classes = classes
         self._individuals = individuals
-        self._types: Dict[str, FrozenSet[str]] = {}
-        self._instances: Dict[str, List[str]] = defaultdict(list)
-        shared: Dict[FrozenSet[str], FrozenSet[str]] = {}
+        self._types: dict[str, frozenset[str]] = {}
+        self._instances: dict[str, list[str]] = defaultdict(list)
+        shared: dict[frozenset[str], frozenset[str]] = {}
         for individual, stated in statements.types.items():
             types = frozenset(stated)
             self._types[individual] = shared.setdefault(types, types)
             for each in types:
                 self._instances[each].append(individual)
-        self._above: Dict[str, FrozenSet[str]] = {}
-        self._above_classes: Dict[FrozenSet[str], FrozenSet[str]] = {}
+        self._above: dict[str, frozenset[str]] = {}
+        self._above_classes: dict[frozenset[str], frozenset[str]] = {}
 
-    def individuals(self, concept: str) -> Tuple[str, ...]:
+    def individuals(self, concept: str) -> tuple[str, ...]:
         """Return the terms of the individuals of a class, those of its subclasses included.
 
         An individual without a label goes by the last part of its URI. Of several labels the one
@@ -73,8 +73,8 @@ class Ontology:
             IndividualsError: an individual has several labels in one language, or none and the
                 last part of its URI names another one too. It names all such individuals.
         """
-        reasons: List[str] = []
-        found: List[str] = []
+        reasons: list[str] = []
+        found: list[str] = []
         for individual in self._of(concept):
             terms = [label.text for label in self._labels.terms(individual)]
             if not terms and not is_blank(individual):
@@ -92,7 +92,7 @@ class Ontology:
             raise IndividualsError(concept, reasons)
         return tuple(sorted(found))
 
-    def unlabelled(self, concept: str) -> Tuple[str, ...]:
+    def unlabelled(self, concept: str) -> tuple[str, ...]:
         """Return the URIs of the individuals of a class that have no label.
 
         Raises:
@@ -117,7 +117,7 @@ class Ontology:
         """Whether both are the same word, or one names a subclass or instance of the other."""
         return supplied == demanded or demanded in self.names_above(supplied)
 
-    def names_above(self, name: str) -> FrozenSet[str]:
+    def names_above(self, name: str) -> frozenset[str]:
         """Return a name, its synonyms, and the names of the classes above it."""
         known = self._above.get(name)
         if known is not None:
@@ -134,7 +134,7 @@ class Ontology:
         known = self._above[name] = frozenset(names)
         return known
 
-    def _names_above_classes(self, classes: FrozenSet[str]) -> FrozenSet[str]:
+    def _names_above_classes(self, classes: frozenset[str]) -> frozenset[str]:
         known = self._above_classes.get(classes)
         if known is None:
             above = self._hierarchy.above(classes)
@@ -142,7 +142,7 @@ class Ontology:
             self._above_classes[classes] = known
         return known
 
-    def _of(self, concept: str) -> List[str]:
+    def _of(self, concept: str) -> list[str]:
         """Return the individuals of a class, sorted."""
         if concept not in self._hierarchy:
             raise UnknownConcept(concept)

@@ -14,7 +14,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Iterable, NamedTuple, Sequence
 from urllib.parse import unquote, urljoin, urlsplit
 from xml.parsers import expat
 
@@ -83,21 +83,21 @@ class OntologyFiles:
         The catalogues are asked before those that lie beside the files.
         """
         self._limits = limits
-        self._read_catalogues: Dict[str, _Catalogue] = {}
+        self._read_catalogues: dict[str, _Catalogue] = {}
         self._catalogues = tuple(catalogues)
         for path in self._catalogues:
             self._catalogue(path)
-        self.files: List[OntologyFile] = []
-        self._paths: Set[str] = set()
-        self._known: Set[str] = set()
+        self.files: list[OntologyFile] = []
+        self._paths: set[str] = set()
+        self._known: set[str] = set()
         for path in paths:
             self._read(os.fspath(path))
-        imports: List[Tuple[str, str]] = []
+        imports: list[tuple[str, str]] = []
         for file in self.files:  # it grows meanwhile
             imports += self._follow(file)
         self.missing = [each for each in imports if _plain(each[0]) not in self._known]
 
-    def _follow(self, file: OntologyFile) -> List[Tuple[str, str]]:
+    def _follow(self, file: OntologyFile) -> list[tuple[str, str]]:
         """Read the imports of a file; return those for which no file is found."""
         missing = []
         for uri in sorted(str(each) for each in file.graph.objects(None, OWL.imports)):
@@ -131,7 +131,7 @@ class OntologyFiles:
             self._known.add(_plain(str(node)))
             self._known.update(map(_plain, map(str, file.graph.objects(node, OWL.versionIRI))))
 
-    def _find(self, uri: str, importer: str) -> Optional[str]:
+    def _find(self, uri: str, importer: str) -> str | None:
         """Return the local file that a catalogue names for an import."""
         beside = Path(importer).absolute().parent / _BESIDE
         waiting = [*self._catalogues, *([str(beside)] if beside.is_file() else [])]
@@ -159,10 +159,10 @@ class _Catalogue:
 
     def __init__(self, path: str, limits: SpecificationLimits) -> None:
         #: Paths of the catalogues to ask next.
-        self.following: List[str] = []
+        self.following: list[str] = []
         self._path = path
-        self._uris: Dict[str, str] = {}
-        self._prefixes: Dict[str, str] = {}
+        self._uris: dict[str, str] = {}
+        self._prefixes: dict[str, str] = {}
         parser = etree.XMLParser(resolve_entities=False, load_dtd=False, no_network=True)
         data = _read_bytes(path, limits.text_size)
         try:
@@ -197,7 +197,7 @@ class _Catalogue:
                 raise self._error(entry, f"the next catalogue <{target}>; expected a local file")
             self.following.append(os.path.realpath(path))
 
-    def find(self, uri: str) -> Optional[str]:
+    def find(self, uri: str) -> str | None:
         """Return the URI where an ontology is; None if it is not listed."""
         if uri in self._uris:
             return self._uris[uri]
@@ -213,7 +213,7 @@ def _plain(uri: str) -> str:
     return uri.rstrip("#")
 
 
-def _local_path(uri: str) -> Optional[str]:
+def _local_path(uri: str) -> str | None:
     """Return the path of a file's URI; None if it is none of this host."""
     try:
         parts = urlsplit(uri)
@@ -273,9 +273,9 @@ def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
 
     A text that is not well-formed passes: the parser that follows refuses it.
     """
-    sizes: Dict[bytes, int] = {}
+    sizes: dict[bytes, int] = {}
 
-    def declare(name: str, is_parameter: bool, value: Optional[str], *_: object) -> None:
+    def declare(name: str, is_parameter: bool, value: str | None, *_: object) -> None:
         if value is None:  # an external entity, which is not read
             return
         if is_parameter or "&" in value:

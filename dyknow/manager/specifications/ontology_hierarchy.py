@@ -12,21 +12,21 @@ found in advance, so a large ontology loads quickly.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Dict, Iterable, Iterator, List, Mapping, Set, Tuple
+from typing import Iterable, Iterator, Mapping
 
 
 class Hierarchy:
     """Classes by their keys, with the statements about them; cycles are allowed."""
 
     def __init__(self) -> None:
-        self._above: Dict[str, Set[str]] = {}
-        self._below: Dict[str, Set[str]] = defaultdict(set)
+        self._above: dict[str, set[str]] = {}
+        self._below: dict[str, set[str]] = defaultdict(set)
         #: Each intersection, with the number of its parts.
-        self._intersections: List[Tuple[str, int]] = []
-        self._intersections_of: Dict[str, List[int]] = defaultdict(list)
+        self._intersections: list[tuple[str, int]] = []
+        self._intersections_of: dict[str, list[int]] = defaultdict(list)
         #: One part of each intersection: all individuals of the whole are in it.
-        self._parts: Dict[str, List[str]] = defaultdict(list)
-        self._unions: List[Tuple[str, List[str]]] = []
+        self._parts: dict[str, list[str]] = defaultdict(list)
+        self._unions: list[tuple[str, list[str]]] = []
 
     def __contains__(self, name: str) -> bool:
         return name in self._above
@@ -69,7 +69,7 @@ class Hierarchy:
             changed = False
             for whole, parts in self._unions:
                 known = self.above((whole,))
-                common: Set[str] = set()
+                common: set[str] = set()
                 for part in parts:
                     found = self.above((part,))
                     visits -= len(found)
@@ -83,11 +83,11 @@ class Hierarchy:
                     changed = True
         return True
 
-    def above(self, names: Iterable[str]) -> Set[str]:
+    def above(self, names: Iterable[str]) -> set[str]:
         """Return the classes of an individual that is in each of the given classes."""
         reached = set(names)
         waiting = list(reached)
-        missing: Dict[int, int] = {}
+        missing: dict[int, int] = {}
         while waiting:
             name = waiting.pop()
             found = set(self._above.get(name, ()))
@@ -104,7 +104,7 @@ class Hierarchy:
     def are_equivalent(self, one: str, other: str) -> bool:
         return other in self.above((one,)) and one in self.above((other,))
 
-    def below(self, name: str) -> Tuple[Set[str], Set[str]]:
+    def below(self, name: str) -> tuple[set[str], set[str]]:
         """Return the classes whose individuals may be in a class.
 
         Returns:
@@ -115,7 +115,7 @@ class Hierarchy:
         return certain, _reachable(name, self._below, self._parts) - certain
 
 
-def _reachable(start: str, *relations: Mapping[str, Iterable[str]]) -> Set[str]:
+def _reachable(start: str, *relations: Mapping[str, Iterable[str]]) -> set[str]:
     reached = {start}
     waiting = [start]
     while waiting:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Callable, Iterable, Iterator, NamedTuple
 
 import rdflib
 from rdflib import RDFS
@@ -41,7 +41,7 @@ class Label(NamedTuple):
     The rank is that of the language, the language's code, and that of the property.
     """
 
-    rank: Tuple[int, str, int]
+    rank: tuple[int, str, int]
     text: str
     file: str
 
@@ -73,8 +73,8 @@ class Labels:
         self._preferred = ["-".join(parts[:end]) for end in range(len(parts), 0, -1)] + [""]
         self._variants = [parts[0], "en"]
         self.language = language
-        self._by_entity: Dict[str, List[Label]] = defaultdict(list)
-        self.dropped: Dict[Label, List[str]] = defaultdict(list)
+        self._by_entity: dict[str, list[Label]] = defaultdict(list)
+        self.dropped: dict[Label, list[str]] = defaultdict(list)
 
     def read(self, file: OntologyFile) -> None:
         """Take the labels of a file."""
@@ -94,11 +94,11 @@ class Labels:
         order = self._variants.index(primary) if known else len(self._variants)
         return len(self._preferred) + order
 
-    def of(self, entity: str) -> List[Label]:
+    def of(self, entity: str) -> list[Label]:
         """Return all labels of an entity, the best first."""
         return sorted(self._by_entity.get(entity, ()))
 
-    def terms(self, entity: str) -> List[Label]:
+    def terms(self, entity: str) -> list[Label]:
         """Return the labels of the best rank, of which there should be one."""
         labels = self.of(entity)
         return list({each.text: each for each in labels if each.rank == labels[0].rank}.values())
@@ -113,7 +113,7 @@ class Labels:
         is_new = True
         while is_new:  # another label of the entity becomes its term
             is_new = False
-            owners: Dict[str, List[Tuple[str, Label]]] = defaultdict(list)
+            owners: dict[str, list[tuple[str, Label]]] = defaultdict(list)
             for entity in names:
                 for label in self.terms(entity):
                     owners[label.text].append((entity, label))
@@ -126,7 +126,7 @@ class Labels:
                         self.dropped[label].append(entity)
                         is_new = True
 
-    def fallbacks(self, entities: Iterable[str]) -> Iterator[Tuple[str, List[Label]]]:
+    def fallbacks(self, entities: Iterable[str]) -> Iterator[tuple[str, list[Label]]]:
         """Return entities with labels in several languages, none of them preferred."""
         for entity in entities:
             labels = self.of(entity)
@@ -162,10 +162,10 @@ class Naming:
         self._labels = labels
         self._sorted = sorted(entities)
         labels.drop_shared(self._sorted, alike)
-        self.refused: List[str] = []
-        self.unlabelled: List[str] = []
-        owners: Dict[str, Tuple[str, Label]] = {}
-        further: List[Tuple[str, str]] = []
+        self.refused: list[str] = []
+        self.unlabelled: list[str] = []
+        owners: dict[str, tuple[str, Label]] = {}
+        further: list[tuple[str, str]] = []
         for entity in self._sorted:
             terms = labels.terms(entity)
             for label in terms:
@@ -185,9 +185,9 @@ class Naming:
         self.ambiguous = self._add([(local_name(each), each) for each in self.unlabelled])
         self._entities.update(zip(self._sorted, self._sorted))
 
-    def _add(self, names: List[Tuple[str, str]]) -> Dict[str, List[str]]:
+    def _add(self, names: list[tuple[str, str]]) -> dict[str, list[str]]:
         """Add the names of one entity only, and return the rest."""
-        owners: Dict[str, Set[str]] = defaultdict(set)
+        owners: dict[str, set[str]] = defaultdict(set)
         for name, entity in names:
             if name not in self._entities:
                 owners[name].add(entity)
@@ -197,7 +197,7 @@ class Naming:
     def __iter__(self) -> Iterator[str]:
         return iter(self._sorted)
 
-    def get(self, name: str) -> Optional[str]:
+    def get(self, name: str) -> str | None:
         """Return the entity of a name, or None."""
         return self._entities.get(name)
 
@@ -208,7 +208,7 @@ class Naming:
             names += [entity] if names else [entity, local_name(entity)]
         return (name for name in names if self._entities.get(name) == entity)
 
-    def shared_with(self, other: Naming) -> List[str]:
+    def shared_with(self, other: Naming) -> list[str]:
         """Return the names that stand for something else there."""
         both = self._entities.keys() & other._entities.keys()
         return sorted(each for each in both if self._entities[each] != other._entities[each])

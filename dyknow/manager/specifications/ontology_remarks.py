@@ -12,7 +12,7 @@ from __future__ import annotations
 import bisect
 import re
 from collections import defaultdict
-from typing import Dict, List, NamedTuple, Sequence, Set
+from typing import NamedTuple, Sequence
 
 import rdflib
 
@@ -40,7 +40,7 @@ class Remarks:
 
     def __init__(self, files: Sequence[OntologyFile]) -> None:
         self._files = files
-        self._remarks: Dict[str, Set[_Remark]] = defaultdict(set)
+        self._remarks: dict[str, set[_Remark]] = defaultdict(set)
 
     def unread(self, path: str, owner: str, word: str) -> None:
         what = _KINDS.get(word, f"owl:{word}")
@@ -66,7 +66,7 @@ class Remarks:
                     f"another one too, and there is none in '{labels.language}'; it does not count"
                 )
                 self._note(label.file, entity, "label", message)
-        unlabelled: Dict[str, List[str]] = defaultdict(list)
+        unlabelled: dict[str, list[str]] = defaultdict(list)
         for naming in (classes, individuals):
             for entity, found in labels.fallbacks(naming):
                 languages = ", ".join(sorted({label.language for label in found}))
@@ -88,7 +88,7 @@ class Remarks:
             message = f"no label, so that the last part of the URI is the name: {_uris(entities)}"
             self._note(path, entities[0], "", message)
 
-    def problems(self) -> List[Problem]:
+    def problems(self) -> list[Problem]:
         """Return the warnings of each file by line, those without a line last."""
         return [
             problem
@@ -114,7 +114,7 @@ def _uris(entities: Sequence[str]) -> str:
     return ", ".join(f"<{each}>" for each in entities[:_URIS]) + more
 
 
-def _placed(file: OntologyFile, remarks: Sequence[_Remark]) -> List[Problem]:
+def _placed(file: OntologyFile, remarks: Sequence[_Remark]) -> list[Problem]:
     if not remarks:
         return []
     lines = _Lines(file.data.decode("utf-8", "replace"))
@@ -133,7 +133,7 @@ class _Lines:
     def __init__(self, text: str) -> None:
         self._text = text
         self._ends = [found.start() for found in re.finditer("\n", text)]
-        self._known: Dict[str, List[int]] = {"": []}
+        self._known: dict[str, list[int]] = {"": []}
 
     def find(self, term: str, word: str) -> int:
         """Return the line of the word that follows the term soonest; else that of the term."""
@@ -146,7 +146,7 @@ class _Lines:
         ]
         return min(following)[1] if following else next(iter(mentions), 0)
 
-    def _of(self, word: str) -> List[int]:
+    def _of(self, word: str) -> list[int]:
         """Return the lines that have the word, not as a part of a longer one."""
         if word not in self._known:
             places = (

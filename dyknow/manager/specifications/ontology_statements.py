@@ -11,7 +11,7 @@ so an intersection with one is a subclass of its other parts and contains nothin
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Dict, Iterator, List, NamedTuple, Sequence, Set, Tuple
+from typing import Iterator, NamedTuple, Sequence
 
 import rdflib
 from rdflib import OWL, RDF, RDFS
@@ -54,11 +54,11 @@ class OntologyStatements:
     def __init__(self, files: Sequence[OntologyFile]) -> None:
         """Read the statements, or raise OntologyFileError for a malformed list."""
         self.hierarchy = Hierarchy()
-        self.types: Dict[str, Set[str]] = defaultdict(set)
+        self.types: dict[str, set[str]] = defaultdict(set)
         self._files = files
         self._graph = merged(files)
         #: Expressions by the class, individual or expression that they describe.
-        self._described: Dict[Node, List[rdflib.BNode]] = defaultdict(list)
+        self._described: dict[Node, list[rdflib.BNode]] = defaultdict(list)
         self._data = {
             node
             for kind in (RDFS.Datatype, OWL.DataRange)
@@ -104,7 +104,7 @@ class OntologyStatements:
             self._described[node].append(expression)
 
     def _read_lists(self) -> None:
-        seen: Set[Node] = set()
+        seen: set[Node] = set()
         for predicate in _BOOLEANS:
             for node, head in self._graph.subject_objects(predicate):
                 try:
@@ -122,12 +122,12 @@ class OntologyStatements:
                 if all(map(self._is_class, (node, *members))):
                     self._add_expression(node, predicate, members)
 
-    def _list_members(self, head: Node, seen: Set[Node]) -> List[Node]:
+    def _list_members(self, head: Node, seen: set[Node]) -> list[Node]:
         """Return the members of an RDF list, or raise ValueError.
 
         It must be complete and share no node with itself or with the lists ``seen`` before.
         """
-        members: List[Node] = []
+        members: list[Node] = []
         while head != RDF.nil:
             firsts = list(self._graph.objects(head, RDF.first))
             rests = list(self._graph.objects(head, RDF.rest))
@@ -145,7 +145,7 @@ class OntologyStatements:
             head = rests[0]
         return members
 
-    def _add_expression(self, node: Node, predicate: Node, members: List[Node]) -> None:
+    def _add_expression(self, node: Node, predicate: Node, members: list[Node]) -> None:
         key, parts = node_key(node), [node_key(member) for member in members]
         self.hierarchy.add(key)
         if predicate == OWL.oneOf:
@@ -161,11 +161,11 @@ class OntologyStatements:
 
     def _unread_expressions(self) -> Iterator[Unread]:
         """Find the expressions of unread kinds, from the named nodes that they describe."""
-        seen: Set[Node] = set()
+        seen: set[Node] = set()
         for owner in [node for node in self._described if isinstance(node, rdflib.URIRef)]:
-            waiting: List[Node] = [owner]
+            waiting: list[Node] = [owner]
             while waiting:
-                found: Set[Node] = set(self._described.get(waiting.pop(), ()))
+                found: set[Node] = set(self._described.get(waiting.pop(), ()))
                 found -= seen
                 seen |= found
                 waiting += found
@@ -192,7 +192,7 @@ class OntologyStatements:
         """Take the domain and the range of each property as types of the related individuals."""
         graph, types = self._graph, self.types
         #: Superclasses of the individuals that have some value of a property.
-        self._domains: Dict[Node, Set[str]] = defaultdict(set)
+        self._domains: dict[Node, set[str]] = defaultdict(set)
         for predicate in (RDFS.domain, RDFS.range):
             for name, value in graph.subject_objects(predicate):
                 if not self._is_class(value) or str(value).startswith(_BUILT_IN + _XSD):
@@ -213,7 +213,7 @@ class OntologyStatements:
         A class with some relative of one class has some relative of each class above it.
         """
         relatives = self._some_values()
-        by_property: Dict[Node, List[Tuple[str, str]]] = defaultdict(list)
+        by_property: dict[Node, list[tuple[str, str]]] = defaultdict(list)
         for key, name, filler in relatives:
             by_property[name].append((key, filler))
             for domain in self._domains[name]:
@@ -235,7 +235,7 @@ class OntologyStatements:
                             changed = True
         return True
 
-    def _some_values(self) -> List[Tuple[str, rdflib.URIRef, str]]:
+    def _some_values(self) -> list[tuple[str, rdflib.URIRef, str]]:
         """Return the classes that owl:someValuesFrom describes: key, property and class."""
         return sorted(
             (node_key(node), name, node_key(filler))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 from dataclasses import dataclass
-from typing import Iterable, Iterator, List, Optional, Tuple, Union
+from typing import Iterable, Iterator
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.builder import Builder
@@ -20,7 +20,7 @@ from dyknow.manager.specifications.xml_reader import (
     NEEDED,
     Attribute,
     Element,
-    Node,
+    XmlNode,
     XmlReader,
 )
 from dyknow.model.transformation import Transformation
@@ -75,14 +75,14 @@ class Specifications:
     texts that are probably mistakes.
     """
 
-    transformations: Tuple[Transformation, ...]
-    warnings: Tuple[Problem, ...]
+    transformations: tuple[Transformation, ...]
+    warnings: tuple[Problem, ...]
 
 
 def parse(
-    text: Union[str, bytes],
+    text: str | bytes,
     file_name: str = "specification",
-    ontology: Optional[Concepts] = None,
+    ontology: Concepts | None = None,
     limits: SpecificationLimits = DEFAULT_LIMITS,
 ) -> Specifications:
     """Parse a specification, or many in a `<transformations>` element.
@@ -98,7 +98,7 @@ def parse(
     """
     findings = Findings(file_name, limits.problems)
     nodes = XmlReader(findings, limits, TRANSFORMATION, TRANSFORMATIONS).read(text)
-    found: List[Transformation] = []
+    found: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
         found += transformations_of(nodes, findings, ontology, limits)
     findings.raise_if_any()
@@ -106,7 +106,7 @@ def parse(
 
 
 def parse_file(
-    path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
+    path: str, ontology: Concepts | None = None, limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> Specifications:
     """Parse a file, which messages name as it is given here.
 
@@ -124,9 +124,9 @@ def parse_file(
 
 
 def transformations_of(
-    nodes: Iterable[Node],
+    nodes: Iterable[XmlNode],
     findings: Findings,
-    ontology: Optional[Concepts] = None,
+    ontology: Concepts | None = None,
     limits: SpecificationLimits = DEFAULT_LIMITS,
 ) -> Iterator[Transformation]:
     """Make the transformations of one text from its `<transformation>` elements.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Protocol, Tuple
+from typing import Iterable, Iterator, Mapping, NamedTuple, Protocol, Tuple
 
 from dyknow.errors import InvalidTag, InvalidType
 
@@ -50,8 +50,8 @@ class Term(NamedTuple):
     """
 
     functor: str
-    args: Tuple[str, ...] = ()
-    types: Tuple[str, ...] = ()
+    args: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Write the term as ``parse_tag`` reads it."""
@@ -67,7 +67,7 @@ class Term(NamedTuple):
         return not [arg for arg in self.args if arg[:1] == "?"]  # a list is quicker than any()
 
     @property
-    def variables(self) -> Tuple[str, ...]:
+    def variables(self) -> tuple[str, ...]:
         """Its variables, in the order written."""
         return tuple(dict.fromkeys(arg for arg in self.args if arg[:1] == "?"))
 
@@ -129,7 +129,7 @@ def parse_tag(text: str) -> Term:
     return Term(functor.strip(), names, types)
 
 
-def _variable(text: str, arg: str) -> Tuple[str, str]:
+def _variable(text: str, arg: str) -> tuple[str, str]:
     """Split ``?x: Concept``; the type is empty if there is none."""
     variable, colon, type_ = arg.partition(":")
     variable, type_ = variable.rstrip(), type_.lstrip()
@@ -139,7 +139,7 @@ def _variable(text: str, arg: str) -> Tuple[str, str]:
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
+def read_tags(texts: tuple[str, ...]) -> tuple[Term, ...]:
     """Read the tags of a port; texts that are not terms are ignored."""
     found = []
     for text in texts:
@@ -160,7 +160,7 @@ def unify(
     demanded: Term,
     ontology: Subsumption,
     bindings: Mapping[str, str] = NO_BINDINGS,
-) -> Optional[Dict[str, str]]:
+) -> dict[str, str] | None:
     """Match a supplied tag, which is ground, with a demanded one.
 
     Args:
@@ -197,7 +197,7 @@ def unify_all(
     demanded: Iterable[Term],
     ontology: Subsumption,
     bindings: Mapping[str, str] = NO_BINDINGS,
-) -> Iterator[Dict[str, str]]:
+) -> Iterator[dict[str, str]]:
     """Match every demanded tag with one of the tags of a stream, under the same bindings.
 
     Yields:
@@ -205,7 +205,7 @@ def unify_all(
     """
     demanded = tuple(demanded)
     ground = [tag for tag in supplied if tag.is_ground]
-    waiting: List[Tuple[int, Dict[str, str]]] = [(0, dict(bindings))]
+    waiting: list[tuple[int, dict[str, str]]] = [(0, dict(bindings))]
     while waiting:
         number, bound = waiting.pop()
         if number == len(demanded):
@@ -215,9 +215,9 @@ def unify_all(
         waiting += [(number + 1, each) for each in reversed(found) if each is not None]
 
 
-def types_of(terms: Iterable[Term]) -> Dict[str, frozenset[str]]:
+def types_of(terms: Iterable[Term]) -> dict[str, frozenset[str]]:
     """Collect the types of variables over all their occurrences."""
-    found: Dict[str, frozenset[str]] = {}
+    found: dict[str, frozenset[str]] = {}
     for term in terms:
         for arg, type_ in zip(term.args, term.types):
             if type_:

@@ -16,13 +16,13 @@ import re
 from collections import Counter
 from itertools import product
 from math import prod
-from typing import Dict, Iterable, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
+from typing import Iterable, Iterator, List, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import Subsumption
-from dyknow.manager.specifications.xml_reader import BLANK, Node
+from dyknow.manager.specifications.xml_reader import BLANK, XmlNode
 from dyknow.model import placeholders
 from dyknow.model.placeholders import Placeholder
 
@@ -40,10 +40,10 @@ _Terms = Sequence[Tuple[str, ...]]
 class Concepts(Subsumption, Protocol):
     """The part of an ontology that specifications need."""
 
-    def individuals(self, concept: str) -> Tuple[str, ...]:
+    def individuals(self, concept: str) -> tuple[str, ...]:
         """Return the labels of a class's individuals, sorted, or raise an `OntologyError`."""
 
-    def unlabelled(self, concept: str) -> Tuple[str, ...]:
+    def unlabelled(self, concept: str) -> tuple[str, ...]:
         """Return the URIs of the individuals without a label."""
 
     def is_class(self, name: str) -> bool:
@@ -54,7 +54,7 @@ class Expander:
     """Expands the templates of one text; the limits hold for all of them together."""
 
     def __init__(
-        self, findings: Findings, limits: SpecificationLimits, ontology: Optional[Concepts]
+        self, findings: Findings, limits: SpecificationLimits, ontology: Concepts | None
     ) -> None:
         self._findings = findings
         self._limits = limits
@@ -63,7 +63,7 @@ class Expander:
         self._items = 0
         self._characters = 0
 
-    def expand(self, node: Node) -> Optional[Iterable[Node]]:
+    def expand(self, node: XmlNode) -> Iterable[XmlNode] | None:
         """Expand a `<transformation>`.
 
         Returns:
@@ -86,9 +86,9 @@ class Expander:
             return None
         return _substitutions(node, pieces, terms)
 
-    def _all_terms(self, args: List[Node]) -> Optional[_Terms]:
-        lines: Dict[str, int] = {}
-        sets: List[Tuple[str, ...]] = []
+    def _all_terms(self, args: list[XmlNode]) -> _Terms | None:
+        lines: dict[str, int] = {}
+        sets: list[tuple[str, ...]] = []
         for arg in args:
             label = arg.get("label")
             if not _NAME.match(label):
@@ -101,7 +101,7 @@ class Expander:
             sets.append(self._terms(arg))
         return sets if all(sets) and len(lines) == len(args) else None
 
-    def _terms(self, arg: Node) -> Tuple[str, ...]:
+    def _terms(self, arg: XmlNode) -> tuple[str, ...]:
         """Return the terms of one arg; empty if there is a problem with them."""
         text = arg.text
         if text.startswith("{") and text.endswith("}") and len(text) > 1:
@@ -129,7 +129,7 @@ class Expander:
             self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
         return terms
 
-    def _explicit_terms(self, arg: Node) -> Tuple[str, ...]:
+    def _explicit_terms(self, arg: XmlNode) -> tuple[str, ...]:
         terms = tuple(term.strip(BLANK) for term in arg.text[1:-1].split(";"))
         if "" in terms:
             self._problem(arg, "has an empty term; expected terms around each ';' in {...}")
@@ -140,10 +140,10 @@ class Expander:
             return ()
         return terms
 
-    def _problem(self, arg: Node, message: str) -> None:
+    def _problem(self, arg: XmlNode, message: str) -> None:
         self._findings.problem(arg.line, f"the arg '{shorten(arg.get('label'))}' {message}")
 
-    def _variables_are_known(self, node: Node, names: Dict[str, int]) -> bool:
+    def _variables_are_known(self, node: XmlNode, names: dict[str, int]) -> bool:
         good = True
         for text, line, is_value in node.texts():
             pattern = _BESIDE_PLACEHOLDERS if is_value else _VARIABLE
@@ -157,7 +157,7 @@ class Expander:
                     self._findings.problem(line, f"{error} (write $${{? for ${{? itself)")
         return good
 
-    def _is_known(self, match: re.Match[str], names: Dict[str, int], line: int) -> bool:
+    def _is_known(self, match: re.Match[str], names: dict[str, int], line: int) -> bool:
         found, name = match.group(), match.group(1)
         if found == "$${" or name in names:
             return True
@@ -176,7 +176,7 @@ class Expander:
         )
         return False
 
-    def _labels_differ(self, node: Node, names: Dict[str, int], terms: _Terms) -> bool:
+    def _labels_differ(self, node: XmlNode, names: dict[str, int], terms: _Terms) -> bool:
         label = node.child("label")
         if label is None:
             return False
@@ -191,7 +191,7 @@ class Expander:
                 return False
         return True
 
-    def _fits(self, node: Node, pieces: Dict[Tuple[str, bool], _Pieces], terms: _Terms) -> bool:
+    def _fits(self, node: XmlNode, pieces: dict[tuple[str, bool], _Pieces], terms: _Terms) -> bool:
         """Compute the size of the expansion, and check the limits before anything is expanded."""
         limits = self._limits
         count = prod(len(each) for each in terms)
@@ -225,11 +225,11 @@ class Expander:
         return True
 
 
-def _length(piece: Union[str, Placeholder]) -> int:
+def _length(piece: str | Placeholder) -> int:
     return len(piece) if isinstance(piece, str) else len(piece.variable)
 
 
-def _cut(text: str, names: Dict[str, int], is_value: bool) -> _Pieces:
+def _cut(text: str, names: dict[str, int], is_value: bool) -> _Pieces:
     """Cut a text at its variables, which are known, and a value also at its placeholders."""
     if not is_value:
         return _cut_plain(text, names, _VARIABLE)
@@ -242,7 +242,7 @@ def _cut(text: str, names: Dict[str, int], is_value: bool) -> _Pieces:
     return pieces
 
 
-def _cut_plain(text: str, names: Dict[str, int], variables: re.Pattern[str]) -> _Pieces:
+def _cut_plain(text: str, names: dict[str, int], variables: re.Pattern[str]) -> _Pieces:
     pieces: _Pieces = []
     end = 0
     for match in variables.finditer(text):
@@ -257,8 +257,8 @@ def _cut_plain(text: str, names: Dict[str, int], variables: re.Pattern[str]) -> 
 
 
 def _substitutions(
-    node: Node, pieces: Dict[Tuple[str, bool], _Pieces], terms: _Terms
-) -> Iterator[Node]:
+    node: XmlNode, pieces: dict[tuple[str, bool], _Pieces], terms: _Terms
+) -> Iterator[XmlNode]:
     fixed = {
         key: _joined(cut, key[1])
         for key, cut in pieces.items()
@@ -266,7 +266,7 @@ def _substitutions(
     }
     for choice in product(*terms):
 
-        def render(text: str, is_value: bool, choice: Tuple[str, ...] = choice) -> str:
+        def render(text: str, is_value: bool, choice: tuple[str, ...] = choice) -> str:
             key = (text, is_value)
             if key in fixed:
                 return fixed[key]

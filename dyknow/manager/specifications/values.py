@@ -26,7 +26,7 @@ _DOUBLE = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
 )
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
-_BOOLS: Dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
+_BOOLS: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 

@@ -15,15 +15,10 @@ from dataclasses import dataclass, field
 from textwrap import dedent
 from typing import (
     Callable,
-    Dict,
     Iterator,
-    List,
     Mapping,
     NamedTuple,
     NoReturn,
-    Optional,
-    Tuple,
-    Union,
 )
 from xml.parsers import expat
 
@@ -50,7 +45,7 @@ class Attribute(NamedTuple):
     It may have any value if ``values`` is empty. Reading ends at another version.
     """
 
-    values: Tuple[str, ...] = ()
+    values: tuple[str, ...] = ()
     is_required: bool = False
     is_version: bool = False
 
@@ -69,7 +64,7 @@ class Element:
     """
 
     name: str
-    children: Tuple[Element, ...] = ()
+    children: tuple[Element, ...] = ()
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
     holds_text: bool = False
     is_required: bool = False
@@ -88,7 +83,7 @@ class Element:
         return names or ("text alone" if self.holds_text else "nothing")
 
 
-class Node:
+class XmlNode:
     """An element as it was read; its line is that of its start tag.
 
     Attributes:
@@ -99,23 +94,23 @@ class Node:
 
     __slots__ = ("attributes", "children", "has_variables", "is_good", "line", "name", "text")
 
-    def __init__(self, name: str, line: int, attributes: Dict[str, str]) -> None:
+    def __init__(self, name: str, line: int, attributes: dict[str, str]) -> None:
         self.name = name
         self.line = line
         self.attributes = attributes
         self.text = ""
-        self.children: List[Node] = []
+        self.children: list[XmlNode] = []
         self.is_good = True
         self.has_variables = False
 
     def get(self, attribute: str, default: str = "") -> str:
         return self.attributes.get(attribute, default)
 
-    def child(self, name: str) -> Optional[Node]:
+    def child(self, name: str) -> XmlNode | None:
         """Return the first child of that name that can be used."""
         return next((each for each in self.children if each.name == name and each.is_good), None)
 
-    def all(self, section: str) -> List[Node]:
+    def all(self, section: str) -> list[XmlNode]:
         """Return what a section holds, without elements that cannot be used."""
         return [
             each
@@ -125,7 +120,7 @@ class Node:
             if each.is_good
         ]
 
-    def texts(self) -> Iterator[Tuple[str, int, bool]]:
+    def texts(self) -> Iterator[tuple[str, int, bool]]:
         """Return texts and attributes: the line of each, and whether it is a parameter's text."""
         yield self.text, self.line, self.name == "param"
         for text in self.attributes.values():
@@ -133,10 +128,10 @@ class Node:
         for child in self.children:
             yield from child.texts()
 
-    def rendered(self, render: Callable[[str, bool], str]) -> Node:
+    def rendered(self, render: Callable[[str, bool], str]) -> XmlNode:
         """Make a copy in which all of ``texts`` are rendered."""
         attributes = {name: render(text, False) for name, text in self.attributes.items()}
-        made = Node(self.name, self.line, attributes)
+        made = XmlNode(self.name, self.line, attributes)
         made.text = render(self.text, self.name == "param")
         made.children = [child.rendered(render) for child in self.children]
         made.is_good = self.is_good
@@ -159,14 +154,14 @@ class XmlReader:
         self._limits = limits
         self._top = Element("", roots)
         #: Open elements: the rule, the element, and the lines of the first children by name.
-        self._stack: List[Tuple[Element, Node, Dict[str, int]]] = []
-        self._stack.append((self._top, Node("", 0, {}), {}))
+        self._stack: list[tuple[Element, XmlNode, dict[str, int]]] = []
+        self._stack.append((self._top, XmlNode("", 0, {}), {}))
         #: Open elements without a rule, with their lines.
-        self._unknown: List[Tuple[str, int]] = []
-        self._texts: List[str] = []
+        self._unknown: list[tuple[str, int]] = []
+        self._texts: list[str] = []
         self._items = 0
         self._has_variables = False
-        self._units: List[Node] = []
+        self._units: list[XmlNode] = []
         self._parser = expat.ParserCreate("utf-8")
         self._parser.buffer_text = True
         self._parser.StartElementHandler = self._start
@@ -176,7 +171,7 @@ class XmlReader:
         self._parser.ProcessingInstructionHandler = self._instruction
         self._parser.XmlDeclHandler = self._declaration
 
-    def read(self, text: Union[str, bytes]) -> Iterator[Node]:
+    def read(self, text: str | bytes) -> Iterator[XmlNode]:
         """Return the units of a text that are complete, problems or not.
 
         Args:
@@ -204,7 +199,7 @@ class XmlReader:
             yield from self._take_units()
             self._explain(error)
 
-    def _take_units(self) -> List[Node]:
+    def _take_units(self) -> list[XmlNode]:
         units, self._units = self._units, []
         return units
 
@@ -222,7 +217,7 @@ class XmlReader:
         message = f"{reason} at column {error.offset + 1}; expected {expected}"
         self._findings.problem(error.lineno, message)
 
-    def _utf8(self, text: Union[str, bytes]) -> bytes:
+    def _utf8(self, text: str | bytes) -> bytes:
         """Encode a text, or make sure that it is UTF-8 already."""
         self._check_size(len(text))
         try:
@@ -249,7 +244,7 @@ class XmlReader:
     def _line(self) -> int:
         return self._parser.CurrentLineNumber
 
-    def _start(self, name: str, attributes: Dict[str, str]) -> None:
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
         line = self._parser.CurrentLineNumber
         if self._unknown:
             if len(self._unknown) + len(self._stack) > self._limits.nesting:
@@ -271,7 +266,7 @@ class XmlReader:
             self._findings.problem(
                 line, f"a second <{name}>; expected one, which stands in line {seen[name]}"
             )
-        node = Node(name, line, attributes)
+        node = XmlNode(name, line, attributes)
         if rule.is_unit:
             self._items, self._has_variables = 0, False
         else:
@@ -298,7 +293,7 @@ class XmlReader:
             node.has_variables = self._has_variables
             self._units.append(node)
 
-    def _end_text(self, rule: Element, node: Node) -> None:
+    def _end_text(self, rule: Element, node: XmlNode) -> None:
         text = "".join(self._texts)
         self._texts.clear()
         if node.attributes.get("type") == "yaml":
@@ -324,7 +319,7 @@ class XmlReader:
                 f"{rule.expected}",
             )
 
-    def _check_attributes(self, rule: Element, node: Node) -> None:
+    def _check_attributes(self, rule: Element, node: XmlNode) -> None:
         attributes = node.attributes
         given = list(attributes)
         for name in given:
@@ -353,13 +348,13 @@ class XmlReader:
                 )
                 self._drop_attribute(node, name, known)
 
-    def _drop_attribute(self, node: Node, name: str, rule: Attribute) -> None:
+    def _drop_attribute(self, node: XmlNode, name: str, rule: Attribute) -> None:
         if rule.is_version:
             raise EnoughProblems
         node.attributes.pop(name, None)
         node.is_good = False
 
-    def _refuse_length(self, node: Node, what: str, text: str) -> None:
+    def _refuse_length(self, node: XmlNode, what: str, text: str) -> None:
         node.is_good = False
         self._findings.problem(
             node.line,
@@ -375,14 +370,14 @@ class XmlReader:
             f"the processing instruction <?{shorten(target)}?> is refused; expected none",
         )
 
-    def _declaration(self, _: str, encoding: Optional[str], __: int) -> None:
+    def _declaration(self, _: str, encoding: str | None, __: int) -> None:
         if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii"):
             self._findings.problem(
                 self._line, f"the encoding {shorten(encoding)} is declared; expected UTF-8"
             )
 
 
-def _one_of(values: Tuple[str, ...]) -> str:
+def _one_of(values: tuple[str, ...]) -> str:
     return " or ".join(f"'{value}'" for value in values)
 
 

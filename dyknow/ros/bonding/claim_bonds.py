@@ -10,7 +10,7 @@ that is killed: the next one waits for each client to be heard, for as long as b
 from __future__ import annotations
 
 import time
-from typing import Callable, Dict, Iterable, Set
+from typing import Callable, Iterable
 
 import rospy
 
@@ -42,12 +42,12 @@ class ClaimBonds:
         #: Changes of claims are followed in turn: the last one decides.
         self._turn = turn_lock("bonds of claims")
         self._state_lock = state_lock("claims by bond")
-        self._held: Dict[str, Set[str]] = {}
+        self._held: dict[str, set[str]] = {}
 
     def follow(self) -> None:
         """Watch over the clients of the present claims."""
         with self._turn:
-            wanted: Dict[str, Set[str]] = {}
+            wanted: dict[str, set[str]] = {}
             for claim in self._claims():
                 if claim.request.bond_id and not claim.state.ended:
                     wanted.setdefault(claim.request.bond_id, set()).add(claim.claim_id)

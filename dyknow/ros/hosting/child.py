@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
+import builtins
 import signal
 import sys
 import threading
-from typing import List, Optional, Tuple
 
 import rosgraph.network
 
@@ -47,7 +47,7 @@ class Child(NodeletPeer):
         context: PeerContext,
         record: ChildRecord,
         adopted: bool = False,
-        command: Tuple[str, ...] = (),
+        command: tuple[str, ...] = (),
         start_timeout: float = START_TIMEOUT,
     ) -> None:
         super().__init__(context, record.name)
@@ -58,11 +58,11 @@ class Child(NodeletPeer):
         self.gone = threading.Event()
         self.trouble = ""
         self.stale = ""
-        self.log: Optional[LogTail] = None
+        self.log: LogTail | None = None
         self.rewirable = True
         self.command = command
         self.start_timeout = start_timeout
-        self._lists: Tuple[str, Optional[ListClient]] = ("", None)  # of one incarnation
+        self._lists: tuple[str, ListClient | None] = ("", None)  # of one incarnation
 
     @property
     def title(self) -> str:
@@ -90,7 +90,7 @@ class Child(NodeletPeer):
             cure=self._cure,
         )
 
-    def list(self, incarnation: str = "") -> List[str]:
+    def list(self, incarnation: str = "") -> builtins.list[str]:
         """Ask for its nodelets, over a connection that is kept for as long as its process runs."""
         current = self.incarnation
         if not current:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict, dataclass
-from typing import Dict, Iterable, List, Optional
+from typing import Iterable
 
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.process import os_process
@@ -33,10 +33,10 @@ class ChildRecord:
     name: str
     kind: NodeletKind
     isolated_for: str = ""
-    process: Optional[ProcessId] = None
+    process: ProcessId | None = None
 
 
-def read(path: str) -> List[ChildRecord]:
+def read(path: str) -> list[ChildRecord]:
     """Read the records, also of ended processes; raises ``ValueError`` for a damaged file."""
     try:
         with open(path) as file:
@@ -83,9 +83,9 @@ def to_tag(record: ChildRecord, owner: str) -> str:
     return json.dumps([owner, record.name, record.kind.value, record.isolated_for])
 
 
-def running(owner: str) -> List[ChildRecord]:
+def running(owner: str) -> list[ChildRecord]:
     """Return the running processes of an owner, found by their environments, by name."""
-    found: Dict[str, ChildRecord] = {}
+    found: dict[str, ChildRecord] = {}
     for process, tag, command in os_process.started_with(TAG):
         try:
             of, name, kind, isolated_for = json.loads(tag)

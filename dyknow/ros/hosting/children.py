@@ -19,7 +19,6 @@ import logging
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Deque, Dict, List, Optional, Tuple
 
 from dyknow import names
 from dyknow.backoff import Backoff
@@ -64,12 +63,12 @@ class Children:
         #: Held while a child is changed, and notified of it.
         self._changed = state_condition("children")
         self._writing_turn = turn_lock("records of children")
-        self._children: Dict[str, Child] = {}
-        self._crashes: Deque[Crash] = collections.deque(maxlen=_CRASHES)
+        self._children: dict[str, Child] = {}
+        self._crashes: collections.deque[Crash] = collections.deque(maxlen=_CRASHES)
         self._ending = False
         self._unwritten = False  # the disk did not take the records
 
-    def adopt(self) -> List[str]:
+    def adopt(self) -> list[str]:
         """Take over the running children of an earlier manager, and return their names.
 
         What dead ones left is cleaned up.
@@ -96,12 +95,12 @@ class Children:
                 _log.warning("%s", error)
         return sorted(living)
 
-    def all(self) -> List[Child]:
+    def all(self) -> list[Child]:
         """Return every child, by name."""
         with self._changed:
             return [self._children[name] for name in sorted(self._children)]
 
-    def find(self, name: str) -> Optional[Child]:
+    def find(self, name: str) -> Child | None:
         return self._children.get(name)
 
     def want(self, kind: NodeletKind, count: int) -> None:
@@ -139,7 +138,7 @@ class Children:
             raise NameTaken(node)
 
     def start_node(
-        self, kind: NodeletKind, name: str, command: Tuple[str, ...], timeout: float
+        self, kind: NodeletKind, name: str, command: tuple[str, ...], timeout: float
     ) -> None:
         """Start a node, and wait ``timeout`` seconds for its ports; it is not started again.
 
@@ -161,7 +160,7 @@ class Children:
         if child is not None and not child.up:
             self._wait_up(child, time.monotonic() + timeout)
 
-    def crashes(self) -> List[Crash]:
+    def crashes(self) -> list[Crash]:
         """Return the last crashes, the oldest first."""
         with self._changed:
             return list(self._crashes)
@@ -194,7 +193,7 @@ class Children:
 
     # Inside
 
-    def _hosts(self, kind: NodeletKind, isolated_for: str) -> List[Child]:
+    def _hosts(self, kind: NodeletKind, isolated_for: str) -> list[Child]:
         of = (kind, isolated_for)
         return [each for each in self.all() if (each.record.kind, each.record.isolated_for) == of]
 
@@ -231,7 +230,7 @@ class Children:
                 return child.name
         raise HostError(f"{child.title}: {child.trouble or 'it does not come up'}")
 
-    def _end(self, children: List[Child]) -> None:
+    def _end(self, children: list[Child]) -> None:
         with self._changed:
             for child in children:
                 child.wanted, child.up = False, False

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Collection, Dict, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import Any, Collection, Dict, Iterable, Mapping, Optional
 
 import rospy
 from dyknow_msgs.msg import Port
@@ -49,7 +49,7 @@ Counts = Dict[str, Optional[Mapping[str, Count]]]
 """By nodelet, the counts of its out-ports; None for one that is not there."""
 
 
-def counts_of(asked: Iterable[Tuple[CountClient, Collection[str]]]) -> Counts:
+def counts_of(asked: Iterable[tuple[CountClient, Collection[str]]]) -> Counts:
     """Ask processes for the counts of nodelets, side by side, as ``Host.counts`` does.
 
     A process that took longer than ``PATIENCE`` the last time is not waited for; a late reply is
@@ -70,7 +70,7 @@ class CountClient:
         self._proxies = ProxyClient(master)
         self._client = ServiceClient(master, names.join(name, SERVICE), GetCounts, True)
         self._state_lock = state_lock("counts")
-        self._wanted: Set[str] = set()
+        self._wanted: set[str] = set()
         self._fresh: Counts = {}
         self._asked = self._answered = time.monotonic()
         self._in_time = True
@@ -110,7 +110,7 @@ class CountClient:
             self._fresh.update(found)
         self._in_time = time.monotonic() - began <= PATIENCE
 
-    def _request(self, nodelets: List[str]) -> Counts:
+    def _request(self, nodelets: list[str]) -> Counts:
         asked = time.monotonic()
         named = nodelets if len(nodelets) <= _MOST_NAMED else []  # an empty list asks for all
         try:
@@ -135,7 +135,7 @@ class CountClient:
                 found[each.nodelet] = {port.port: count(port) for port in out_ports}
         return found
 
-    def _one_by_one(self, nodelets: List[str]) -> Counts:
+    def _one_by_one(self, nodelets: list[str]) -> Counts:
         """Ask each nodelet's proxy, without latches and ages."""
         found: Counts = {}
         for name in nodelets:
@@ -180,13 +180,13 @@ class _TopicCounter(Listening):
         self._registrations = registrations
         self._state_lock = state_lock("message counter")
         self._messages = 0
-        self._age: Optional[float] = None
+        self._age: float | None = None
         self._is_age_wanted = True
         self._closed = False
-        self._subscriber: Optional[Any] = None
+        self._subscriber: Any | None = None
         registrations.run(self._register)
 
-    def count(self) -> Optional[Count]:
+    def count(self) -> Count | None:
         if self._subscriber is None or not self._registrar.is_subscribed(self._topic):
             return None
         now = time.monotonic()

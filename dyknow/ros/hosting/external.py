@@ -18,10 +18,11 @@ soon as it can be reached.
 
 from __future__ import annotations
 
+import builtins
 import logging
 import time
 from dataclasses import dataclass, replace
-from typing import Callable, FrozenSet, Iterable, List, Optional
+from typing import Callable, Iterable
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
@@ -68,7 +69,7 @@ class Presence:
 
     state: ProcessState
     trouble: str = ""
-    nodelets: FrozenSet[str] = frozenset()
+    nodelets: frozenset[str] = frozenset()
 
 
 class NotRunning(HostError):
@@ -101,10 +102,10 @@ class External(NodeletPeer):
             replace(self._gone, away=True, unseen=True), "it has not answered yet"
         )
         #: Incarnations that bore the name before and do not know yet that they lost it.
-        self.displaced: List[str] = []
+        self.displaced: list[str] = []
         self._expected_until = time.monotonic() + _NODE_PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
-        self._period: Optional[float] = 0.0
+        self._period: float | None = 0.0
         self._title = f"{'node' if is_node else 'nodelet manager'} '{name}'"
         self._worker = PeriodicWorker(
             f"looking for {self._title}", self._round, lambda: self._period, pause=0.0
@@ -125,7 +126,7 @@ class External(NodeletPeer):
         """Raise ``HostTimeout`` if it did not answer the last time, ``HostError`` if it ended."""
         self._refuse_if_missed(self.presence)
 
-    def list(self, incarnation: str = "") -> List[str]:
+    def list(self, incarnation: str = "") -> builtins.list[str]:
         """Ask for its nodelets, if it answers at all."""
         while True:
             with self._state_lock:
@@ -309,7 +310,7 @@ class Externals:
         self._is_child = is_child
         self._state_lock = state_lock("external processes")
         self._externals = {name: External(context, name) for name in sorted(set(managers))}
-        self._subscriber: Optional[rospy.Subscriber] = None
+        self._subscriber: rospy.Subscriber | None = None
 
     def start(self) -> None:
         """Look for the nodelet managers from now on, side by side."""
@@ -327,19 +328,19 @@ class Externals:
         for each in self._expect(nodes):
             each.look_now()
 
-    def all(self) -> List[External]:
+    def all(self) -> list[External]:
         """Return the nodelet managers, there or not, and the nodes that are there, by name."""
         with self._state_lock:
             found = [self._externals[name] for name in sorted(self._externals)]
         return [each for each in found if not each.is_node or each.state.alive]
 
-    def find(self, name: str) -> Optional[External]:
+    def find(self, name: str) -> External | None:
         """Return the one of that name; None if there is none, or if it is a node and gone."""
         found = self._externals.get(name)
         is_gone = found is not None and found.is_node and not found.state.alive
         return None if is_gone else found
 
-    def hosting(self, nodelet: str) -> Optional[External]:
+    def hosting(self, nodelet: str) -> External | None:
         """Return the one that ran a nodelet the last time, if there is one."""
         return next((each for each in self.all() if nodelet in each.presence.nodelets), None)
 
@@ -350,7 +351,7 @@ class Externals:
         for each in list(self._externals.values()):
             each.close()
 
-    def _expect(self, nodes: Iterable[str]) -> List[External]:
+    def _expect(self, nodes: Iterable[str]) -> list[External]:
         """Look for nodes that are not our children."""
         found = []
         for name in nodes:

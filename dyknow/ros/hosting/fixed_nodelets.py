@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Dict, List, Sequence, Tuple
+from typing import Sequence
 
 from dyknow.errors import FixedTopics
 from dyknow.locks import turn_lock
@@ -26,11 +26,11 @@ class FixedProxy:
         self._manager = manager
         self._since = time.monotonic()
 
-    def get_config(self) -> List[PortState]:
+    def get_config(self) -> list[PortState]:
         """Return the ports, without tags."""
         return [replace(port, tags=()) for port in self._record().ports]
 
-    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
+    def set_config(self, config: Sequence[tuple[str, str]]) -> None:
         """Raise `FixedTopics`, whose text says how to get live ports."""
         raise FixedTopics(self.name, self._record().manager)
 
@@ -52,7 +52,7 @@ class FixedNodelets:
     def __init__(self, manager: Manager) -> None:
         self._manager = manager
         self._turn = turn_lock("services of fixed nodelets")
-        self._offered: Dict[str, ProxyServices] = {}
+        self._offered: dict[str, ProxyServices] = {}
         self._closed = False
 
     def follow(self) -> None:

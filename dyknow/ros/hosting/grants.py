@@ -13,7 +13,7 @@ import contextlib
 import logging
 import time
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Mapping, Optional, Sequence
+from typing import Callable, Mapping, Sequence
 
 from dyknow_msgs.srv import RenewLease
 
@@ -85,7 +85,7 @@ class Lease:
         self._name = name
         self._answers = answers
         #: When it was answered last, or granted: an earlier life may have done that just before.
-        self._answered: Optional[float] = None
+        self._answered: float | None = None
         self._is_out = False
         #: Asks one process; another one that has the name later has another clock.
         self._client = self._new_client()
@@ -153,7 +153,7 @@ class Lease:
         answer = self._client.call(_TIMEOUT, **request)
         self._answered, self._confirmed = self._context.running(), answer.clock
 
-    def _request(self, confirmed: float, producers: Mapping[str, str]) -> Dict[str, object]:
+    def _request(self, confirmed: float, producers: Mapping[str, str]) -> dict[str, object]:
         topics = sorted(producers)
         return {
             "uri": self._context.uri,

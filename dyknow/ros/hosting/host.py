@@ -9,21 +9,17 @@ that limit: while its last answer is due it is not queried again.
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Callable,
     Collection,
-    Dict,
-    FrozenSet,
     Iterable,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Tuple,
 )
 
 from nodelet.srv import NodeletLoad, NodeletUnload
@@ -106,7 +102,7 @@ class RosHost(Host):
             return programs.kind_of(Program.of(transformation.source))
         return self._types.kind_of(transformation.source)
 
-    def states(self) -> Dict[str, ProcessState]:
+    def states(self) -> dict[str, ProcessState]:
         return {peer.name: peer.state for peer in self._peers()}
 
     def poll(self) -> HostReport:
@@ -141,7 +137,7 @@ class RosHost(Host):
     def retire(self, manager: str) -> None:
         self._children.end(manager)
 
-    def grant(self, granted: Callable[[], Tuple[Mapping[str, str], Collection[str]]]) -> None:
+    def grant(self, granted: Callable[[], tuple[Mapping[str, str], Collection[str]]]) -> None:
         """Let these nodelets alone publish on topics of claims.
 
         Args:
@@ -161,7 +157,7 @@ class RosHost(Host):
         peer = self._peer(manager)
         return peer.may_publish if peer is not None else self._context.is_young
 
-    def list(self, manager: str) -> List[str]:
+    def list(self, manager: str) -> builtins.list[str]:
         return self._list(self._known(manager))
 
     # Nodelets
@@ -237,7 +233,7 @@ class RosHost(Host):
                 if self._master.ask("getParam", name) == {}:
                     self._delete_parameter(name)
 
-    def ports(self, name: str) -> Tuple[PortState, ...]:
+    def ports(self, name: str) -> tuple[PortState, ...]:
         with self._asking(name):
             return self._proxies.get_config(name, _PORTS_TIMEOUT)
 
@@ -249,7 +245,7 @@ class RosHost(Host):
         with self._asking(name):
             self._proxies.set_config(name, config, _CONNECT_TIMEOUT)
 
-    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
+    def published(self, topics: Iterable[str]) -> frozenset[str]:
         wanted = frozenset(topics)
         if not wanted:
             return wanted
@@ -259,13 +255,13 @@ class RosHost(Host):
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]
-    ) -> Dict[str, Optional[Mapping[str, Count]]]:
+    ) -> dict[str, Mapping[str, Count] | None]:
         peers = {manager: self._peer(manager) for manager in wanted}
         gone = [name for each in wanted if peers[each] is None for name in wanted[each]]
         there = ((peer.counts, wanted[each]) for each, peer in peers.items() if peer is not None)
         return {**dict.fromkeys(gone), **counts_of(there)}
 
-    def is_stamped(self, datatype: str) -> Optional[bool]:
+    def is_stamped(self, datatype: str) -> bool | None:
         return ages.is_stamped(datatype)
 
     def listen(self, topic: str) -> Listening:
@@ -289,13 +285,13 @@ class RosHost(Host):
 
     # Inside
 
-    def _peers(self) -> List[NodeletPeer]:
+    def _peers(self) -> builtins.list[NodeletPeer]:
         """Return every process, by name."""
-        found: Dict[str, NodeletPeer] = {each.name: each for each in self._external.all()}
+        found: dict[str, NodeletPeer] = {each.name: each for each in self._external.all()}
         found.update((each.name, each) for each in self._children.all())
         return [found[name] for name in sorted(found)]
 
-    def _peer(self, name: str) -> Optional[NodeletPeer]:
+    def _peer(self, name: str) -> NodeletPeer | None:
         return self._children.find(name) or self._external.find(name)
 
     def _known(self, name: str) -> NodeletPeer:
@@ -311,7 +307,7 @@ class RosHost(Host):
             peer.guarding.hand_over(peer.state)
         peer.guarding.check()
 
-    def _nodelets_of(self, state: ProcessState) -> Optional[List[str]]:
+    def _nodelets_of(self, state: ProcessState) -> builtins.list[str] | None:
         try:
             return self._list(self._known(state.name), state.incarnation)
         except HostError as error:
@@ -319,7 +315,7 @@ class RosHost(Host):
                 _log.warning("nodelet manager %s: %s", state.name, error)
             return None
 
-    def _list(self, peer: NodeletPeer, incarnation: str = "") -> List[str]:
+    def _list(self, peer: NodeletPeer, incarnation: str = "") -> builtins.list[str]:
         """List the nodelets of a process; unload those whose load had been given up."""
         found = peer.list(incarnation)
         late = [

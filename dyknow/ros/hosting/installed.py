@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Dict, Iterable, Iterator, Mapping, Sequence, Set
+from typing import Iterable, Iterator, Mapping, Sequence
 
 from lxml import etree
 
@@ -46,13 +46,13 @@ class NodeletTypes:
             raise HostError(_explanation(source, declared))
         return declared[source]
 
-    def undeclared(self, sources: Iterable[str]) -> Dict[str, str]:
+    def undeclared(self, sources: Iterable[str]) -> dict[str, str]:
         """Return the sources that no package declares, each with an explanation."""
         wanted = set(sources)
         declared = self._declared(wanted)
         return {each: _explanation(each, declared) for each in sorted(wanted - declared.keys())}
 
-    def _declared(self, wanted: Set[str]) -> Mapping[str, NodeletKind]:
+    def _declared(self, wanted: set[str]) -> Mapping[str, NodeletKind]:
         if not self._kinds.keys() >= wanted:
             python = [each.name for each in self._plugins.declared()]
             self._kinds = {
@@ -107,7 +107,7 @@ def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterat
             yield Problem(file, 0, f"transformation '{each.label}': {text}")
 
 
-def _missing_types(datatypes: Set[str]) -> Dict[str, str]:
+def _missing_types(datatypes: set[str]) -> dict[str, str]:
     import roslib.message  # here: a request for nodelet types alone does not wait for it
 
     found = {}

@@ -13,7 +13,7 @@ import os
 import re
 import signal
 import sys
-from typing import Any, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import rosgraph
 import rospkg
@@ -86,9 +86,9 @@ class Launcher:
         ):
             _check_writable(folder, variable)
         self._state_lock = state_lock("outputs of children")
-        self._ended: List[str] = []  # outputs, the oldest first
+        self._ended: list[str] = []  # outputs, the oldest first
 
-    def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> Tuple[ProcessId, LogTail]:
+    def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> tuple[ProcessId, LogTail]:
         """Start a nodelet manager, or a node with a ``command``.
 
         Its registration replaces that of a dead predecessor at the master. Raises ``OSError`` or
@@ -120,9 +120,7 @@ class Launcher:
             return ""
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
-    def examine(
-        self, kind: NodeletKind, name: str, pid: int, status: Optional[int]
-    ) -> Optional[Crash]:
+    def examine(self, kind: NodeletKind, name: str, pid: int, status: int | None) -> Crash | None:
         """Return the crash of a process; None if it ended without a fault of its own.
 
         ``status`` is its exit code, or the negative number of a signal; None if unknown.
@@ -165,7 +163,7 @@ class Launcher:
         except (LookupError, PeerTimeout) as error:
             _log.warning("what %s left at the master: %s", name, error)
 
-    def living(self, name: str) -> Optional[ProcessId]:
+    def living(self, name: str) -> ProcessId | None:
         """Return the process of a node that answers; its id is -1 on another machine."""
         uri = self._master.node(name)
         if not uri:
@@ -189,7 +187,7 @@ class Launcher:
             return not may_be_there(error)
         return False
 
-    def running(self) -> List[ChildRecord]:
+    def running(self) -> list[ChildRecord]:
         """Return the running processes that our owner started, in this life or an earlier one."""
         return child_records.running(self._owner.path)
 
@@ -241,7 +239,7 @@ class Launcher:
         own = {"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)}
         return {**self._parameters, **own}
 
-    def _command(self, kind: NodeletKind) -> Tuple[str, ...]:
+    def _command(self, kind: NodeletKind) -> tuple[str, ...]:
         """Return the command of a nodelet manager, without its name."""
         if kind is NodeletKind.PYTHON:
             program = (sys.executable, "-m", "dyknow.cli.nodelet", "manager")

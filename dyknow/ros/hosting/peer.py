@@ -9,10 +9,11 @@ There are three sorts: children of ours (``child``), external nodelet managers a
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import enum
 from abc import ABC, abstractmethod
-from typing import Dict, Iterator, List
+from typing import Iterator
 
 from dyknow_msgs.srv import GetCounts
 from nodelet.srv import NodeletList
@@ -56,8 +57,8 @@ class NodeletPeer(ABC):
         self.counts = CountClient(context.master, name)
         self.lease = Lease(context, name, lambda: self.answers)
         self.guarding = Guarding(context, name)
-        self.failures: Dict[str, LoadFailure] = {}
-        self.details: Dict[str, str] = {}
+        self.failures: dict[str, LoadFailure] = {}
+        self.details: dict[str, str] = {}
 
     @property
     @abstractmethod
@@ -65,7 +66,7 @@ class NodeletPeer(ABC):
         """Its last known state, without a request."""
 
     @abstractmethod
-    def list(self, incarnation: str = "") -> List[str]:
+    def list(self, incarnation: str = "") -> builtins.list[str]:
         """Return the names of its nodelets, sorted.
 
         Raises ``HostTimeout`` if it does not answer, or did not the last time, and ``HostError``
@@ -110,7 +111,7 @@ class ListClient:
         #: Whether the last question was answered in time.
         self.answers = True
 
-    def list(self, timeout: float = LIST_TIMEOUT) -> List[str]:
+    def list(self, timeout: float = LIST_TIMEOUT) -> builtins.list[str]:
         """Return the names of its nodelets, sorted; raises `PeerTimeout` or ``HostError``."""
         try:
             answer = self._client.call(timeout, *([[self._node]] if self._node else ()))

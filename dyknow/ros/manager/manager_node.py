@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from typing import TYPE_CHECKING, Any, Collection, Dict, List, Mapping, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Any, Collection, Mapping, Sequence
 
 import rosgraph.names
 import rospy
@@ -282,17 +282,17 @@ class ManagerNode(Closable):
             if state.rewirable and (state.own or state.alive)
         ]
 
-    def _protected(self) -> Dict[str, List[str]]:
-        protected: Dict[str, List[str]] = {}
+    def _protected(self) -> dict[str, list[str]]:
+        protected: dict[str, list[str]] = {}
         for record in self.manager.graph.all():
             if record.is_protected:
                 protected.setdefault(record.manager, []).append(record.name)
         return protected
 
-    def _granted(self) -> Tuple[Mapping[str, str], Collection[str]]:
+    def _granted(self) -> tuple[Mapping[str, str], Collection[str]]:
         """Return the producers of claims by topic, and the processes that run them."""
-        producers: Dict[str, str] = {}
-        managers: Set[str] = set()
+        producers: dict[str, str] = {}
+        managers: set[str] = set()
         for claim in self._reconciler.claims():
             if claim.state.ended or not claim.topic:
                 continue

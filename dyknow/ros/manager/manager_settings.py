@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable
 
 import rosgraph
 import rospkg
@@ -59,13 +59,13 @@ class ManagerSettings:
         limits: sizes of specifications.
     """
 
-    nodelet_managers: Tuple[str, ...] = ()
+    nodelet_managers: tuple[str, ...] = ()
     num_nodelet_managers: int = 1
     state_dir: str = ""
-    ontologies: Tuple[str, ...] = ()
-    catalogues: Tuple[str, ...] = ()
+    ontologies: tuple[str, ...] = ()
+    catalogues: tuple[str, ...] = ()
     language: str = "en"
-    transformations: Tuple[str, ...] = ()
+    transformations: tuple[str, ...] = ()
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     guards: Guards = NO_GUARDS
@@ -122,7 +122,7 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
     return os.path.join(folder, f"{key}.{ending}")
 
 
-def unknown_parameters(given: Any) -> List[Tuple[str, str]]:
+def unknown_parameters(given: Any) -> list[tuple[str, str]]:
     """List the parameters in a node's namespace that the manager ignores, with suggestions."""
     present = sorted(given) if isinstance(given, dict) else []
     return [
@@ -150,7 +150,7 @@ def _string(name: str, default: str = "") -> str:
     return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
 
 
-def _strings(name: str) -> Tuple[str, ...]:
+def _strings(name: str) -> tuple[str, ...]:
     """Read a list, or a text with white space between the entries, as launch files have it."""
 
     def fits(value: Any) -> bool:
@@ -162,7 +162,7 @@ def _strings(name: str) -> Tuple[str, ...]:
     return tuple(value.split() if isinstance(value, str) else value)
 
 
-def _topic_patterns(name: str) -> Tuple[str, ...]:
+def _topic_patterns(name: str) -> tuple[str, ...]:
     """Read patterns of topics; relative ones resolve in the manager's namespace."""
     namespace = names.parent(rospy.get_name())
     return tuple(
@@ -191,6 +191,6 @@ def _seconds(name: str, default: float, least: float) -> float:
     return float(_number(name, default, least, expected, (int, float)))
 
 
-def _limits(kind: Any, *limits: str) -> Dict[str, int]:
+def _limits(kind: Any, *limits: str) -> dict[str, int]:
     """Read limits by name, as ``~limits/NAME`` sets them."""
     return {limit: _integer(f"limits/{limit}", getattr(kind, limit)) for limit in limits}

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 import rospy
 from dyknow_msgs import srv
@@ -60,7 +60,7 @@ class ManagerServices:
         self._answers = answers
         self._after_change = after_change
         self._publish = publish
-        self._services: List[Any] = []
+        self._services: list[Any] = []
         self._offer(
             "add_transformation",
             srv.AddTransformation,
@@ -123,8 +123,8 @@ class ManagerServices:
         name: str,
         service_class: Any,
         handler: Callable[[Any], Any],
-        what: Optional[Callable[[Any], str]] = None,
-        refused: Optional[Callable[[Exception], Any]] = None,
+        what: Callable[[Any], str] | None = None,
+        refused: Callable[[Exception], Any] | None = None,
     ) -> None:
         """Offer a service.
 
@@ -263,7 +263,7 @@ class ManagerServices:
         return srv.FindBindingsResponse(True, message, [written_bindings(each) for each in found])
 
 
-def _mapping(name: str, pairs: Sequence[Tuple[str, str]]) -> Dict[str, str]:
+def _mapping(name: str, pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         ports = [port for port, _ in pairs]

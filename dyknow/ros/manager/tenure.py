@@ -25,7 +25,7 @@ import enum
 import os
 import socket
 import time
-from typing import Any, Callable, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Mapping, NamedTuple
 
 from dyknow import names
 from dyknow.errors import PeerTimeout
@@ -58,7 +58,7 @@ class TenureEntry(NamedTuple):
     place: str
 
     @classmethod
-    def of(cls, value: object) -> Optional[TenureEntry]:
+    def of(cls, value: object) -> TenureEntry | None:
         """Read a value of the parameter server; None if it is not an entry."""
         if not isinstance(value, (list, tuple)) or len(value) != len(cls._fields):
             return None
@@ -82,7 +82,7 @@ class Tenure:
     def __init__(
         self,
         name: str,
-        master: Optional[Master] = None,
+        master: Master | None = None,
         kept: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -95,7 +95,7 @@ class Tenure:
         #: Whether this process bore the name before it started again.
         self.is_resumed = self.entry is not None
         self._uri = ""
-        self._lost_at: Optional[float] = None
+        self._lost_at: float | None = None
 
     @property
     def variables(self) -> Mapping[str, str]:
@@ -139,7 +139,7 @@ class Tenure:
         """Look periodically, as ``KEY`` of the loop, and call ``leave`` or ``come_back``."""
         self._uri = uri
 
-        def look() -> Optional[float]:
+        def look() -> float | None:
             verdict = self.look()
             if verdict is TenureVerdict.HOLD:
                 return PERIOD
@@ -182,7 +182,7 @@ class Tenure:
     def _key(self) -> str:
         return names.join(self.name, PARAMETER)
 
-    def _read(self) -> Optional[TenureEntry]:
+    def _read(self) -> TenureEntry | None:
         try:
             return TenureEntry.of(self._master.ask("getParam", self._key))
         except LookupError:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Optional, Set, Tuple
+from typing import Callable
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
@@ -38,7 +38,7 @@ class ModelTopic:
         self._take = take
         self._messages = messages
         self._before = before
-        self._shown: Optional[Tuple[int, int]] = None
+        self._shown: tuple[int, int] | None = None
         self._publisher = rospy.Publisher("~model", ModelMessage, latch=True, queue_size=1)
         self._turn = turn_lock("model on its topic")
         self.close = self._publisher.unregister
@@ -60,7 +60,7 @@ class EventTopic:
     It is withdrawn with the node, once the last event is sent.
     """
 
-    def __init__(self, answers: StreamAnswers, known: Set[str]) -> None:
+    def __init__(self, answers: StreamAnswers, known: set[str]) -> None:
         """Advertise the topic; the claims ``known`` are not new to clients."""
         self._answers = answers
         self._known = known

@@ -14,7 +14,7 @@ all of them share. So it is found without a question to the ROS master.
 from __future__ import annotations
 
 import itertools
-from typing import Any, Callable, Dict, Iterable, List, Optional, Set
+from typing import Any, Callable, Iterable
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
@@ -49,11 +49,11 @@ class Announcer(rospy.SubscribeListener):
         #: Global names of the topics that it publishes.
         self.topics = (rospy.resolve_name(f"~{TOPIC}"), NODES_TOPIC)
         self._lock = state_lock("announcer")
-        self._names: Set[str] = set()
+        self._names: set[str] = set()
         self._publisher = rospy.Publisher(
             self.topics[0], NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
-        self._node_publisher: Optional[rospy.Publisher] = None
+        self._node_publisher: rospy.Publisher | None = None
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
         self._worker.start()
 
@@ -82,7 +82,7 @@ class Announcer(rospy.SubscribeListener):
         if self._node_publisher is not None:
             self._node_publisher.unregister()
 
-    def _message(self, names: List[str]) -> NodeletChanges:
+    def _message(self, names: list[str]) -> NodeletChanges:
         return NodeletChanges(names, [self._detail(name) for name in names])
 
     def _announce(self) -> None:
@@ -111,7 +111,7 @@ class Listener:
     def __init__(self, changed: Callable[[str, str, str], None]) -> None:
         self._changed = changed
         self._turn = turn_lock("listening to nodelet managers")
-        self._subscribers: Dict[str, Any] = {}
+        self._subscribers: dict[str, Any] = {}
         self._closed = False
 
     def follow(self, managers: Callable[[], Iterable[str]]) -> None:

@@ -12,7 +12,7 @@ reach running nodelets.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, Sequence, Tuple
+from typing import Any, Iterable, Sequence
 
 import rospy
 from rospy.impl.paramserver import ParamServerCache, get_param_server_cache
@@ -38,7 +38,7 @@ def _key_of(owner: str) -> str:
     return owner.strip("/").replace("_", "__").replace("/", "_s")
 
 
-def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> Dict[str, Any]:
+def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> dict[str, Any]:
     """Write guards, and the names of protected nodelets, as a value of the parameter server."""
     return {
         "denied_topics": list(guards.denied_topics),
@@ -67,7 +67,7 @@ def from_parameter(value: Any) -> Guards:
     )
 
 
-def _lists(value: Iterable[Iterable[Any]]) -> Tuple[Tuple[str, ...], ...]:
+def _lists(value: Iterable[Iterable[Any]]) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(map(str, each)) for each in value)
 
 
@@ -121,14 +121,14 @@ class GuardParameters:
             if key != own and name in each.get(_PROTECTED, ()):
                 raise ProtectedFromUnloading(name)
 
-    def _read(self) -> Dict[str, Any]:
+    def _read(self) -> dict[str, Any]:
         try:
             return _by_owner(self._values.get(self._name))
         except KeyError:  # it is not set
             return {}
 
 
-def _by_owner(value: Any) -> Dict[str, Any]:
+def _by_owner(value: Any) -> dict[str, Any]:
     parameters = value.items() if isinstance(value, dict) else ()
     return {key: guards for key, guards in parameters if isinstance(guards, dict) and guards}
 

@@ -17,7 +17,7 @@ import os
 import sys
 import traceback
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
+from typing import Any, Callable, Mapping, Sequence
 
 import rospy
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
@@ -109,7 +109,7 @@ class NodeletManager(Closable):
     def __init__(
         self,
         settings: Settings,
-        find_class: Optional[Callable[[str, Context], Type[Nodelet]]] = None,
+        find_class: Callable[[str, Context], type[Nodelet]] | None = None,
         bound: bool = True,
     ) -> None:
         self._workers = settings.workers
@@ -130,7 +130,7 @@ class NodeletManager(Closable):
         if bound:
             guard_topics(lambda topic: self._guards.current().check_topic(topic))
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
-        self._bonded: Dict[str, str] = {}
+        self._bonded: dict[str, str] = {}
         self._bond_ended = state_condition("bonded nodelets")
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
@@ -140,8 +140,8 @@ class NodeletManager(Closable):
             self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
         self._stuck.start()
-        self._services: List[Any] = []
-        self._lease_service: Optional[LeaseService] = None
+        self._services: list[Any] = []
+        self._lease_service: LeaseService | None = None
         self._kind = NodeletKind.PYTHON
         self._ending = False
 
@@ -256,7 +256,7 @@ class NodeletManager(Closable):
             with self._bond_ended:
                 self._bond_ended.notify_all()
 
-    def _attach(self, context: Context, thing: Any) -> Optional[Closable]:
+    def _attach(self, context: Context, thing: Any) -> Closable | None:
         if not isinstance(thing, NodeletProxy):
             return None
         thing.on_change = lambda: self._announcer.announce(context.name)
@@ -299,7 +299,7 @@ class NodeletManager(Closable):
         return GetCountsResponse(counts, self._kind.value, self._stuck.remains())
 
 
-def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
+def _declared_classes() -> Callable[[str, Context], type[Nodelet]]:
     # Here: a script in a process of its own does not wait for the parser of XML.
     from dyknow.nodelet.plugins import ClassImports, Plugins
     from dyknow.ros.nodelets.packages import plugin_files
@@ -374,7 +374,7 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
 def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) -> int:
     """Run one nodelet in a process of its own, under the name of the node."""
 
-    def start() -> Optional[NodeletManager]:
+    def start() -> NodeletManager | None:
         manager = _make(bound=SPAWNED in os.environ)
         remappings = {
             source: target

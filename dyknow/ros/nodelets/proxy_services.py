@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Protocol, Sequence, Tuple
+from typing import Any, Callable, Protocol, Sequence
 
 import rospy
 from dyknow_msgs import srv
@@ -26,9 +26,9 @@ class Proxy(Protocol):
     @property
     def name(self) -> str: ...
 
-    def get_config(self) -> List[PortState]: ...
+    def get_config(self) -> list[PortState]: ...
 
-    def set_config(self, config: Sequence[Tuple[str, str]]) -> None: ...
+    def set_config(self, config: Sequence[tuple[str, str]]) -> None: ...
 
     def get_statistics(self) -> NodeletStatistics: ...
 
@@ -52,7 +52,7 @@ class ProxyServices(Closable):
     ) -> None:
         self._proxy = proxy
         self._check_caller = check_caller
-        self._services: List[Any] = []
+        self._services: list[Any] = []
         self._closed = False
         try:
             self._offer("get_config", srv.GetConfig, self._get_config)

@@ -16,7 +16,7 @@ import os
 import signal
 import sys
 import threading
-from typing import Any, Dict, List, Optional, Sequence, Type
+from typing import Any, Sequence
 
 import rosgraph.names
 import rospy
@@ -47,7 +47,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _NOTED = ("name", "argv", "anonymous", "log_level", "disable_rostime", "disable_signals")
 
 
-def main(argv: Optional[Sequence[str]] = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run a script as the process's main program; returns the exit code.
 
     Args:
@@ -64,12 +64,12 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
 class _ScriptProcess:
     """One script; the main thread runs it."""
 
-    def __init__(self, argv: List[str]) -> None:
+    def __init__(self, argv: list[str]) -> None:
         self._argv = argv
         sys.path[0] = os.path.dirname(argv[0])
         self._sandbox = Sandbox(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
         self._code = ScriptCode(self._sandbox, argv, self._init_node)
-        self._manager: Optional[NodeletManager] = None
+        self._manager: NodeletManager | None = None
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
         self._withdrawal_turn = turn_lock("end of a script")
@@ -116,7 +116,7 @@ class _ScriptProcess:
         rospy.on_shutdown(self._withdraw)
         self._offer(renamed)
 
-    def _offer(self, renamed: Dict[str, str]) -> None:
+    def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
         self._manager = NodeletManager(
             _SETTINGS, lambda type_name, context: nodelet_class, bound=SPAWNED in os.environ
@@ -127,7 +127,7 @@ class _ScriptProcess:
         )
         self._manager.be(NodeletKind.NODE, remappings)
 
-    def _nodelet_class(self) -> Type[Nodelet]:
+    def _nodelet_class(self) -> type[Nodelet]:
         sandbox, main_over = self._sandbox, self._main_over
 
         class Itself(Nodelet):

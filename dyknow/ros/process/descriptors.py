@@ -22,7 +22,7 @@ import resource
 import select
 import socket
 import time
-from typing import Any, Iterator, Optional, Set, Tuple
+from typing import Any, Iterator
 
 import rospy.topics
 from rospy.impl.tcpros_base import init_tcpros_server
@@ -50,7 +50,7 @@ class Poller:
     """Finds failed connections of one topic, in place of ``rospy.topics.Poller``."""
 
     def __init__(self) -> None:
-        self._descriptors: Set[int] = set()
+        self._descriptors: set[int] = set()
 
     def add_fd(self, descriptor: int) -> None:
         self._descriptors.add(descriptor)
@@ -106,10 +106,10 @@ class PatientSocket:
 
     def __init__(self, listening: socket.socket) -> None:
         self._socket = listening
-        self._spare: Optional[int] = None
+        self._spare: int | None = None
         self._keep_spare()
 
-    def accept(self) -> Tuple[socket.socket, Any]:
+    def accept(self) -> tuple[socket.socket, Any]:
         """Accept a connection; raises ``socket.timeout`` if no descriptor is left."""
         self._keep_spare()
         try:

@@ -18,7 +18,7 @@ import queue
 import signal
 import sys
 import threading
-from typing import Any, Callable, Mapping, Optional, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 import rospy
 from rosgraph.roslogging import RosStreamHandler
@@ -67,15 +67,15 @@ class NodeProcess:
         self,
         node: str,
         argv: Sequence[str],
-        start: Callable[[], Optional[Closable]],
-        on_displaced: Optional[Callable[[], object]] = None,
+        start: Callable[[], Closable | None],
+        on_displaced: Callable[[], object] | None = None,
     ) -> None:
         use_one_heap()  # first: a thread that has a heap keeps it
         self._node = node
         self._argv = list(argv)
         self._start = start
         self._on_displaced = on_displaced
-        self._running: Optional[Closable] = None
+        self._running: Closable | None = None
         self._told: queue.SimpleQueue[_Order] = queue.SimpleQueue()
         self._variables: Mapping[str, str] = {}
         self._closed = threading.Event()

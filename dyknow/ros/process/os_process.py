@@ -19,7 +19,7 @@ import subprocess
 import time
 from dataclasses import dataclass
 from functools import partial
-from typing import List, Mapping, Optional, Sequence, TextIO, Tuple
+from typing import Mapping, Sequence, TextIO
 
 from dyknow.locks import turn_lock
 
@@ -42,7 +42,7 @@ class ProcessId:
     started: int
 
     @classmethod
-    def of(cls, pid: int) -> Optional[ProcessId]:
+    def of(cls, pid: int) -> ProcessId | None:
         """Look a process up; None if there is none, or if it has ended and waits to be reaped."""
         fields = _stat(pid)
         return None if not fields or fields[0] in _ENDED else cls(pid, int(fields[19]))
@@ -58,13 +58,13 @@ class ProcessId:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
-    def wait(self, timeout: Optional[float] = None) -> bool:
+    def wait(self, timeout: float | None = None) -> bool:
         """Wait for its end, at most ``timeout`` seconds; return whether it has ended."""
         ended = self._await_end(timeout)
         _reap(self.pid)
         return ended
 
-    def wait_for_rest(self) -> Optional[int]:
+    def wait_for_rest(self) -> int | None:
         """Wait for its end without a time limit, then end the rest of its session.
 
         Returns:
@@ -91,7 +91,7 @@ class ProcessId:
         self.signal(signal.SIGKILL)
         self.wait()
 
-    def _await_end(self, timeout: Optional[float]) -> bool:
+    def _await_end(self, timeout: float | None) -> bool:
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         descriptor = _pidfd(self.pid)
         if descriptor is None:
@@ -153,7 +153,7 @@ def boot() -> str:
         return ""
 
 
-def started_with(variable: str) -> List[Tuple[ProcessId, str, List[str]]]:
+def started_with(variable: str) -> list[tuple[ProcessId, str, list[str]]]:
     """Find processes that ``start`` started with a variable, the oldest first.
 
     Returns for each the variable's value and the command line.
@@ -176,16 +176,16 @@ def started_with(variable: str) -> List[Tuple[ProcessId, str, List[str]]]:
 # when the clock is set.
 
 
-def _pids() -> List[int]:
+def _pids() -> list[int]:
     return [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
 
 
-def _words(pid: int, file: str) -> List[bytes]:
+def _words(pid: int, file: str) -> list[bytes]:
     with open(f"/proc/{pid}/{file}", "rb") as opened:
         return opened.read().split(b"\0")
 
 
-def _stat(pid: int) -> List[bytes]:
+def _stat(pid: int) -> list[bytes]:
     """Fields of a process from its state on; empty if it does not exist."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
@@ -195,7 +195,7 @@ def _stat(pid: int) -> List[bytes]:
         return []
 
 
-def _session(leader: int) -> List[ProcessId]:
+def _session(leader: int) -> list[ProcessId]:
     """Processes of the session that a process began, without itself."""
     fields = {pid: _stat(pid) for pid in _pids() if pid != leader}
     return [
@@ -205,14 +205,14 @@ def _session(leader: int) -> List[ProcessId]:
     ]
 
 
-def _pidfd(pid: int) -> Optional[int]:
+def _pidfd(pid: int) -> int | None:
     try:
         return int(getattr(os, "pidfd_open")(pid))  # noqa: B009
     except (AttributeError, OSError):  # before Python 3.9, or no such process
         return None
 
 
-def _reap(pid: int) -> Optional[int]:
+def _reap(pid: int) -> int | None:
     """Return the status of a child that has ended, as ``wait_for_rest`` does; else None."""
     try:
         reaped, status = os.waitpid(pid, os.WNOHANG)

@@ -9,7 +9,7 @@ import functools
 import os
 import shlex
 import sys
-from typing import Any, List, Optional, Tuple
+from typing import Any
 
 from dyknow.errors import CannotRun
 from dyknow.model.graph import NodeletKind
@@ -53,7 +53,7 @@ def find_program(package: str, executable: str) -> str:
     return (installed or found)[0]
 
 
-def _found(package: str, executable: str) -> Tuple[str, List[str]]:
+def _found(package: str, executable: str) -> tuple[str, list[str]]:
     """Return the folder of a package, and the programs of that name, as rosrun finds them."""
     from roslib.packages import find_node
 
@@ -96,7 +96,7 @@ def kind_of(program: Program) -> NodeletKind:
     )
 
 
-def interpreter(path: str) -> Optional[List[str]]:
+def interpreter(path: str) -> list[str] | None:
     """Return the command of a Python script, by its first line; None for other programs."""
     first = first_line(path)
     if not first.startswith("#!") or "python" not in first or "python2" in first:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Callable, Optional
+from typing import TYPE_CHECKING, Any, Callable
 
 from dyknow import names
 from dyknow.nodelet.context import Context
@@ -54,7 +54,7 @@ def script_importer(
     return importer
 
 
-def importer_with_libraries(context: Context, module: str, package: Package) -> Optional[Importer]:
+def importer_with_libraries(context: Context, module: str, package: Package) -> Importer | None:
     """Return modules of a nodelet's own if they use libraries of rospy, else None.
 
     Its package and the module of its class see rospy as it is. The libraries that they import

@@ -18,7 +18,7 @@ import signal
 import sys
 import threading
 import time
-from typing import Any, Callable, Dict, NoReturn, Optional, Type
+from typing import Any, Callable, Dict, NoReturn
 
 from dyknow.errors import NeedsProcess
 from dyknow.nodelet.importer import Importer, Module, View
@@ -60,7 +60,7 @@ def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
     return views
 
 
-def functions(sandbox: Sandbox) -> Dict[str, Any]:
+def functions(sandbox: Sandbox) -> dict[str, Any]:
     """Return replacements of built-in functions."""
     if sandbox.is_alone:
         return {}
@@ -100,7 +100,7 @@ def _threading(sandbox: Sandbox) -> View:
             sandbox.adopt(self)
             super().start()
 
-        def join(self, timeout: Optional[float] = None) -> None:
+        def join(self, timeout: float | None = None) -> None:
             def is_over(seconds: float) -> bool:
                 threading.Thread.join(self, seconds)
                 return not self.is_alive()
@@ -113,10 +113,10 @@ def _threading(sandbox: Sandbox) -> View:
     class Condition(threading.Condition):
         """A condition whose waits end at the unload."""
 
-        def wait(self, timeout: Optional[float] = None) -> bool:
+        def wait(self, timeout: float | None = None) -> bool:
             return sandbox.wait_for(functools.partial(threading.Condition.wait, self), timeout)
 
-    def with_condition(base: Type[Any]) -> Type[Any]:
+    def with_condition(base: type[Any]) -> type[Any]:
         def init(self: Any, *args: Any, **kwds: Any) -> None:
             base.__init__(self, *args, **kwds)
             self._cond = Condition(self._cond._lock)
@@ -124,13 +124,13 @@ def _threading(sandbox: Sandbox) -> View:
         return type(base.__name__, (base,), {"__init__": init, "__doc__": base.__doc__})
 
     waiting = ("Event", "Semaphore", "BoundedSemaphore", "Barrier")
-    own: Dict[str, Any] = {each: with_condition(getattr(threading, each)) for each in waiting}
+    own: dict[str, Any] = {each: with_condition(getattr(threading, each)) for each in waiting}
     own.update(Thread=Thread, Timer=Timer, Condition=Condition, main_thread=lambda: sandbox.main)
     return View(threading, own)
 
 
 def _signal(sandbox: Sandbox) -> View:
-    handlers: Dict[int, Any] = {}
+    handlers: dict[int, Any] = {}
 
     def set_handler(number: int, handler: Any) -> Any:
         before = handlers.get(number, signal.SIG_DFL)

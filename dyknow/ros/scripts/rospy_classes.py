@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import inspect
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Tuple, Type
+from typing import Any, Callable
 
 import genpy
 import rospy
@@ -57,7 +57,7 @@ def wait_for_service(sandbox: Sandbox, name: str, timeout: Any) -> None:
     wait_for(sandbox, is_there, timeout, f"service {name}")
 
 
-def _arguments(rospy_class: Type[Any], *args: Any, **kwds: Any) -> Dict[str, Any]:
+def _arguments(rospy_class: type[Any], *args: Any, **kwds: Any) -> dict[str, Any]:
     """Return the arguments of one of rospy's classes by name, with its defaults."""
     bound = inspect.signature(rospy_class.__init__).bind(None, *args, **kwds)
     bound.apply_defaults()
@@ -82,12 +82,12 @@ class Peer:
 class _Impl:
     """The connections of one end of a topic, as rospy's ``impl`` has them."""
 
-    def __init__(self, end: Any, context: Optional[Context]) -> None:
+    def __init__(self, end: Any, context: Context | None) -> None:
         self._end = end
         self._context = context
 
     @property
-    def connections(self) -> List[Any]:
+    def connections(self) -> list[Any]:
         """One for each node, rospy's own for those outside."""
         end = self._end
         if end is None or self._context is None:
@@ -109,7 +109,7 @@ class _Impl:
     def has_connection(self, endpoint_id: str) -> bool:
         return any(each.endpoint_id == endpoint_id for each in self.connections)
 
-    def get_stats(self) -> Tuple[str, List[Tuple[int, int, int, int, bool]]]:
+    def get_stats(self) -> tuple[str, list[tuple[int, int, int, int, bool]]]:
         """The topic, and an entry for each connection; of that, only the last is known: alive."""
         topic = "" if self._end is None else self._end.name
         return topic, [(n, 0, 0, 0, True) for n, _ in enumerate(self.connections)]
@@ -121,7 +121,7 @@ class _Topic:
     sandbox: Sandbox
     reg_type = ""
 
-    def __init__(self, arguments: Dict[str, Any]) -> None:
+    def __init__(self, arguments: dict[str, Any]) -> None:
         name = arguments["name"]
         data_class: Any = arguments["data_class"]
         if not name or not isinstance(name, str):
@@ -271,9 +271,9 @@ class SandboxedServiceProxy(rospy.ServiceProxy):
         wait_for_service(self.sandbox, self.resolved_name, timeout)
 
 
-def bound_classes(sandbox: Sandbox) -> Dict[str, Type[Any]]:
+def bound_classes(sandbox: Sandbox) -> dict[str, type[Any]]:
     """Return classes of the sandbox's own by name, so that its code can derive from them."""
-    classes: Tuple[Type[Any], ...] = (
+    classes: tuple[type[Any], ...] = (
         SandboxedPublisher,
         SandboxedSubscriber,
         SandboxedService,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from typing import Any, Callable, Dict, List, Mapping, Optional
+from typing import Any, Callable, Mapping
 
 import genpy
 import rospy
@@ -42,18 +42,18 @@ _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logo
 
 def rospy_views(
     sandbox: Sandbox, init_node: Callable[..., None], timer: Callable[[], Module]
-) -> Dict[str, Callable[[], Module]]:
+) -> dict[str, Callable[[], Module]]:
     """Return factories of the views of rospy and its submodules, by name.
 
     ``timer`` returns the sandbox's copy of ``rospy.timer``.
     """
     members = _members(sandbox, init_node)
 
-    def of(real: Module) -> Dict[str, Any]:
+    def of(real: Module) -> dict[str, Any]:
         return {name: member for name, member in members.items() if hasattr(real, name)}
 
     submodules = {name: getattr(rospy, name) for name in _SUBMODULES}
-    below: Dict[str, Module] = {name: View(real, of(real)) for name, real in submodules.items()}
+    below: dict[str, Module] = {name: View(real, of(real)) for name, real in submodules.items()}
     views = {f"rospy.{name}": view for name, view in below.items()}
     views["rospy"] = _Rospy({**of(rospy), **below}, timer)
     return {name: functools.partial(_same, view) for name, view in views.items()}
@@ -77,7 +77,7 @@ def _same(view: Module) -> Module:
     return view
 
 
-def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]:
+def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]:
     def handle() -> Any:
         """The sandbox's handle; rospy itself while it has none."""
         return sandbox.handle or rospy
@@ -93,7 +93,7 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]
         wait_for_service(sandbox, handle().resolve_name(service), timeout)
 
     def wait_for_message(topic: str, topic_type: Any, timeout: Any = None) -> Any:
-        heard: List[Any] = []
+        heard: list[Any] = []
         came = threading.Event()
 
         def receive(message: Any) -> None:
@@ -107,12 +107,12 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]
             subscriber.unregister()
         return heard[0]
 
-    def resolve_name(name: str, caller_id: Optional[str] = None) -> str:
+    def resolve_name(name: str, caller_id: str | None = None) -> str:
         if caller_id is None and hasattr(sandbox.handle, "tell_name"):
             return str(handle().tell_name(name))
         return str(handle().resolve_name(name, caller_id))
 
-    def remap_name(name: str, caller_id: Optional[str] = None, resolved: bool = True) -> str:
+    def remap_name(name: str, caller_id: str | None = None, resolved: bool = True) -> str:
         if sandbox.handle is None:
             return str(rospy.remap_name(name, caller_id, resolved))
         global_name = names.complete(name, sandbox.handle.namespace, sandbox.handle.get_name())
@@ -133,7 +133,7 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]
         sandbox.waits()
         return rospy.rostime.get_rostime_cond()
 
-    def get_mappings() -> Dict[str, str]:
+    def get_mappings() -> dict[str, str]:
         return dict(sandbox.context.remappings) if sandbox.context is not None else {}
 
     def logger(name: str) -> Callable[..., Any]:
@@ -143,7 +143,7 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> Dict[str, Any]
         title = sandbox.name.strip("/").replace("/", ".")
         return functools.partial(getattr(rospy, name), logger_name=title)
 
-    members: Dict[str, Any] = {name: of_handle(name) for name in _OF_HANDLE}
+    members: dict[str, Any] = {name: of_handle(name) for name in _OF_HANDLE}
     members.update({name: logger(name) for name in _LOGS})
     members.update(
         init_node=init_node,

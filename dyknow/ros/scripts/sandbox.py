@@ -20,7 +20,7 @@ import traceback
 import weakref
 from functools import partial
 from types import FrameType
-from typing import Any, Callable, Collection, List, Mapping, Optional, Set, Tuple
+from typing import Any, Callable, Collection, Mapping
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
@@ -68,7 +68,7 @@ def outside_of_finalizers(call: Callable[[], None]) -> None:
     Python may run a ``__del__`` in the middle of anything, also while the same thread holds a lock
     of ours. Libraries withdraw their topics there, as tf2's listeners do.
     """
-    frame: Optional[FrameType] = sys._getframe(1)
+    frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         if frame.f_code.co_name == "__del__":
             _deferred.put(call)  # which may be called anywhere
@@ -81,7 +81,7 @@ class Exits:
     """Stands in for ``atexit``."""
 
     def __init__(self) -> None:
-        self.calls: List[Tuple[Callable[..., Any], Callable[[], Any]]] = []
+        self.calls: list[tuple[Callable[..., Any], Callable[[], Any]]] = []
 
     def register(self, call: Callable[..., Any], *args: Any, **kwds: Any) -> Callable[..., Any]:
         self.calls.append((call, partial(call, *args, **kwds)))
@@ -112,7 +112,7 @@ class Sandbox:
     def __init__(
         self,
         name: str,
-        main: Optional[threading.Thread] = None,
+        main: threading.Thread | None = None,
         is_alone: bool = False,
         copies: bool = True,
     ) -> None:
@@ -121,31 +121,31 @@ class Sandbox:
         self.main = main
         self.is_alone = is_alone
         self.copies = copies
-        self.argv: List[str] = sys.argv
+        self.argv: list[str] = sys.argv
         self.mappings: Mapping[str, str] = {}
-        self.handle: Optional[PlainNodeHandle] = None
+        self.handle: PlainNodeHandle | None = None
         self.closing = threading.Event()
         self.settled = threading.Event()
-        self.threads: List[threading.Thread] = []
+        self.threads: list[threading.Thread] = []
         self.on_refusal: Callable[[NeedsProcess], None] = lambda refusal: None
         #: Shutdown hooks, by phase: on_shutdown, pre-shutdown and shutdown.
-        self.hooks: List[Callable[[], None]] = []
-        self.hooks_before: List[Callable[[str], None]] = []
-        self.hooks_after: List[Callable[[str], None]] = []
+        self.hooks: list[Callable[[], None]] = []
+        self.hooks_before: list[Callable[[str], None]] = []
+        self.hooks_after: list[Callable[[str], None]] = []
         self.exits = Exits()
         #: Its topics and services, which refer to its callbacks.
         self.ends: weakref.WeakSet[Any] = weakref.WeakSet()
         self.is_ending = False
-        self._ending_thread: Optional[threading.Thread] = None
+        self._ending_thread: threading.Thread | None = None
         self._end_of_sleep = math.inf
         self._lock = state_lock("sandbox")
-        self._waiting: List[Callable[[PlainNodeHandle], None]] = []
+        self._waiting: list[Callable[[PlainNodeHandle], None]] = []
         self._non_daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-        self._released: Set[int] = set()
+        self._released: set[int] = set()
         self._is_over = False
 
     @property
-    def context(self) -> Optional[Context]:
+    def context(self) -> Context | None:
         """Its share of the runtime; None while it has no handle."""
         return self.handle.context if self.handle is not None else None
 
@@ -240,7 +240,7 @@ class Sandbox:
         if threading.current_thread() is self.main:
             self.settled.set()
 
-    def wait_for(self, condition: Callable[[float], bool], timeout: Optional[float]) -> bool:
+    def wait_for(self, condition: Callable[[float], bool], timeout: float | None) -> bool:
         """Wait in short slices, so that an unload ends the wait.
 
         Args:
@@ -351,7 +351,7 @@ class Sandbox:
             _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
 
 
-def _place(thread: threading.Thread) -> Tuple[str, int]:
+def _place(thread: threading.Thread) -> tuple[str, int]:
     """The source file and the line that a thread is at."""
     frame = sys._current_frames().get(thread.ident or 0)
     return ("?", 0) if frame is None else (frame.f_code.co_filename, frame.f_lineno)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 import traceback
-from typing import Any, Callable, Optional, Sequence
+from typing import Any, Callable, Sequence
 
 import rospy
 
@@ -85,9 +85,9 @@ class ScriptNodelet(Nodelet):
     ``~by_reference`` (false), whether it shares messages with its neighbours as nodelets do.
     """
 
-    _sandbox: Optional[Sandbox] = None
-    _code: Optional[ScriptCode] = None
-    _error: Optional[BaseException] = None
+    _sandbox: Sandbox | None = None
+    _code: ScriptCode | None = None
+    _error: BaseException | None = None
 
     def bind(self, context: Context) -> None:
         context.executor = context.runtime.blocking  # callbacks may block: each has a thread

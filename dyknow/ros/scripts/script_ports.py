@@ -9,7 +9,7 @@ connected at the start. The rules are those of ``src/dyknow_roscpp/port_names.cp
 
 from __future__ import annotations
 
-from typing import Any, Dict, Optional, Tuple, Type
+from typing import Any
 
 from dyknow import names
 from dyknow.errors import PortConflict
@@ -42,15 +42,15 @@ class ScriptProxy(NodeletProxy):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._by_label: Dict[Tuple[str, str], ProxyPort] = {}
+        self._by_label: dict[tuple[str, str], ProxyPort] = {}
         #: Labels by the global names that were returned to the script.
-        self._noted: Dict[str, str] = {}
+        self._noted: dict[str, str] = {}
 
     def note(self, name: str, resolved: str) -> None:
         """Note the global name of a name: the script may use it for the topic from now on."""
         self._noted[resolved] = self._label(name)
 
-    def _find(self, name: str) -> Optional[ProxyPort]:
+    def _find(self, name: str) -> ProxyPort | None:
         """Find a port by its name, or by the global name that its topic has in the code."""
         found = super()._find(name)
         if found is None:
@@ -130,6 +130,6 @@ class ScriptHandle(NodeHandle):
     def _make_subscriber(self, name: str, *args: Any, **options: Any) -> Any:
         return self._maker(name)._make_subscriber(self, name, *args, **options)
 
-    def _maker(self, name: str) -> Type[PlainNodeHandle]:
+    def _maker(self, name: str) -> type[PlainNodeHandle]:
         is_port = self.resolve_name(names.check(name, "topic name")) not in _NO_PORTS
         return NodeHandle if is_port else PlainNodeHandle

@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Callable, Iterator, NamedTuple
 
 import psutil
 import rosgraph
@@ -74,7 +74,7 @@ class NodeFacts(NamedTuple):
     name: str
     uri: str
     pid: int = 0
-    trouble: Optional[BaseException] = None
+    trouble: BaseException | None = None
 
     @property
     def host(self) -> str:
@@ -94,9 +94,9 @@ class Doctor:
 
     client: ShellClient
     code: Path = Path(dyknow.__file__).resolve().parent
-    disk_usage: Callable[[str], Tuple[int, int, int]] = shutil.disk_usage
+    disk_usage: Callable[[str], tuple[int, int, int]] = shutil.disk_usage
 
-    def checks(self) -> List[Tuple[str, Callable[[], Iterator[Finding]]]]:
+    def checks(self) -> list[tuple[str, Callable[[], Iterator[Finding]]]]:
         """List the checks, each with the name of its subject."""
         return [
             ("names of hosts", self.names_of_hosts),
@@ -121,7 +121,7 @@ class Doctor:
         return Master(f"/dyknow_{os.getpid()}", timeout=PATIENCE)
 
     @cached_property
-    def nodes(self) -> Dict[str, NodeFacts]:
+    def nodes(self) -> dict[str, NodeFacts]:
         """Every registered node, by name."""
         state = self._master.ask("getSystemState")
         found = sorted({node for side in state for _, nodes in side for node in nodes})
@@ -219,7 +219,7 @@ class Doctor:
         with ThreadPoolExecutor(_ASKERS) as pool:
             yield from (found for found in pool.map(self._statistics, running) if found)
 
-    def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
+    def _statistics(self, nodelet: NodeletStatus) -> Finding | None:
         if nodelet.is_fixed:
             return None  # it has no proxy
         try:
@@ -294,10 +294,10 @@ class Doctor:
     # This machine
 
     @cached_property
-    def _processes(self) -> List[Tuple[str, psutil.Process]]:
+    def _processes(self) -> list[tuple[str, psutil.Process]]:
         """The processes of DyKnow on this machine, each with a node that it is."""
         hosts = {each.node for each in self.model.nodelets} | {self.client.manager}
-        found: Dict[int, Tuple[str, psutil.Process]] = {}
+        found: dict[int, tuple[str, psutil.Process]] = {}
         for node in self.nodes.values():
             if node.name in hosts and node.pid and rosgraph.network.is_local_address(node.host):
                 try:
@@ -341,7 +341,7 @@ class Doctor:
 
     def disks(self) -> Iterator[Finding]:
         """Find disks of the durable state and of the logs that are nearly full."""
-        seen: Set[int] = set()
+        seen: set[int] = set()
         for what, path in (
             ("the state of the DyKnow manager", os.path.dirname(self._state_path(""))),
             ("the logs of ROS", rospkg.get_log_dir()),

@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import time
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence, Tuple, TypeVar
+from typing import Any, Callable, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs import msg
@@ -44,7 +44,7 @@ class EventReader:
         self._reader = reader
         self.close = reader.close
 
-    def next(self, timeout: float) -> Optional[StreamEvent]:
+    def next(self, timeout: float) -> StreamEvent | None:
         """Return the next event, or None; raises `ManagerUnreachable` if the manager is gone."""
         try:
             message = self._reader.read(timeout)
@@ -61,7 +61,7 @@ class ShellClient(ManagerClient):
     not.
     """
 
-    def __init__(self, manager: str, timeout: Optional[float] = None) -> None:
+    def __init__(self, manager: str, timeout: float | None = None) -> None:
         """Prepare calls with a ``timeout`` in seconds; None for one that suits the question."""
         super().__init__(manager, f"/dyknow_{os.getpid()}")
         #: Where relative names of nodelets begin.
@@ -78,7 +78,7 @@ class ShellClient(ManagerClient):
             raise self._no_manager(PeerTimeout(self.manager, seconds), seconds)
         return found
 
-    def wait_for_model(self, condition: Callable[[Model], bool]) -> Optional[Model]:
+    def wait_for_model(self, condition: Callable[[Model], bool]) -> Model | None:
         """Return the first model that meets a condition; None if there is none within 2 s."""
         return self._next_model(FOLLOW_TIMEOUT, condition)
 
@@ -86,16 +86,16 @@ class ShellClient(ManagerClient):
         """Listen to the events of all streams."""
         return EventReader(self._topic("stream_events", msg.StreamEvent))
 
-    def managers(self) -> List[str]:
+    def managers(self) -> list[str]:
         """Names of all registered DyKnow managers of the ROS graph."""
         return self._nodes_with("/add_transformation")
 
-    def topics(self) -> List[str]:
+    def topics(self) -> list[str]:
         """Names of all topics that the master knows."""
         known = self._on_master(lambda: self._master.ask("getTopicTypes"))
         return sorted(name for name, _ in known)
 
-    def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> Dict[str, Any]:
+    def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
         """Values that the parameter server has for parameters of a nodelet, by their names."""
         stored = self._on_master(lambda: self._looked_up("getParam", nodelet))
         found = {}
@@ -107,7 +107,7 @@ class ShellClient(ManagerClient):
                 found[name] = value
         return found
 
-    def topics_in_use(self) -> Tuple[FrozenSet[str], FrozenSet[str]]:
+    def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:
         """Topics that have a publisher, and topics that have a subscriber."""
         published, heard, _ = self._on_master(lambda: self._master.ask("getSystemState"))
         return frozenset(name for name, _ in published), frozenset(name for name, _ in heard)
@@ -123,7 +123,7 @@ class ShellClient(ManagerClient):
 
     # Inside
 
-    def _next_model(self, seconds: float, condition: Callable[[Model], bool]) -> Optional[Model]:
+    def _next_model(self, seconds: float, condition: Callable[[Model], bool]) -> Model | None:
         """Read the topic of the model, which is latched, until a message meets a condition."""
         deadline = time.monotonic() + seconds
         with self._topic("model", msg.Model) as reader:
@@ -163,7 +163,7 @@ class ShellClient(ManagerClient):
         except (LookupError, PeerTimeout, OSError) as error:
             raise self._no_manager(error, seconds) from error
 
-    def _nodes_with(self, service: str) -> List[str]:
+    def _nodes_with(self, service: str) -> list[str]:
         return self._on_master(lambda: super(ShellClient, self)._nodes_with(service))
 
     def _find_master(self) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from io import BytesIO
-from typing import Any, Dict, Optional
+from typing import Any
 
 import genpy
 import rospy
@@ -66,7 +66,7 @@ def _copied(value: Any) -> Any:
     return value
 
 
-def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
+def connection_header(datatype: Any, latching: bool) -> dict[str, str]:
     """The connection header of messages from this process, without their topic."""
     return {
         "callerid": rospy.get_name(),
@@ -77,7 +77,7 @@ def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
     }
 
 
-def serialised(any_class: Any, message: Any, header: Optional[Dict[str, str]] = None) -> Any:
+def serialised(any_class: Any, message: Any, header: dict[str, str] | None = None) -> Any:
     """Convert a message of this process to one of any type."""
     wrapped = any_class()
     wrapped._buff = _bytes(message)

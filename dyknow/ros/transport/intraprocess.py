@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from typing import Any, Callable, Collection, Dict, List, Set, Tuple
+from typing import Any, Callable, Collection, Tuple
 
 import rospy
 import rospy.core
@@ -91,10 +91,10 @@ class OrdinaryHandles:
         self, name: str, uri: str, address: Callable[[str], str], executor: Executor
     ) -> None:
         self.name = name
-        self.registrations: Set[Any] = set()
+        self.registrations: set[Any] = set()
         self.backlog = Backlog()
         #: By publication, the latest last; under None the message of ordinary publishers.
-        self._latches: Dict[Any, Any] = {}
+        self._latches: dict[Any, Any] = {}
         self._uri = uri
         self._address = address
         self._strand = Strand(executor, f"rospy subscribers of {name}")
@@ -103,7 +103,7 @@ class OrdinaryHandles:
         self._subscriber: Any = None  # rospy's
 
     @property
-    def foreign(self) -> List[Callback]:
+    def foreign(self) -> list[Callback]:
         """Callbacks of ordinary subscribers."""
         subscriber = self._subscriber
         if subscriber is None:  # as a rule, and looked at on every publish
@@ -253,7 +253,7 @@ class OrdinaryHandles:
             self.latch(None, message)
         self._hand_over(message, callbacks)
 
-    def _catch_up(self, newcomers: List[Callback], ordinary: bool = True) -> None:
+    def _catch_up(self, newcomers: list[Callback], ordinary: bool = True) -> None:
         """Hand over the latched message, that of ordinary publishers only if ``ordinary``.
 
         The bus delivers its own latched messages to its own subscribers.
@@ -264,7 +264,7 @@ class OrdinaryHandles:
         if message is not NOTHING and (ordinary or registration is not None):
             self._hand_over(message, [each for each in newcomers if not _is_ours(each[0])])
 
-    def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
+    def _hand_over(self, message: Any, callbacks: list[Callback]) -> None:
         """Have callbacks called: those of the bus only queue it, ordinary ones take their time."""
         subscriber = self._subscriber
         if not callbacks or subscriber is None:
@@ -298,7 +298,7 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         self._executor = executor
         self._master = Master(rospy.get_name())
         self._lock = state_lock("topics taken over")
-        self._topics: Dict[str, OrdinaryHandles] = {}
+        self._topics: dict[str, OrdinaryHandles] = {}
         self._uri: str = rospy.core.get_node_uri()
         handler = rospy.impl.tcpros.get_tcpros_handler()
         self._connect_outside = handler.create_transport
@@ -335,15 +335,15 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         except PeerTimeout:
             return ""
 
-    def _create_transport(self, topic: str, uri: str, parameters: Any) -> Tuple[int, str, int]:
+    def _create_transport(self, topic: str, uri: str, parameters: Any) -> tuple[int, str, int]:
         if uri == self._uri and topic in self._topics:
             return self._link(topic)
-        answer: Tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
+        answer: tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
         if uri == self._uri and topic in self._topics:
             return self._link(topic)  # meanwhile, by a thread that did not see this connection yet
         return answer
 
-    def _link(self, topic: str) -> Tuple[int, str, int]:
+    def _link(self, topic: str) -> tuple[int, str, int]:
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
         handles = self._topics.get(topic)
         if subscriber is None or handles is None:

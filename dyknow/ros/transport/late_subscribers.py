@@ -21,7 +21,7 @@ import collections
 import logging
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Collection, Deque, Dict, FrozenSet, List, Optional, Set
+from typing import Any, Callable, Collection, FrozenSet
 
 import rospy
 
@@ -53,9 +53,9 @@ class Backlog:
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
-        self._due: Set[str] = set()
+        self._due: set[str] = set()
         self._deadline = 0.0
-        self._missed: Deque[Any] = collections.deque()
+        self._missed: collections.deque[Any] = collections.deque()
         #: Whether a subscriber is expected; looked at on every publish.
         self.open = False
 
@@ -81,7 +81,7 @@ class Backlog:
         if self.waiting():
             self._missed.append(message)
 
-    def missed_by(self, address: str) -> List[Any]:
+    def missed_by(self, address: str) -> list[Any]:
         """Return the messages that a subscriber missed which has connected now, oldest first."""
         if not self.waiting() or address not in self._due:
             return []
@@ -118,7 +118,7 @@ class Reminders:
 
     def __init__(
         self,
-        register_again: Callable[[str, str], Optional[Addresses]],
+        register_again: Callable[[str, str], Addresses | None],
         connected: Callable[[str], Addresses],
         clock: Clock = time.monotonic,
     ) -> None:
@@ -126,8 +126,8 @@ class Reminders:
         self._connected = connected
         self._clock = clock
         self._state_lock = state_lock("reminders")
-        self._withdrawn: Dict[str, float] = {}
-        self._open: Dict[str, _Reminder] = {}
+        self._withdrawn: dict[str, float] = {}
+        self._open: dict[str, _Reminder] = {}
         self._worker = PeriodicWorker(
             "reminding subscribers",
             self.remind,

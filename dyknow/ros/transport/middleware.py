@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import logging
 import traceback
-from typing import Any, Dict, Optional, Sequence
+from typing import Any, Sequence
 
 import rospy
 import rospy.msg
@@ -58,8 +58,8 @@ class RospyTransport(Transport):
         topic: str,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
-        options: Dict[str, Any],
+        queue_size: int | None,
+        options: dict[str, Any],
     ) -> RospyPublisher:
         assert_no_state_lock(f"advertising {topic}")
         return RospyPublisher(
@@ -67,7 +67,7 @@ class RospyTransport(Transport):
         )
 
     def subscribe(
-        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+        self, topic: str, datatype: Any, receive: Receive, options: dict[str, Any]
     ) -> RospySubscriber:
         assert_no_state_lock(f"subscribing to {topic}")
         return RospySubscriber(self._registrar, topic, datatype, receive, options)
@@ -81,10 +81,10 @@ class RospyTransport(Transport):
             return ""
         return "" if found == "*" else found
 
-    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+    def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
 
-    def age_of(self, message: Any) -> Optional[float]:
+    def age_of(self, message: Any) -> float | None:
         return ages.age_of(message)
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
@@ -100,7 +100,7 @@ class RospyServices(Services):
     """Services, offered by rospy."""
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> Closable:
         assert_no_state_lock(f"offering {service}")
         return _Service(service, service_class, handler, options)
@@ -108,7 +108,7 @@ class RospyServices(Services):
 
 class _Service(Closable):
     def __init__(
-        self, name: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+        self, name: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> None:
         report = options.get("error_handler") or functools.partial(_log_failure, name)
 

@@ -10,7 +10,7 @@ import functools
 import math
 import threading
 import time
-from typing import Any, Callable, Optional
+from typing import Any, Callable
 
 import rospy
 import rospy.rostime
@@ -158,7 +158,7 @@ class SteadyTicker(_RospyTicker):
     def now(self) -> float:
         return time.monotonic()
 
-    def wait(self, until: Optional[float]) -> None:
+    def wait(self, until: float | None) -> None:
         if until is None:
             self._wake.acquire()
         else:
@@ -181,7 +181,7 @@ class ClockTicker(_RospyTicker):
         """Seconds of /clock, 0 before its first message."""
         return float(rospy.rostime.get_time())
 
-    def wait(self, until: Optional[float]) -> None:
+    def wait(self, until: float | None) -> None:
         with self._changed:
             if not self._woken and (until is None or self.now() < until):
                 self._changed.wait()

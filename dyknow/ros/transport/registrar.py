@@ -16,7 +16,7 @@ The hook is two instance attributes of rospy's ``RegManager``, those of its docu
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
+from typing import Any, Callable, Collection, Tuple
 
 import rospy
 import rospy.core
@@ -54,13 +54,13 @@ _log = logging.getLogger("dyknow.master")
 class Registrar:
     """Registrations of this process, in place of rospy's own; the node must be initialised."""
 
-    def __init__(self, master: Optional[Master] = None) -> None:
+    def __init__(self, master: Master | None = None) -> None:
         """Take over; ``master`` is that of the environment by default."""
         self._master = master or Master(rospy.get_name())
         self._uri: str = rospy.core.get_node_uri() or ""
         self._lock = state_lock("registrar")
-        self._owed: Dict[Key, str] = {}
-        self._peers: Dict[Key, Addresses] = {}
+        self._owed: dict[Key, str] = {}
+        self._peers: dict[Key, Addresses] = {}
         self._worker = PeriodicWorker(
             "registering", self._settle, lambda: _AGAIN if self._owed else None, 0.0, _log
         )
@@ -72,18 +72,18 @@ class Registrar:
                 listener.reg_added = self.reg_added
                 listener.reg_removed = self.reg_removed
 
-    def subscribers(self, topic: str) -> Optional[Addresses]:
+    def subscribers(self, topic: str) -> Addresses | None:
         """Addresses of the other nodes that subscribed when this process began to publish.
 
         They are returned once, since they grow old; None if there was no new registration.
         """
         return self._answer((Registration.PUB, topic, ""))
 
-    def publishers(self, topic: str) -> Optional[Addresses]:
+    def publishers(self, topic: str) -> Addresses | None:
         """Addresses of the other nodes that published when this process subscribed, likewise."""
         return self._answer((Registration.SUB, topic, ""))
 
-    def _answer(self, key: Key) -> Optional[Addresses]:
+    def _answer(self, key: Key) -> Addresses | None:
         with self._lock:
             return self._peers.pop(key, None)
 
@@ -130,7 +130,7 @@ class Registrar:
             self._manager.publisher_update(name, peers)
         return True
 
-    def _register_again(self, topic: str, datatype: str) -> Optional[Addresses]:
+    def _register_again(self, topic: str, datatype: str) -> Addresses | None:
         """Let the master notify all subscribers of a topic again; return their addresses."""
         try:
             peers = self._master.ask("registerPublisher", topic, datatype, self._uri)
@@ -226,7 +226,7 @@ def hide_topics(hidden: Collection[str]) -> None:
     """
     manager = get_topic_manager()
 
-    def shown(listed: Callable[[], Collection[Any]]) -> Callable[[], List[Any]]:
+    def shown(listed: Callable[[], Collection[Any]]) -> Callable[[], list[Any]]:
         return lambda: [each for each in listed() if each[0] not in hidden]
 
     topics = manager.get_topics

@@ -13,7 +13,7 @@ import sys
 import termios
 import time
 import warnings
-from typing import Any, Callable, Dict, FrozenSet, Optional, Tuple
+from typing import Any, Callable
 
 import genpy
 import rospy
@@ -55,8 +55,8 @@ class RospyPublisher(OutsidePublisher):
         topic: str,
         datatype: Any,
         latch: bool,
-        queue_size: Optional[int],
-        options: Dict[str, Any],
+        queue_size: int | None,
+        options: dict[str, Any],
     ) -> None:
         if queue_size is None:
             warnings.warn(
@@ -88,10 +88,10 @@ class RospyPublisher(OutsidePublisher):
         self._notified = registrar.subscribers(topic) or frozenset()
         self._ordinary.refresh()
 
-    def _connections(self) -> Tuple[Any, ...]:
+    def _connections(self) -> tuple[Any, ...]:
         return tuple(self._implementation.connections or ())
 
-    def peers(self) -> Tuple[Any, ...]:
+    def peers(self) -> tuple[Any, ...]:
         outside = self._connections()
         return (HERE, *outside) if self._ordinary.foreign else outside
 
@@ -193,7 +193,7 @@ class RospySubscriber(OutsideSubscriber):
         topic: str,
         datatype: Any,
         receive: Receive,
-        options: Dict[str, Any],
+        options: dict[str, Any],
     ) -> None:
         self._topic = _unremapped(topic)
         if datatype._md5sum != "*":
@@ -205,7 +205,7 @@ class RospySubscriber(OutsideSubscriber):
     def publishers(self) -> int:
         return len(self._implementation.connections or ())
 
-    def links(self) -> Tuple[Any, ...]:
+    def links(self) -> tuple[Any, ...]:
         links = self._implementation.connections or ()
         return tuple(each for each in links if not isinstance(each, IntraProcessTransport))
 
@@ -261,7 +261,7 @@ class RospySubscriber(OutsideSubscriber):
         self._subscriber.unregister()
 
 
-def _publishers(topic: str) -> FrozenSet[str]:
+def _publishers(topic: str) -> frozenset[str]:
     """Addresses of the other nodes that publish on a topic."""
     name = rospy.get_name()
     master = Master(name)

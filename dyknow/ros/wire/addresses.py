@@ -15,7 +15,7 @@ import socket
 import time
 from concurrent.futures import Future, wait
 from functools import partial
-from typing import Callable, Dict, Optional, Tuple, TypeVar
+from typing import Callable, TypeVar
 from urllib.parse import urlsplit
 
 import rosgraph.network
@@ -46,7 +46,7 @@ def future_of(what: str, call: Callable[[], T]) -> Future[T]:
     return future
 
 
-def look_up(host: str) -> Tuple[str, ...]:
+def look_up(host: str) -> tuple[str, ...]:
     """Ask the system for the addresses of a host, however long it takes."""
     found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     return tuple(dict.fromkeys(str(address[0]) for *_, address in found))
@@ -57,16 +57,16 @@ class Addresses:
 
     def __init__(
         self,
-        look_up: Callable[[str], Tuple[str, ...]] = look_up,
+        look_up: Callable[[str], tuple[str, ...]] = look_up,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._look_up = look_up
         self._clock = clock
         self._state_lock = state_lock("addresses")
-        self._known: Dict[str, Tuple[Tuple[str, ...], float]] = {}  # and when they were found
-        self._searches: Dict[str, Future[Tuple[str, ...]]] = {}
+        self._known: dict[str, tuple[tuple[str, ...], float]] = {}  # and when they were found
+        self._searches: dict[str, Future[tuple[str, ...]]] = {}
 
-    def of(self, host: str, timeout: float) -> Tuple[str, ...]:
+    def of(self, host: str, timeout: float) -> tuple[str, ...]:
         """Return the addresses of a host; raises ``OSError``, ``socket.timeout`` if late."""
         if _is_address(host):
             return (host,)
@@ -82,8 +82,8 @@ class Addresses:
             raise socket.timeout("timed out")
         return search.result()
 
-    def _search(self, host: str) -> Tuple[str, ...]:
-        found: Tuple[str, ...] = ()
+    def _search(self, host: str) -> tuple[str, ...]:
+        found: tuple[str, ...] = ()
         try:
             found = self._look_up(host)
         except UnicodeError as error:  # it cannot be the name of a host
@@ -111,7 +111,7 @@ ADDRESSES = Addresses()
 def connect(host: str, port: int, timeout: float) -> socket.socket:
     """Connect to a host, its look-up included; raises ``OSError``, ``socket.timeout`` if late."""
     deadline = time.monotonic() + timeout
-    failure: Optional[OSError] = None
+    failure: OSError | None = None
     for address in ADDRESSES.of(host, timeout):
         try:
             left = max(0.001, deadline - time.monotonic())

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import struct
-from typing import Any, Optional
+from typing import Any
 
 import roslib.message
 import rospy
@@ -20,7 +20,7 @@ _HEADER = struct.Struct("<III")
 
 
 @functools.lru_cache(maxsize=1000)
-def is_stamped(datatype: str) -> Optional[bool]:
+def is_stamped(datatype: str) -> bool | None:
     """Whether messages of a type begin with a header; None if the type is not known here."""
     try:
         found = roslib.message.get_message_class(datatype)
@@ -29,7 +29,7 @@ def is_stamped(datatype: str) -> Optional[bool]:
     return None if found is None else bool(getattr(found, "_has_header", False))
 
 
-def age_of(message: Any) -> Optional[float]:
+def age_of(message: Any) -> float | None:
     """Return the age of a message in seconds; None if it bears no stamp."""
     if not getattr(message, "_has_header", False):
         return None
@@ -40,7 +40,7 @@ def age_of(message: Any) -> Optional[float]:
         return None
 
 
-def age_of_serialised(message: Any) -> Optional[float]:
+def age_of_serialised(message: Any) -> float | None:
     """Return the age in seconds of a message that was received as ``rospy.AnyMsg``."""
     definition = (message._connection_header or {}).get("message_definition", "")
     if len(message._buff or b"") < _HEADER.size or not _begins_with_header(definition):
@@ -59,7 +59,7 @@ def _begins_with_header(definition: str) -> bool:
     return False
 
 
-def _age(seconds: int, nanoseconds: int) -> Optional[float]:
+def _age(seconds: int, nanoseconds: int) -> float | None:
     if not seconds and not nanoseconds:
         return None
     now = rospy.get_rostime()

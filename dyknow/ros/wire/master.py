@@ -10,7 +10,7 @@ import http.client
 import os
 import re
 import xmlrpc.client
-from typing import Any, List, Set, Tuple
+from typing import Any
 
 from dyknow import names
 from dyknow.errors import PeerTimeout
@@ -54,7 +54,7 @@ class _Server:
         self._uri = uri
         self._peer = peer
         self._timeout = timeout
-        self._idle: List[_Transport] = []
+        self._idle: list[_Transport] = []
 
     def ask(self, question: str, *args: Any) -> Any:
         assert_no_state_lock(f"asking {self._peer}: {question}")
@@ -98,7 +98,7 @@ class Master:
         """Call a function of the master's API and return its value."""
         return self._server.ask(question, self.caller, *args)
 
-    def publishers(self, topic: str) -> Set[str]:
+    def publishers(self, topic: str) -> set[str]:
         return self._nodes(topic, 0)
 
     def datatype(self, topic: str) -> str:
@@ -123,7 +123,7 @@ class Master:
     def pid(self, name: str, uri: str, timeout: float) -> int:
         return int(self._ask_node(name, uri, timeout, "getPid"))
 
-    def connections(self, uri: str, topic: str, timeout: float) -> Set[int]:
+    def connections(self, uri: str, topic: str, timeout: float) -> set[int]:
         """Query the ports to which a node at ``uri`` sends a topic that it publishes."""
         infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
@@ -164,7 +164,7 @@ class Master:
         if not uri:
             return ""
         try:
-            types: List[Tuple[str, str]] = self._ask_node(node, uri, _AT_ONCE, "getSubscriptions")
+            types: list[tuple[str, str]] = self._ask_node(node, uri, _AT_ONCE, "getSubscriptions")
         except (PeerTimeout, LookupError):
             return ""
         return next((datatype for name, datatype in types if name == topic), "")
@@ -173,6 +173,6 @@ class Master:
         with contextlib.closing(_Server(uri, f"node {name}", timeout)) as server:
             return server.ask(question, self.caller, *args)
 
-    def _nodes(self, topic: str, side: int) -> Set[str]:
+    def _nodes(self, topic: str, side: int) -> set[str]:
         state = self.ask("getSystemState")
         return {node for name, nodes in state[side] if name == topic for node in nodes}

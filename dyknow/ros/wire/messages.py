@@ -14,7 +14,7 @@ import dataclasses
 import enum
 import math
 from functools import partial
-from typing import Any, List, Mapping, Sequence, Tuple, Type, TypeVar, Union
+from typing import Any, Mapping, Sequence, TypeVar
 
 from dyknow_msgs import msg, srv
 from genpy import Duration, Time, TVal
@@ -39,7 +39,7 @@ _WARNING = "warning: "
 _SECONDS = {"duration": Duration, "time": Time}
 
 
-def _message(message_class: Type[Any], value: object, /, **fields: object) -> Any:
+def _message(message_class: type[Any], value: object, /, **fields: object) -> Any:
     """Make a message from ``fields``, and the rest from the attributes of a value."""
     for name, kind in zip(message_class.__slots__, message_class._slot_types):
         if name not in fields and hasattr(value, name):
@@ -55,7 +55,7 @@ def _field(kind: str, value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _value(value_class: Type[T], message: Any, /, **attributes: object) -> T:
+def _value(value_class: type[T], message: Any, /, **attributes: object) -> T:
     """Make a value from ``attributes``, and the rest from the fields of a message."""
     names = getattr(value_class, "_fields", None) or [
         each.name
@@ -84,7 +84,7 @@ def _direction_from(message: Any) -> str:
     return OUT if message.direction == msg.Port.OUT else IN
 
 
-def port_message(port: Union[PortState, Port]) -> msg.Port:
+def port_message(port: PortState | Port) -> msg.Port:
     return _message(msg.Port, port, direction=direction_message(port.direction))
 
 
@@ -92,11 +92,11 @@ def port_from(message: msg.Port) -> PortState:
     return _value(PortState, message, direction=_direction_from(message))
 
 
-def config_message(config: Mapping[str, str]) -> List[msg.PortConfig]:
+def config_message(config: Mapping[str, str]) -> list[msg.PortConfig]:
     return [msg.PortConfig(port, topic) for port, topic in sorted(config.items())]
 
 
-def config_pairs(config: Sequence[msg.PortConfig]) -> List[Tuple[str, str]]:
+def config_pairs(config: Sequence[msg.PortConfig]) -> list[tuple[str, str]]:
     """Read pairs of port and topic; a port may be named twice."""
     return [(entry.port, entry.topic) for entry in config]
 
@@ -104,11 +104,11 @@ def config_pairs(config: Sequence[msg.PortConfig]) -> List[Tuple[str, str]]:
 # Transformations and nodelets
 
 
-def _parameter_messages(parameters: Sequence[Parameter]) -> List[msg.Parameter]:
+def _parameter_messages(parameters: Sequence[Parameter]) -> list[msg.Parameter]:
     return [msg.Parameter(*each) for each in parameters]
 
 
-def parameters_from(messages: Sequence[msg.Parameter]) -> Tuple[Parameter, ...]:
+def parameters_from(messages: Sequence[msg.Parameter]) -> tuple[Parameter, ...]:
     return tuple(Parameter(each.name, each.type, each.value) for each in messages)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import Any, Callable, Dict, Generic, Iterable, Tuple, TypeVar
+from typing import Any, Callable, Generic, Iterable, TypeVar
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
@@ -34,10 +34,10 @@ class _Parts(Generic[T]):
     def __init__(self, name: Callable[[T], str], convert: Callable[[T], Any]) -> None:
         self._name = name
         self._convert = convert
-        self._kept: Dict[str, Tuple[T, bytes]] = {}
+        self._kept: dict[str, tuple[T, bytes]] = {}
 
     def serialise(self, values: Iterable[T]) -> bytes:
-        kept: Dict[str, Tuple[T, bytes]] = {}
+        kept: dict[str, tuple[T, bytes]] = {}
         for each in values:
             part = self._kept.get(self._name(each))
             if part is None or part[0] is not each:
@@ -58,7 +58,7 @@ class ModelMessages:
         self._transformations = _Parts[Transformation](
             lambda each: each.label, transformation_message
         )
-        self._library: Tuple[int, bytes] = (-1, b"")
+        self._library: tuple[int, bytes] = (-1, b"")
 
     def topic(self, model: Model) -> ModelMessage:
         """Make the message of the topic: nodelets only."""

@@ -19,7 +19,7 @@ import struct
 import time
 from concurrent.futures import wait
 from io import BytesIO
-from typing import Any, Callable, Dict, Optional, Tuple, TypeVar
+from typing import Any, Callable, TypeVar
 
 import rosgraph.network
 
@@ -73,13 +73,13 @@ class TcprosConnection:
         self._socket = connect(host, port, seconds)
         self._received = bytearray()
 
-    def shake_hands(self, what: str, fields: Dict[str, str], deadline: float) -> None:
+    def shake_hands(self, what: str, fields: dict[str, str], deadline: float) -> None:
         """Exchange headers; raises `ConnectionRefused`, and closes the connection on any error."""
         try:
             self._limit(deadline)
             rosgraph.network.write_ros_handshake_header(self._socket, fields)
             header = self.receive_frame(deadline)
-            answer: Dict[str, str] = rosgraph.network.decode_ros_handshake_header(
+            answer: dict[str, str] = rosgraph.network.decode_ros_handshake_header(
                 _LENGTH.pack(len(header)) + header
             )
             if "error" in answer:
@@ -95,7 +95,7 @@ class TcprosConnection:
     def receive_frame(self, deadline: float) -> bytes:
         return self._receive(0, deadline)[1]
 
-    def receive_answer(self, deadline: float) -> Tuple[bool, bytes]:
+    def receive_answer(self, deadline: float) -> tuple[bool, bytes]:
         """Return the answer of a service: whether it succeeded, and the content of the frame."""
         succeeded, body = self._receive(1, deadline)
         return succeeded != b"\0", body
@@ -119,7 +119,7 @@ class TcprosConnection:
         """Disconnect; only for the thread that uses the connection."""
         self._socket.close()
 
-    def _receive(self, before: int, deadline: float) -> Tuple[bytes, bytes]:
+    def _receive(self, before: int, deadline: float) -> tuple[bytes, bytes]:
         """Return so many bytes and the frame after them, both once they are there."""
         start = before + _LENGTH.size
         self._fill(start, deadline)
@@ -184,7 +184,7 @@ class ServiceClient:
         self.address = ""
         self._turn = turn_lock("service client")
         self._state_lock = state_lock("connection of a service client")
-        self._connection: Optional[TcprosConnection] = None
+        self._connection: TcprosConnection | None = None
         self._owed = False  # an answer that came too late for its call
 
     def call(self, timeout: float, *args: Any, **kwds: Any) -> Any:
@@ -273,7 +273,7 @@ class ServiceClient:
 
     def _exchange(
         self, connection: TcprosConnection, body: bytes, deadline: float
-    ) -> Tuple[bool, bytes]:
+    ) -> tuple[bool, bytes]:
         if self._owed:
             connection.receive_answer(time.monotonic())
             self._owed = False

@@ -14,7 +14,7 @@ import socket
 import threading
 import time
 from functools import partial
-from typing import Any, Callable, Optional
+from typing import Any, Callable
 
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import attempt, in_background
@@ -74,7 +74,7 @@ class TopicReader:
     def __exit__(self, *unused: object) -> None:
         self.close()
 
-    def read(self, timeout: float, last_only: bool = False) -> Optional[Any]:
+    def read(self, timeout: float, last_only: bool = False) -> Any | None:
         """Return the next message, or the last that has come; None if there is none in time.
 
         Raises ``OSError`` when the connection breaks; the publisher may be gone.
@@ -92,7 +92,7 @@ class TopicReader:
     def close(self) -> None:
         self._connection.close()
 
-    def _frame(self, deadline: float) -> Optional[bytes]:
+    def _frame(self, deadline: float) -> bytes | None:
         try:
             return self._connection.receive_frame(deadline)
         except socket.timeout:
@@ -122,7 +122,7 @@ class TopicFollower:
         self._last_only = last_only
         self._closed = threading.Event()
         self._is_left = threading.Event()
-        self._reader: Optional[TopicReader] = None
+        self._reader: TopicReader | None = None
         self._refusal = ""  # logged once
 
     @property

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import sqlite3
 from pathlib import Path
 
@@ -14,11 +15,13 @@ import pytest
 from faulty_disk import kept_aside
 
 from dyknow.errors import StoreError
+from dyknow.manager.claim import Claim, Moment
 from dyknow.manager.library import Library
 from dyknow.manager.record import Record
 from dyknow.manager.state_file import StateFile
 from dyknow.manager.store import Store, _body, pack, unpack
 from dyknow.model.graph import State
+from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
 
 TRANSFORMATION = Transformation(
@@ -184,3 +187,11 @@ def test_what_earlier_versions_can_use_is_written_as_they_wrote_it() -> None:
     for wrong in ('["a","p/A","node",1,[],[],1,""]', '["a","p/A","node",1,[],[],true,1]'):
         with pytest.raises((TypeError, ValueError)):
             unpack(wrong)
+
+
+@pytest.mark.parametrize("kind", [Record, Claim, Moment, StreamRequest, Transformation, Port])
+def test_python_3_8_evaluates_the_declared_types_of_stored_fields(kind: type) -> None:
+    """What is read from disk is checked against them."""
+    for annotation in vars(kind)["__annotations__"].values():
+        text = getattr(annotation, "__forward_arg__", annotation)
+        assert "|" not in text and not re.search(r"\b(dict|frozenset|list|set|tuple)\[", text)

@@ -42,13 +42,17 @@ class Field:
         )
         store = Store(":memory:")
         library = Library(store, self.ontology)
+        self.reasons: list[str] = []
         self.reconciler = open_reconciler(
-            self.host, store, library, clock=self.clock, sleep=self.sleep
+            self.host,
+            store,
+            library,
+            clock=self.clock,
+            sleep=self.sleep,
+            on_event=lambda event: self.reasons.append(event.reason),
         )
         self.manager = self.reconciler.manager
         self.manager.start()
-        self.reasons: list[str] = []
-        self.reconciler.on_event = lambda event: self.reasons.append(event.reason)
         self.manager.add_transformation(SOCCER.read_text())
 
     def sleep(self, seconds: float) -> None:
