@@ -130,7 +130,6 @@ class GraphBar(QWidget):
         return (is_narrow, False, True)[self.direction.currentIndex()]
 
     def options(self, view: QSize) -> Options:
-        """The options that are set, for a view of that size."""
         return Options(
             is_downwards=self.is_downwards(view),
             topics=self.mode.currentIndex() == 0,
@@ -192,11 +191,9 @@ class GraphBar(QWidget):
 
     @qt_slot
     def toggle_box(self, group: Group) -> None:
-        """Collapse a box, or open it again."""
         self.collapse(self.collapsed ^ {group})
 
     def show_history(self, undo: str, redo: str) -> None:
-        """Show what undo and redo would do."""
         for button, text, keys in ((self.undo, undo, "Ctrl+Z"), (self.redo, redo, "Ctrl+Shift+Z")):
             button.setEnabled(bool(text))
             button.setToolTip(f"{button.text().replace('&', '')}: {text or 'nothing'} ({keys})")
@@ -281,7 +278,6 @@ class GraphBar(QWidget):
 
 
 def _together(*widgets: QWidget) -> QWidget:
-    """Keep widgets in one line."""
     part = QWidget()
     row = QHBoxLayout(part)
     row.setContentsMargins(0, 0, 0, 0)

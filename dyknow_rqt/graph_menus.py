@@ -64,7 +64,6 @@ class WiringFiles:
 
     @qt_slot
     def ask_where_to_save(self) -> None:
-        """Ask for a file, then save."""
         path, _ = QFileDialog.getSaveFileName(
             self._window, "Save the wiring", "wiring.xml", _FILES
         )
@@ -73,7 +72,6 @@ class WiringFiles:
 
     @qt_slot
     def ask_what_to_load(self) -> None:
-        """Ask for a file, then load."""
         path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)
         if path:
             self.load(path)
@@ -102,7 +100,6 @@ class GraphActions(QObject):
 def menu_of(
     selection: Selection, snapshot: Snapshot, actions: GraphActions, parent: QWidget
 ) -> QMenu:
-    """Make the menu of all that is selected."""
     menu = QMenu(parent)
     nodelets, edges = selection.nodelets, selection.edges
     topics, nodes = selection.names(VertexKind.TOPIC), selection.names(VertexKind.NODE)
@@ -132,7 +129,6 @@ def menu_of(
 
 
 def menu_of_ground(actions: GraphActions, parent: QWidget) -> QMenu:
-    """Make the menu of the background."""
     menu = QMenu(parent)
     _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
     _add(menu, "&Find …", actions.find_wanted.emit)
@@ -148,7 +144,6 @@ def menu_of_ground(actions: GraphActions, parent: QWidget) -> QMenu:
 def menu_of_port(
     ref: PortRef, snapshot: Snapshot, actions: GraphActions, parent: QWidget
 ) -> QMenu:
-    """Make the menu of a port."""
     menu, port = QMenu(parent), snapshot.port(ref)
     _add(menu, "&Connect …", partial(actions.connection_wanted.emit, ref.nodelet, ref.port))
     action = _add(menu, "&Disconnect", partial(actions.disconnect_wanted.emit, (ref,)))

@@ -75,18 +75,15 @@ class GraphPanel(QWidget):
         self._show_sign()
 
     def report(self, text: str) -> None:
-        """Report an error."""
         self.failed.emit(text)
 
     def close_down(self) -> None:
-        """End the threads that make figures and layouts."""
         self._calls.close()
         self.layouter.close()
         self.view.scene().close_down()
 
     @property
     def drawn(self) -> Figure:
-        """The figure on the screen."""
         figure: Figure = self.view.scene().figure
         return figure
 
@@ -141,7 +138,6 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def find(self) -> None:
-        """Put the focus into the search field."""
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
@@ -161,7 +157,6 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
-        """Show the new drawing."""
         self._selection.keep_drawn(drawing.figure)
         self._follow_selection()
         if drawing.figure.vertices and (not self._has_fitted or drawing.is_anew):
@@ -267,7 +262,6 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def show_menu(self, place: QPoint) -> None:
-        """Show the menu of the selection."""
         menu = menu_of(self._selection, self._monitor.snapshot, self.graph_actions, self)
         self._popup(menu, place)
 
@@ -285,7 +279,6 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _follow_selection(self) -> None:
-        """Show the selection."""
         scene = self.view.scene()
         self._is_following = True
         for key, item in (*scene.vertices.items(), *scene.edges.items()):
@@ -335,7 +328,6 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _grey(self) -> None:
-        """Grey stale contents."""
         self.view.scene().set_palette(self.view.palette(), not self._monitor.is_linked)
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
@@ -399,7 +391,6 @@ class GraphPanel(QWidget):
         self._monitor.look()
 
     def actions_of(self) -> Iterator[QAction]:
-        """The actions of keys that work wherever the focus is."""
         for keys, function in (
             (("F5", "Ctrl+R"), self._refresh),
             (("Ctrl+0",), self.view.fit),

@@ -48,17 +48,14 @@ class Heartbeat(QObject):
         self._timer.timeout.connect(self._beat)
 
     def start(self) -> None:
-        """Start polling."""
         self._timer.start()
         self._beat()
 
     def close(self) -> None:
-        """Ask no more."""
         self._timer.stop()
         self._calls.close()
 
     def note_word(self) -> None:
-        """Note an announcement of the manager."""
         self._contact.hear_manager()
         self._tell()
 

@@ -76,7 +76,6 @@ class Layouter(QObject):
             self._begin()
 
     def close(self) -> None:
-        """End the process."""
         self._next = self._current = None
         self._calls.close()
         self._limit.stop()
@@ -85,7 +84,6 @@ class Layouter(QObject):
             self._process.waitForFinished(1000)
 
     def report(self, text: str) -> None:
-        """Report an error."""
         self.failed.emit(text)
 
     def _begin(self) -> None:

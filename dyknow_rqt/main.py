@@ -39,7 +39,6 @@ class DyKnowWindow(QMainWindow):
         widget.restore({name: value for name, value in kept.items() if value is not None})
 
     def closeEvent(self, event: object) -> None:  # noqa: N802
-        """Save the settings and end."""
         for name, value in self._widget.state().items():
             self._settings.setValue(name, value)
         self._settings.setValue("geometry", self.saveGeometry())

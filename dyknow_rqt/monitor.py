@@ -119,7 +119,6 @@ class Monitor(QObject):
         self.set_period(period)
 
     def start(self) -> None:
-        """Start listening and reading."""
         self.remote.start(
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
@@ -137,21 +136,17 @@ class Monitor(QObject):
         self.remote.close()
 
     def set_period(self, seconds: float) -> None:
-        """Set the period, in seconds."""
         self._timer.setInterval(max(100, int(seconds * 1000)))
 
     @property
     def is_linked(self) -> bool:
-        """Whether the manager answers."""
         return self.heart.status.is_current
 
     @property
     def is_changing(self) -> bool:
-        """Whether a change is under way."""
         return self._changing
 
     def report(self, text: str) -> None:
-        """Report an error."""
         self.failed.emit(text)
 
     @qt_slot
@@ -172,7 +167,6 @@ class Monitor(QObject):
 
     @qt_slot
     def read_library(self) -> None:
-        """Read the library."""
         if not self._reading:
             self._reading = True
             self._calls.run(self._client.get_model, self._take_library, self._take_no_library)
@@ -213,7 +207,6 @@ class Monitor(QObject):
 
     @qt_slot
     def undo(self) -> None:
-        """Undo the last change."""
         done = self.history.last
         if done is None:
             raise CannotUndo("there is nothing to undo")
@@ -227,7 +220,6 @@ class Monitor(QObject):
 
     @qt_slot
     def redo(self) -> None:
-        """Redo the change that was undone last."""
         change, present = self.history.next, self._present()
         if change is None:
             raise CannotUndo("there is nothing to redo")

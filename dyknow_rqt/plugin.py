@@ -34,16 +34,13 @@ class DyKnowPlugin(Plugin):
         QTimer.singleShot(_AFTER_RQT, lambda: make_room(self._widget))
 
     def shutdown_plugin(self) -> None:
-        """Leave nothing running."""
         self._widget.shut_down()
 
     def save_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
-        """Save filters, options and the position of the splitter."""
         for name, value in self._widget.state().items():
             instance_settings.set_value(f"{_KEY}_{name}", value)
 
     def restore_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
-        """Restore them."""
         names = self._widget.state()
         found = {name: instance_settings.value(f"{_KEY}_{name}") for name in names}
         self._widget.restore({name: value for name, value in found.items() if value is not None})

@@ -58,13 +58,11 @@ class RosRemote(Remote):
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
     ) -> None:
-        """Connect, as soon as there are a master and a manager."""
         self._on_model, self._on_event = on_model, on_event
         self._models.start()
         self._events.start()
 
     def close(self) -> None:
-        """Listen no more."""
         self._models.close()
         self._events.close()
 
@@ -77,12 +75,10 @@ class RosRemote(Remote):
         return latest
 
     def system_state(self) -> Tuple[Side, Side]:
-        """Ask the master."""
         publishers, subscribers, _ = self._master.ask("getSystemState")
         return publishers, subscribers
 
     def find_manager(self) -> str:
-        """Look up a service of the manager."""
         try:
             address = str(self._master.ask("lookupService", self._service))
         except LookupError:

@@ -33,7 +33,6 @@ def dressed(application: QApplication) -> QApplication:
 
 
 def dark_palette() -> QPalette:
-    """A palette as dark themes have it."""
     palette = QPalette(QColor("#31363b"), QColor("#2b2f33"))
     for role, colour in (
         (QPalette.Base, "#1f2326"),
@@ -211,7 +210,6 @@ def _pose_connect(widget: DyKnowWidget) -> None:
 
 
 def _pose_gone(widget: DyKnowWidget) -> None:
-    """The manager has ended."""
     wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     remote = widget.monitor.remote
     assert isinstance(remote, SimulatedRemote)

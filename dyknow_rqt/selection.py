@@ -43,7 +43,6 @@ class Selection(QObject):
 
     @property
     def nodelets(self) -> List[str]:
-        """Names of the selected nodelets, sorted."""
         return self.names(VertexKind.NODELET)
 
     def names(self, kind: VertexKind) -> List[str]:
@@ -54,11 +53,9 @@ class Selection(QObject):
 
     @property
     def edges(self) -> List[Edge]:
-        """The selected arrows, sorted."""
         return sorted(key for key in self.keys if isinstance(key, Edge))
 
     def choose(self, keys: Iterable[Key], claims: Iterable[str] = ()) -> None:
-        """Select these and nothing else."""
         chosen = frozenset(keys), frozenset(claims)
         if chosen != (self.keys, self.claims):
             self.keys, self.claims = chosen
@@ -66,7 +63,6 @@ class Selection(QObject):
 
     @qt_slot
     def choose_nodelets(self, names: Iterable[str]) -> None:
-        """Select nodelets and nothing else."""
         self.choose(key_of(VertexKind.NODELET, name) for name in names)
 
     @qt_slot

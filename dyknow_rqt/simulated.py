@@ -39,16 +39,13 @@ class SimulatedRemote(Remote):
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
     ) -> None:
-        """Hand on each change from now on."""
         self.client.on_model, self.client.on_event = on_model, on_event
 
     def close(self) -> None:
-        """Hand on nothing more."""
         self.client.on_model = lambda model: None
         self.client.on_event = lambda event: None
 
     def graph(self) -> Model:
-        """Query the graph."""
         return self.client.get_graph()
 
     def system_state(self) -> Tuple[Side, Side]:
@@ -57,7 +54,6 @@ class SimulatedRemote(Remote):
         return sorted(self.publishers.items()), sorted(self.subscribers.items())
 
     def find_manager(self) -> str:
-        """Return the address."""
         self._ask_master()
         return self.address
 

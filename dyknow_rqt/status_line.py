@@ -72,7 +72,6 @@ class StatusLine(QWidget):
 
     @property
     def text(self) -> str:
-        """The text of the line."""
         return str(self._text.text())
 
     def report(self, text: str) -> None:
@@ -87,19 +86,16 @@ class StatusLine(QWidget):
             self.clear()
 
     def begin(self, text: str) -> None:
-        """Show the running change."""
         if self._answer is None:
             self._show(text, alarm=False)
 
     def note(self, text: str) -> None:
-        """Show for a while the finished change."""
         if self._answer is None:
             self._show(text, alarm=False)
             self._timer.start(_NOTE_TIME)
 
     @qt_slot
     def show_status(self, status: Status) -> None:
-        """Show whether manager and master answer, and since when."""
         self._status = status
         self.contact.setText(status.short if status.is_sound else f"⚠ {status.short}")
         self.contact.setToolTip(status.text)
@@ -120,7 +116,6 @@ class StatusLine(QWidget):
 
     @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
-        """Follow changes of the palette."""
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange and self._status is not None:
             self.show_status(self._status)

@@ -32,7 +32,6 @@ class StreamWatch(QObject):
         monitor.heart.listed.connect(self._take)
 
     def stream(self, claim_id: str) -> Optional[StreamStatus]:
-        """The claim with that id, or None."""
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
     @qt_slot

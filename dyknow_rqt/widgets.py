@@ -56,7 +56,6 @@ class FilterEdit(QLineEdit):
         self.textChanged.connect(self._read)
 
     def set_names(self, names: Iterable[str]) -> None:
-        """Set the names that are completed."""
         self._names = sorted(names)
 
     @qt_slot
@@ -94,40 +93,31 @@ class FlowLayout(QLayout):
         self._items: List[QLayoutItem] = []
 
     def addItem(self, item: QLayoutItem) -> None:  # noqa: N802
-        """Add an item."""
         self._items.append(item)
 
     def count(self) -> int:
-        """The number of items."""
         return len(self._items)
 
     def itemAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        """Return an item, or None."""
         return self._items[index] if 0 <= index < len(self._items) else None
 
     def takeAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        """Remove an item and return it."""
         return self._items.pop(index) if 0 <= index < len(self._items) else None
 
     def hasHeightForWidth(self) -> bool:  # noqa: N802
-        """The height depends on the width."""
         return True
 
     def heightForWidth(self, width: int) -> int:  # noqa: N802
-        """The height for a width."""
         return self._arrange(QRect(0, 0, width, 0), moving=False)
 
     def setGeometry(self, area: QRect) -> None:  # noqa: N802
-        """Place the items."""
         super().setGeometry(area)
         self._arrange(area, moving=True)
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """The same as the minimum."""
         return self.minimumSize()
 
     def minimumSize(self) -> QSize:  # noqa: N802
-        """The widest of them, and the margins."""
         left, top, right, bottom = self.getContentsMargins()
         size = QSize()
         for item in filter(lambda item: not item.isEmpty(), self._items):
@@ -189,7 +179,6 @@ class Sign(QLabel):
         self.setAccessibleName("State of the graph")
 
     def show_text(self, text: str, is_warning: bool) -> None:
-        """Show a text, or nothing if it is empty."""
         self.setText(f"⚠ {text}" if is_warning else text)
         self.setVisible(bool(text))
         palette = QPalette(self._ground.palette())

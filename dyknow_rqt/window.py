@@ -114,7 +114,6 @@ class DyKnowWidget(QWidget):
         self.tabs.setVisible(on)
 
     def start(self) -> None:
-        """Start reading the graph."""
         self.monitor.start()
 
     def shut_down(self) -> None:
@@ -168,7 +167,6 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
-        """Return presses the button that has the focus."""
         button = self.focusWidget()
         if event.key() in (Qt.Key_Return, Qt.Key_Enter) and isinstance(button, QAbstractButton):
             button.click()
@@ -177,7 +175,6 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
-        """Follow changes of the palette."""
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
             self._grey()
@@ -201,7 +198,6 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def show_keys(self) -> None:
-        """List the keys."""
         dialog = KeysDialog(self)
         dialog.setAttribute(Qt.WA_DeleteOnClose)
         dialog.open()

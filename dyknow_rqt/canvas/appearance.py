@@ -145,13 +145,11 @@ def gap_of(font: QFont) -> float:
 
 
 def appearance_of(nodelet: NodeletStatus) -> Appearance:
-    """The appearance of a nodelet."""
     is_cpp = not nodelet.kind.is_written_for_dyknow
     return Appearance(nodelet.state, nodelet.is_protected, is_cpp)
 
 
 def vertex_tip(snapshot: Snapshot, vertex: Vertex) -> str:
-    """The tool tip of a vertex."""
     nodelet, topic = snapshot.nodelet(vertex.name), snapshot.topics().get(vertex.name)
     if vertex.kind is VertexKind.TOPIC and topic is not None:
         return _tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
@@ -162,7 +160,6 @@ def vertex_tip(snapshot: Snapshot, vertex: Vertex) -> str:
 
 
 def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:
-    """The tool tip of a port."""
     port = snapshot.port(ref)
     if port is None:
         return ""

@@ -76,7 +76,6 @@ class EdgeItem(Item):
         self._measure()
 
     def set_traffic(self, traffic: Optional[PortRate]) -> None:
-        """Show a rate."""
         if traffic != self.traffic:
             self.traffic = traffic
             self.look_again()
@@ -97,19 +96,16 @@ class EdgeItem(Item):
 
     @property
     def label_size(self) -> Size:
-        """The room that its label needs."""
         lines = self.label_shape.split("\n")
         width = max(self._metrics.horizontalAdvance(line) for line in lines)
         return Size(width, self._metrics.height() * len(lines))
 
     @property
     def is_dropping(self) -> bool:
-        """Whether messages are dropped at its end."""
         return self.traffic is not None and self.traffic.drop_rate > 0
 
     @property
     def label(self) -> str:
-        """The text beside it."""
         parts = [self.edge.topic] if self.shows_name else []
         if self.traffic is not None:
             parts.append(self.traffic.text)
@@ -123,7 +119,6 @@ class EdgeItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        """Draw it."""
         stroke = self.stroke()
         painter.setPen(stroke)
         painter.setBrush(Qt.NoBrush)
@@ -137,7 +132,6 @@ class EdgeItem(Item):
             painter.drawText(self.label_area, Qt.AlignCenter, self.label)
 
     def stroke(self) -> QPen:
-        """Its line."""
         if self.isSelected():
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
@@ -146,12 +140,10 @@ class EdgeItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        """Highlight its ends."""
         self.scene().highlight(self.edge)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        """End the highlighting."""
         self.scene().highlight(None)
 
     def _head_at(self, tip: QPointF, along: QPointF) -> QPolygonF:

@@ -33,18 +33,15 @@ class Item(QGraphicsRectItem):
         self.tone = Tone.NONE
 
     def report(self, text: str) -> None:
-        """Report an error."""
         if self.scene() is not None:
             self.scene().report(text)
 
     def set_tone(self, tone: Tone) -> None:
-        """Paint it in a tone."""
         if tone is not self.tone:
             self.tone = tone
             self.look_again()
 
     def set_colours(self, colours: Colours) -> None:
-        """Use the colours of another palette."""
         self.colours = colours
         self.look_again()
 
@@ -76,20 +73,17 @@ class BoxItem(Item):
         self.setZValue(-10 + len(group))
 
     def set_area(self, area: Rectangle) -> None:
-        """Set its place and size."""
         self.area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
         self.setRect(self.area.adjusted(-2, -2, 2, 2))
 
     @property
     def title_area(self) -> QRectF:
-        """The area of its name."""
         metrics = QFontMetricsF(self._font)
         corner = self.area.topLeft() + QPointF(8, 3)
         return QRectF(corner, metrics.size(Qt.TextSingleLine, self.name))
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        """Draw it."""
         painter.setPen(QPen(self.colours.box_line, 1))
         painter.setBrush(QBrush(self.colours.box))
         painter.drawRect(self.area)
@@ -111,7 +105,6 @@ class PortItem(Item):
         self.setRect(self.shape().boundingRect().united(self._name_area()))
 
     def set_connected(self, is_connected: bool) -> None:
-        """Show whether it is connected."""
         if is_connected != self.is_connected:
             self.is_connected = is_connected
             self.update()
@@ -153,12 +146,10 @@ class PortItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        """Grow."""
         self._hovered = True
         self.update()
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        """Shrink."""
         self._hovered = False
         self.update()

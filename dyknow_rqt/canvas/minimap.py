@@ -67,7 +67,6 @@ class Minimap(QWidget):
 
     @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
-        """Draw the picture, and a frame around the visible part."""
         painter = QPainter(self)
         painter.drawPixmap(0, 0, self._picture)
         corner, scale = self._frame()
@@ -81,13 +80,11 @@ class Minimap(QWidget):
 
     @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
-        """Move the view."""
         corner, scale = self._frame()
         self.place_wanted.emit(QPointF(event.pos()) / scale + corner)
 
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
-        """Move the view on."""
         self.mousePressEvent(event)
 
     @qt_slot

@@ -98,7 +98,6 @@ class GraphScene(QGraphicsScene):
         self.setBackgroundBrush(self._colours.paper)
 
     def close_down(self) -> None:
-        """Place no more labels."""
         self._labelling.stop()
         self._calls.close()
 
@@ -117,7 +116,6 @@ class GraphScene(QGraphicsScene):
 
     @qt_slot
     def _go_on(self) -> None:
-        """Draw for the time of a slice."""
         self._slices.stop()
         self.is_drawing = True
         end = time.monotonic() + _SLICE
@@ -165,7 +163,6 @@ class GraphScene(QGraphicsScene):
         self.shown.emit(drawing)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
-        """Show the states of the nodelets that are drawn."""
         before, self._snapshot = self._snapshot, snapshot
         for item in self.vertices.values():
             now, then = snapshot.nodelet(item.vertex.name), before.nodelet(item.vertex.name)
@@ -183,7 +180,6 @@ class GraphScene(QGraphicsScene):
             port.set_connected(port.ref.port in connected)
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
-        """Show rates."""
         self._traffic = traffic
         shapes = [item.label_shape for item in self.edges.values()]
         for edge, item in self.edges.items():
@@ -192,7 +188,6 @@ class GraphScene(QGraphicsScene):
             self._labelling.start()
 
     def tip_of(self, item: object) -> str:
-        """The tool tip of an item."""
         if isinstance(item, VertexItem):
             return vertex_tip(self._snapshot, item.vertex)
         refs = edge_refs(item.edge)[::-1] if isinstance(item, EdgeItem) else []
@@ -307,14 +302,12 @@ class GraphScene(QGraphicsScene):
                 port.set_offered(None if refs is None else port.ref in refs)
 
     def port_item(self, ref: PortRef) -> Optional[PortItem]:
-        """Return the item of a port, if it is drawn."""
         vertex = self.vertices.get(f"{VertexKind.NODELET.value}_{ref.nodelet}")
         return vertex.ports.get(ref.port) if vertex is not None else None
 
     # Pictures
 
     def drawing_area(self) -> QRectF:
-        """The area of the drawing."""
         if self._area is None:
             self._area = self.itemsBoundingRect()
         return QRectF(self._area)

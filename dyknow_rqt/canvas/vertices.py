@@ -68,25 +68,21 @@ class VertexItem(Item):
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
     def set_appearance(self, appearance: Appearance) -> None:
-        """Show a state."""
         if appearance != self.appearance:
             self.appearance = appearance
             self.look_again()
 
     def set_found(self, found: bool) -> None:
-        """Mark it as found by a search."""
         if found != self.found:
             self.found = found
             self.look_again()
 
     def set_far(self, is_far: bool) -> None:
-        """Leave the painting to the overview, that of its ports too."""
         super().set_far(is_far)
         for port in self.ports.values():
             port.set_far(is_far)
 
     def set_colours(self, colours: Colours) -> None:
-        """Use the colours of another palette, for its ports too."""
         super().set_colours(colours)
         for port in self.ports.values():
             port.set_colours(colours)
@@ -102,7 +98,6 @@ class VertexItem(Item):
 
     @property
     def area(self) -> QRectF:
-        """Its area, around the origin."""
         width, height = self._size
         return QRectF(-width / 2, -height / 2, width, height)
 
@@ -122,7 +117,6 @@ class VertexItem(Item):
         return [area.translated(self.pos()) for area in areas]
 
     def shape(self) -> QPainterPath:
-        """The area in which the pointer hits it."""
         path = QPainterPath()
         if self.vertex.kind.is_square:
             path.addRect(self.area)
@@ -132,7 +126,6 @@ class VertexItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        """Draw it."""
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
         if self.vertex.kind.is_square:
@@ -155,12 +148,10 @@ class VertexItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        """Highlight it and its neighbours."""
         self.scene().highlight(self.vertex.key)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        """End the highlighting."""
         self.scene().highlight(None)
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:
@@ -172,7 +163,6 @@ class VertexItem(Item):
         return QPointF(off * width / 2, share * height / 2)
 
     def stroke(self) -> QPen:
-        """The line around it."""
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
         if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
@@ -189,7 +179,6 @@ class VertexItem(Item):
         return QPen(colour, width, style)
 
     def fill(self) -> QColor:
-        """The colour in it."""
         if self.vertex.kind.is_square:
             return self.colours.topic
         running = self.appearance.state in (State.RUNNING, State.STARTING)

@@ -145,7 +145,6 @@ class GraphView(QGraphicsView):
         return float(self.transform().m11())
 
     def zoom_by(self, factor: float) -> None:
-        """Zoom, within limits."""
         self.is_chosen = True
         factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
         self.scale(factor, factor)
@@ -161,7 +160,6 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
-        """Zoom at the pointer."""
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
         event.accept()
 
@@ -193,7 +191,6 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
-        """Draw the connection."""
         if self._from is None or self._band is None:
             far = QApplication.startDragDistance()
             if self._ground is not None and event.buttons() & Qt.LeftButton:
@@ -211,7 +208,6 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
-        """End the connection where the pointer is."""
         start = self._from
         if start is None:
             super().mouseReleaseEvent(event)
@@ -224,13 +220,11 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def leaveEvent(self, event: Any) -> None:  # noqa: N802
-        """Nothing is under the pointer any more."""
         super().leaveEvent(event)
         self.scene().highlight(None)
 
     @qt_slot
     def mouseDoubleClickEvent(self, event: Any) -> None:  # noqa: N802
-        """Collapse the box under the pointer, or open it again."""
         item = self._item_at(event.pos())
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.BOX:
             self.box_pressed.emit((*item.vertex.group, item.vertex.name))
@@ -317,7 +311,6 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def _follow(self) -> None:
-        """Follow a change of the visible part."""
         self.scene().set_zoom(self.zoom)
         self._minimap.follow(self.seen)
 
@@ -389,6 +382,5 @@ class GraphView(QGraphicsView):
         )
 
     def place_of(self, ref: PortRef) -> Optional[QPoint]:
-        """Where a port is in the view."""
         port = self.scene().port_item(ref)
         return self.mapFromScene(port.scenePos()) if port is not None else None

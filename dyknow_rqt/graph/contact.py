@@ -93,11 +93,9 @@ class Contact:
         self._is_known = is_known
 
     def miss_master(self) -> None:
-        """Note that it did not answer."""
         self._of_master.is_gone = True
 
     def status(self) -> Status:
-        """Say how things are now."""
         manager, master = self._of_manager, self._of_master
         complaints, advice = [], ""
         if master.is_gone or master.silence >= PATIENCE:

@@ -55,7 +55,6 @@ class VertexKind(enum.Enum):
 
     @property
     def is_square(self) -> bool:
-        """Whether it is drawn as a rectangle."""
         return self in (VertexKind.TOPIC, VertexKind.BOX)
 
 
@@ -178,7 +177,6 @@ class Figure:
 
 
 def key_of(kind: VertexKind, name: str) -> str:
-    """Key of the vertex for a thing of that name."""
     return f"{kind.value}_{name}"
 
 
@@ -236,7 +234,6 @@ class _Ends:
         self._nodes = nodes
 
     def shown(self, topic: Topic, options: Options) -> bool:
-        """Whether the options show the topic."""
         if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.targets):
             return False
         readers = len(topic.targets) + self._count(topic.name, subscribing=True)
@@ -289,7 +286,6 @@ class _Ends:
 
 
 def figure_of(snapshot: Snapshot, options: Options) -> Figure:
-    """Make the figure of a snapshot."""
     figure = unboxed_figure_of(snapshot, options)
     if options.boxes is Boxes.NAMESPACES:
         figure = _boxed(figure, options.depth)

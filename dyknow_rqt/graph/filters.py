@@ -33,7 +33,6 @@ class Filter:
     excludes: Tuple[Callable[[str], bool], ...] = ()
 
     def __call__(self, name: str) -> bool:
-        """Whether the name is to be shown."""
         if any(exclude(name) for exclude in self.excludes):
             return False
         return not self.includes or any(include(name) for include in self.includes)

@@ -18,11 +18,9 @@ class Point(NamedTuple):
     y: float
 
     def plus(self, other: Point) -> Point:
-        """Move by a displacement."""
         return Point(self.x + other.x, self.y + other.y)
 
     def minus(self, other: Point) -> Point:
-        """Displacement from the other place to this one."""
         return Point(self.x - other.x, self.y - other.y)
 
     def distance(self, other: Point) -> float:
@@ -46,12 +44,10 @@ class Rectangle(NamedTuple):
     bottom: float
 
     def grown(self, margin: float) -> Rectangle:
-        """Add a margin all around."""
         left, top, right, bottom = self
         return Rectangle(left - margin, top - margin, right + margin, bottom + margin)
 
     def joined(self, other: Rectangle) -> Rectangle:
-        """The smallest rectangle around both."""
         return Rectangle(
             min(self.left, other.left),
             min(self.top, other.top),
@@ -61,7 +57,6 @@ class Rectangle(NamedTuple):
 
     @property
     def sides(self) -> Tuple[Rectangle, ...]:
-        """The lines around it."""
         left, top, right, bottom = self
         return (
             Rectangle(left - 1, top, left + 1, bottom),
@@ -71,7 +66,6 @@ class Rectangle(NamedTuple):
         )
 
     def meets(self, other: Rectangle) -> bool:
-        """Whether they overlap."""
         return (
             self.left < other.right
             and other.left < self.right
@@ -81,7 +75,6 @@ class Rectangle(NamedTuple):
 
 
 def around(centre: Point, size: Size) -> Rectangle:
-    """Rectangle of that size around a place."""
     x, y = centre
     return Rectangle(
         x - size.width / 2, y - size.height / 2, x + size.width / 2, y + size.height / 2
@@ -114,7 +107,6 @@ class Layout:
         )
 
     def moved(self, by: Point) -> Layout:
-        """Move all of it."""
         return Layout(
             {key: place.plus(by) for key, place in self.centres.items()},
             {

@@ -31,7 +31,6 @@ class PortRate:
 
     @property
     def text(self) -> str:
-        """The text of an arrow's label."""
         if self.drop_rate > 0:
             return f"{_number(self.rate)} Hz\n−{_number(self.drop_rate)}/s"
         return f"{_number(self.rate)} Hz"
@@ -94,7 +93,6 @@ class Meter:
             self._forget(ref)
 
     def keep(self, nodelets: Iterable[str]) -> None:
-        """Forget all other nodelets."""
         names = set(nodelets)
         for ref in [ref for ref in self._traffic if ref.nodelet not in names]:
             self._forget(ref)

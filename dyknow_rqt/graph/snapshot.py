@@ -55,11 +55,9 @@ class Snapshot:
     taken: FrozenSet[str] = frozenset()
 
     def nodelet(self, name: str) -> Optional[NodeletStatus]:
-        """Return the nodelet of that name, or None."""
         return self._by_name.get(name)
 
     def port(self, ref: PortRef) -> Optional[PortState]:
-        """Return the port, or None."""
         nodelet = self.nodelet(ref.nodelet)
         return nodelet.port(ref.port) if nodelet is not None else None
 

@@ -93,7 +93,6 @@ def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
 
 
 def disconnect(snapshot: Snapshot, refs: Tuple[PortRef, ...]) -> Rewire:
-    """Disconnect ports."""
     what = str(refs[0]) if len(refs) == 1 else f"{len(refs)} ports"
     return rewire(snapshot, tuple((ref, "") for ref in refs), f"disconnect {what}")
 

@@ -63,7 +63,6 @@ class ActivePanel(Panel):
 
     @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
-        """Ask whether to destroy nodelets, and destroy them on agreement."""
         changes = [destroy(name) for name in names]
         question = f"Destroy {', '.join(names)}?"
         if len(names) > _NAMED:
@@ -81,7 +80,6 @@ class ActivePanel(Panel):
 
     @qt_slot
     def set_protection(self, names: Sequence[str], on: bool) -> None:
-        """Protect nodelets from being destroyed, or release them."""
         self._do_in_turn([protect(name, on) for name in names])
 
     @qt_slot

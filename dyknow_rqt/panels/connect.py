@@ -53,7 +53,6 @@ class _PortChoice:
 
     @property
     def ref(self) -> Optional[PortRef]:
-        """The port that is chosen."""
         port = self.port.currentData()
         return PortRef(self.nodelet.currentText(), port) if port is not None else None
 
@@ -112,7 +111,6 @@ class ConnectPanel(Panel):
         self._follow()
 
     def begin(self, nodelet: str, port: str = "") -> None:
-        """Prepare to connect a nodelet, or one of its ports."""
         snapshot = self._monitor.snapshot
         found = snapshot.nodelet(nodelet)
         if found is None or not found.ports:

@@ -168,7 +168,6 @@ class CreatePanel(Panel):
         self._follow()
 
     def begin(self, label: str = "") -> None:
-        """Choose a transformation."""
         if label:
             self.label.setCurrentText(label)
             self.name.setText(self._proposal(label))

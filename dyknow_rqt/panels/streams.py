@@ -101,7 +101,6 @@ class StreamsPanel(Panel):
     # Asking for streams
 
     def request(self) -> StreamRequest:
-        """The request that the fields describe."""
         return StreamRequest(
             tag=self.tag.text().strip(),
             datatype=self.datatype.text().strip(),

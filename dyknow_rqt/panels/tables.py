@@ -80,7 +80,6 @@ class _Rows(QAbstractTableModel):
                 self.dataChanged.emit(self.index(place, 0), last)
 
     def set_filter(self, text: str) -> None:
-        """Show only rows with a cell that contains a text."""
         self._filter = text.lower()
         self._arrange()
 
@@ -90,15 +89,12 @@ class _Rows(QAbstractTableModel):
         self._arrange()
 
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: B008, N802
-        """Number of rows."""
         return 0 if parent.isValid() else len(self.shown)
 
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: B008, N802
-        """Number of columns."""
         return len(self._titles)
 
     def data(self, index: QModelIndex, role: int = Qt.DisplayRole) -> Any:
-        """Text and tool tip of a cell."""
         if role not in (Qt.DisplayRole, Qt.ToolTipRole):
             return None
         cells, more = self.shown[index.row()]
@@ -108,7 +104,6 @@ class _Rows(QAbstractTableModel):
     def headerData(  # noqa: N802
         self, section: int, orientation: int, role: int = Qt.DisplayRole
     ) -> Any:
-        """Titles."""
         if role == Qt.DisplayRole and orientation == Qt.Horizontal:
             return self._titles[section]
         return None
@@ -120,8 +115,6 @@ class _Rows(QAbstractTableModel):
         self.endResetModel()
 
     def _arranged(self) -> List[Row]:
-        """The rows that are shown, in order."""
-
         def key(row: Row) -> Tuple[bool, Union[int, str], str]:
             cell = row[0][self._column]
             return (False, int(cell), row[0][0]) if cell.isdigit() else (True, cell, row[0][0])
@@ -178,7 +171,6 @@ class KeyedTable(QTableView):
         return bool(super().viewportEvent(event))
 
     def on_delete(self, function: Callable[[], None]) -> None:
-        """Call something when the Delete key is pressed."""
         action = QAction(self)
         action.setShortcut(QKeySequence(Qt.Key_Delete))
         action.setShortcutContext(Qt.WidgetShortcut)
@@ -204,12 +196,10 @@ class KeyedTable(QTableView):
         self.verticalScrollBar().setValue(top)
 
     def chosen(self) -> List[str]:
-        """The keys of the selected rows, from top to bottom."""
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())
         return [self._name(row) for row in rows]
 
     def names(self) -> List[str]:
-        """The keys of all rows that are shown, from top to bottom."""
         return [row[0][0] for row in self._rows.shown]
 
     def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
