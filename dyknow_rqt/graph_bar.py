@@ -12,7 +12,6 @@ from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QHBoxLayout,
     QLabel,
     QLineEdit,
     QMenu,
@@ -24,7 +23,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
-from dyknow_rqt.widgets import FilterEdit, FlowLayout
+from dyknow_rqt.widgets import FilterEdit, FlowLayout, row_of
 
 _TYPING = 250  # ms
 #: Pixels: from this width on the whole bar is shown.
@@ -278,10 +277,8 @@ class GraphBar(QWidget):
 
 
 def _together(*widgets: QWidget) -> QWidget:
-    part = QWidget()
-    row = QHBoxLayout(part)
+    part, row = QWidget(), row_of(*widgets)
     row.setContentsMargins(0, 0, 0, 0)
     row.setSpacing(6)
-    for widget in widgets:
-        row.addWidget(widget)
+    part.setLayout(row)
     return part

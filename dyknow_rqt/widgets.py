@@ -8,21 +8,49 @@ from __future__ import annotations
 from typing import Iterable, List, Optional
 
 from python_qt_binding.QtCore import QPoint, QRect, QSize, QStringListModel, Qt, Signal
-from python_qt_binding.QtGui import QPalette
+from python_qt_binding.QtGui import QFont, QPalette
 from python_qt_binding.QtWidgets import (
     QCompleter,
     QDialog,
     QFormLayout,
+    QHBoxLayout,
     QLabel,
     QLayout,
     QLayoutItem,
     QLineEdit,
+    QPlainTextEdit,
     QWidget,
 )
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.filters import BadFilter, Filter, completions, parse
+
+
+def row_of(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    for widget in widgets:
+        row.addWidget(widget)
+    return row
+
+
+def form_in(parent: Optional[QWidget] = None) -> QFormLayout:
+    """A form whose fields use all of the width."""
+    form = QFormLayout(parent)
+    form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+    return form
+
+
+def text_of(name: str) -> QPlainTextEdit:
+    """A text in a monospace font that the user only reads."""
+    text = QPlainTextEdit()
+    text.setReadOnly(True)
+    text.setTabChangesFocus(True)
+    fixed = QFont("monospace", text.font().pointSize())
+    fixed.setStyleHint(QFont.Monospace)
+    text.setFont(fixed)
+    text.setAccessibleName(name)
+    return text
 
 
 class FilterEdit(QLineEdit):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Optional, Sequence
 
 from python_qt_binding.QtCore import QPoint, Qt, Signal
-from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
@@ -19,6 +19,7 @@ from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.widgets import row_of
 
 #: The most nodelets that are named in a question; of more, only the tool tip has the names.
 _NAMED = 5
@@ -44,10 +45,8 @@ class ActivePanel(Panel):
         self.table.setContextMenuPolicy(Qt.CustomContextMenu)
         self.destroy = QPushButton("Des&troy …")
         self.protect = QPushButton("&Protect")
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(self.protect)
-        row.addWidget(self.destroy)
+        row = row_of(self.protect, self.destroy)
+        row.insertStretch(0, 1)
         column = QVBoxLayout(self)
         column.addWidget(self.table.filter)
         column.addWidget(self.table)

@@ -12,9 +12,7 @@ from python_qt_binding.QtCore import QEvent, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QComboBox,
     QCompleter,
-    QFormLayout,
     QGroupBox,
-    QHBoxLayout,
     QLabel,
     QLineEdit,
     QPushButton,
@@ -39,6 +37,7 @@ from dyknow_rqt.graph.wiring import (
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.widgets import form_in, row_of
 
 
 class _PortChoice:
@@ -76,11 +75,8 @@ class ConnectPanel(Panel):
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(monitor, line, parent)
-        self.source, self.sink, self.single = (
-            _PortChoice("From"),
-            _PortChoice("To"),
-            _PortChoice("Single"),
-        )
+        self.source, self.sink = _PortChoice("From"), _PortChoice("To")
+        self.single = _PortChoice("Single")
         self.topic_chosen = QLabel()
         self.topic_chosen.setTextInteractionFlags(Qt.TextSelectableByMouse)
         self.topic_chosen.setWordWrap(True)
@@ -199,9 +195,10 @@ class ConnectPanel(Panel):
         choice.offer_nodelets(name for name in sorted(ports) if ports[name])
         choice.offer_ports(ports.get(choice.nodelet.currentText(), []))
 
-    def _two_ports(self) -> QWidget:
+    def _two_ports(self) -> QGroupBox:
         box = QGroupBox("Two nodelets")
-        form = _form(box)
+        form = form_in(box)
+        form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
         form.addRow("From:", self.source.nodelet)
         form.addRow("port:", self.source.port)
         form.addRow("&To:", self.sink.nodelet)
@@ -210,26 +207,17 @@ class ConnectPanel(Panel):
         form.addRow("", self.connect)
         return box
 
-    def _port_and_topic(self) -> QWidget:
+    def _port_and_topic(self) -> QGroupBox:
         box = QGroupBox("One port and a topic")
-        form = _form(box)
+        form = form_in(box)
+        form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
         form.addRow("Nodelet:", self.single.nodelet)
         form.addRow("port:", self.single.port)
         form.addRow("now:", self.now)
         form.addRow("To&pic:", self.topic)
         form.addRow("", self.replaced)
-        row = QHBoxLayout()
-        row.addWidget(self.connect_topic)
-        row.addWidget(self.disconnect_port)
-        form.addRow("", row)
+        form.addRow("", row_of(self.connect_topic, self.disconnect_port))
         return box
-
-
-def _form(box: QGroupBox) -> QFormLayout:
-    form = QFormLayout(box)
-    form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
-    form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
-    return form
 
 
 def _direction(snapshot: Snapshot, ref: PortRef) -> str:

@@ -14,7 +14,6 @@ from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
     QCompleter,
-    QFormLayout,
     QLabel,
     QLineEdit,
     QPushButton,
@@ -33,6 +32,7 @@ from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.widgets import form_in
 
 
 class GivenFields(QWidget):
@@ -47,9 +47,8 @@ class GivenFields(QWidget):
         super().__init__(parent)
         self.fields: Dict[str, QLineEdit] = {}
         self.more: Optional[QLineEdit] = None
-        self._form = QFormLayout(self)
+        self._form = form_in(self)
         self._form.setContentsMargins(0, 0, 0, 0)
-        self._form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
         self._shown: Optional[Transformation] = None
 
     def show_transformation(self, transformation: Optional[Transformation]) -> None:
@@ -144,8 +143,7 @@ class CreatePanel(Panel):
         self.ports.setWordWrap(True)
         self.given = GivenFields()
         self.create = QPushButton("Create")
-        form = QFormLayout()
-        form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+        form = form_in()
         form.addRow("&Transformation:", self.label)
         form.addRow("Na&me:", self.name)
         form.addRow("", self.is_protected)

@@ -8,11 +8,8 @@ from __future__ import annotations
 from typing import Mapping, Optional
 
 from python_qt_binding.QtCore import Qt, Signal
-from python_qt_binding.QtGui import QFont
 from python_qt_binding.QtWidgets import (
     QFileDialog,
-    QHBoxLayout,
-    QPlainTextEdit,
     QPushButton,
     QSplitter,
     QVBoxLayout,
@@ -29,6 +26,7 @@ from dyknow_rqt.graph.changes import (
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.widgets import row_of, text_of
 
 _FILES = "Specifications (*.xml);;All files (*)"
 
@@ -44,13 +42,7 @@ class LibraryPanel(Panel):
     ) -> None:
         super().__init__(monitor, line, parent)
         self.table = KeyedTable(("Label", "Source", "In", "Out", "Cost"), "Transformations")
-        self.specification = QPlainTextEdit()
-        self.specification.setReadOnly(True)
-        self.specification.setTabChangesFocus(True)
-        fixed = QFont("monospace", self.font().pointSize())
-        fixed.setStyleHint(QFont.Monospace)
-        self.specification.setFont(fixed)
-        self.specification.setAccessibleName("Specification")
+        self.specification = text_of("Specification")
         self.import_ = QPushButton("&Import …")
         self.export = QPushButton("E&xport …")
         self.delete = QPushButton("Delete …")
@@ -60,13 +52,10 @@ class LibraryPanel(Panel):
         parts.addWidget(self.specification)
         parts.setStretchFactor(0, 3)
         parts.setStretchFactor(1, 2)
-        row = QHBoxLayout()
-        for button in (self.import_, self.export, self.delete, self.create):
-            row.addWidget(button)
         column = QVBoxLayout(self)
         column.addWidget(self.table.filter)
         column.addWidget(parts, 1)
-        column.addLayout(row)
+        column.addLayout(row_of(self.import_, self.export, self.delete, self.create))
         monitor.library_changed.connect(self._show)
         self.table.selectionModel().selectionChanged.connect(self._follow_selection)
         self.import_.clicked.connect(self._ask_what_to_import)

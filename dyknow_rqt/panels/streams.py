@@ -11,16 +11,12 @@ import time
 from typing import TYPE_CHECKING, Callable, List, Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QStringListModel, Qt
-from python_qt_binding.QtGui import QFont
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QCompleter,
     QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
     QHeaderView,
     QLineEdit,
-    QPlainTextEdit,
     QPushButton,
     QSplitter,
     QVBoxLayout,
@@ -36,6 +32,7 @@ from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
+from dyknow_rqt.widgets import form_in, row_of, text_of
 
 if TYPE_CHECKING:
     from dyknow.model.streams import Replanned, StreamEvent, StreamStatus
@@ -83,7 +80,7 @@ class StreamsPanel(Panel):
         self.rate.setAccessibleName("Rate at least")
         self.age.setAccessibleName("Age at most")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
-        self.plan = _text("Plan")
+        self.plan = text_of("Plan")
         self.plan.setPlaceholderText("How the stream would be made is shown here")
         self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
@@ -91,7 +88,7 @@ class StreamsPanel(Panel):
         self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
         self.ended = QCheckBox("Those that ended too")
         self.replan, self.release = QPushButton("Replan …"), QPushButton("Release")
-        self.events = _text("Events of streams")
+        self.events = text_of("Events of streams")
         self.events.setMaximumBlockCount(_EVENTS_KEPT)
         self.events.setPlaceholderText("What becomes of streams from now on is shown here")
         self._arrange()
@@ -225,20 +222,16 @@ class StreamsPanel(Panel):
         self._monitor.library_changed.connect(self._show_library)
 
     def _arrange(self) -> None:
-        form = QFormLayout()
-        form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+        form = form_in()
         form.addRow("&Tag:", self.tag)
         form.addRow("Type:", self.datatype)
         form.addRow("W&ithout:", self.exclude)
-        having = QHBoxLayout()
-        form.addRow("Prefer, avoid:", _side_by_side(self.prefer, self.avoid))
+        form.addRow("Prefer, avoid:", row_of(self.prefer, self.avoid))
         form.addRow("Silent at &most:", self.silence)
-        form.addRow("Rate, age:", _side_by_side(self.rate, self.age))
-        form.addRow("", _side_by_side(self.preview, self.acquire))
-        having.addWidget(self.ended)
-        having.addStretch(1)
-        for widget in (self.replan, self.release):
-            having.addWidget(widget)
+        form.addRow("Rate, age:", row_of(self.rate, self.age))
+        form.addRow("", row_of(self.preview, self.acquire))
+        having = row_of(self.ended, self.replan, self.release)
+        having.insertStretch(1, 1)
         middle = QWidget()
         column = QVBoxLayout(middle)
         column.setContentsMargins(0, 0, 0, 0)
@@ -274,21 +267,3 @@ def _limit(none: str, unit: str, step: float, tip: str) -> QDoubleSpinBox:
     box.setSpecialValueText(none)
     box.setToolTip(tip)
     return box
-
-
-def _side_by_side(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    for widget in widgets:
-        row.addWidget(widget)
-    return row
-
-
-def _text(name: str) -> QPlainTextEdit:
-    text = QPlainTextEdit()
-    text.setReadOnly(True)
-    text.setTabChangesFocus(True)
-    fixed = QFont("monospace", text.font().pointSize())
-    fixed.setStyleHint(QFont.Monospace)
-    text.setFont(fixed)
-    text.setAccessibleName(name)
-    return text
