@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Dict, FrozenSet, Iterable, List, Optional
 
 from python_qt_binding.QtCore import QEvent, QSize, QTimer, Signal
@@ -32,6 +33,11 @@ _WIDE = 800
 _LEAST = 190
 #: A view is narrow if it is so many times higher than wide.
 _NARROW = 1.2
+#: The fields whose settings are saved, under these names.
+_CHECKS = ("dead_sinks", "leaf_topics", "debug", "nodes", "highlight")
+_CHOICES = ("mode", "direction", "boxes")
+_NUMBERS = {"depth": int, "period": float}
+_FILTERS = ("nodelets", "topics")
 
 
 class GraphBar(QWidget):
@@ -67,18 +73,21 @@ class GraphBar(QWidget):
         self.boxes.setAccessibleName("What makes a box")
         self.boxes.setToolTip("What makes a box; a double click collapses a box and opens it")
         self.collapsed: FrozenSet[Group] = frozenset()
-        self.dead_sinks = QCheckBox("Dead sin&ks")
-        self.dead_sinks.setToolTip("Hide topics without a receiver")
-        self.leaf_topics = QCheckBox("&Leaf topics")
-        self.leaf_topics.setToolTip("Hide topics with only one end")
-        self.debug = QCheckBox("Debu&g")
-        self.debug.setChecked(True)
-        self.debug.setToolTip("Hide what is in every graph: /rosout, /clock, rviz, rqt …")
-        self.nodes = QCheckBox("ROS &nodes")
-        self.nodes.setToolTip("Show ordinary nodes that use these topics, greyed")
-        self.highlight = QCheckBox("&Highlight")
-        self.highlight.setChecked(True)
-        self.highlight.setToolTip("Highlight the neighbours of the thing under the pointer")
+        self.dead_sinks = QCheckBox("Dead sin&ks", toolTip="Hide topics without a receiver")
+        self.leaf_topics = QCheckBox("&Leaf topics", toolTip="Hide topics with only one end")
+        self.debug = QCheckBox(
+            "Debu&g",
+            checked=True,
+            toolTip="Hide what is in every graph: /rosout, /clock, rviz, rqt …",
+        )
+        self.nodes = QCheckBox(
+            "ROS &nodes", toolTip="Show ordinary nodes that use these topics, greyed"
+        )
+        self.highlight = QCheckBox(
+            "&Highlight",
+            checked=True,
+            toolTip="Highlight the neighbours of the thing under the pointer",
+        )
         self.period = QDoubleSpinBox()
         self.period.setRange(0.2, 60.0)
         self.period.setSingleStep(0.5)
@@ -145,42 +154,33 @@ class GraphBar(QWidget):
 
     def state(self) -> Dict[str, str]:
         """The settings to save, as texts."""
-        checks = {name: str(int(box.isChecked())) for name, box in self._boxes().items()}
         return {
-            **checks,
-            "mode": str(self.mode.currentIndex()),
-            "direction": str(self.direction.currentIndex()),
+            **{name: str(int(getattr(self, name).isChecked())) for name in _CHECKS},
+            **{name: str(getattr(self, name).currentIndex()) for name in _CHOICES},
+            **{name: str(getattr(self, name).value()) for name in _NUMBERS},
+            **{name: getattr(self, name).text() for name in _FILTERS},
             "more": str(int(self.more.isChecked())) if self._is_chosen else "",
-            "nodelets": self.nodelets.text(),
-            "topics": self.topics.text(),
-            "depth": str(self.depth.value()),
-            "boxes": str(self.boxes.currentIndex()),
             "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
-            "period": str(self.period.value()),
         }
 
     def restore(self, state: Dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
-        for name, box in self._boxes().items():
+        for name in _CHECKS:
             if state.get(name) in ("0", "1"):
-                box.setChecked(state[name] == "1")
-        self.nodelets.setText(str(state.get("nodelets", "")))
-        self.topics.setText(str(state.get("topics", "")))
-        if state.get("mode") in ("0", "1"):
-            self.mode.setCurrentIndex(int(state["mode"]))
-        if state.get("boxes") in ("0", "1", "2"):
-            self.boxes.setCurrentIndex(int(state["boxes"]))
+                getattr(self, name).setChecked(state[name] == "1")
+        for name in _FILTERS:
+            getattr(self, name).setText(str(state.get(name, "")))
         groups = str(state.get("collapsed", "")).splitlines()
         self.collapsed = frozenset(tuple(group.split()) for group in groups if group)
-        if state.get("direction") in ("0", "1", "2"):
-            self.direction.setCurrentIndex(int(state["direction"]))
+        for name in _CHOICES:
+            box = getattr(self, name)
+            if state.get(name) in [str(index) for index in range(box.count())]:
+                box.setCurrentIndex(int(state[name]))
         if state.get("more") in ("0", "1"):
             self._choose_more(state["more"] == "1")
-        for name, field, kind in (("depth", self.depth, int), ("period", self.period, float)):
-            try:
-                field.setValue(kind(state[name]))
-            except (KeyError, TypeError, ValueError):
-                continue
+        for name, kind in _NUMBERS.items():
+            with contextlib.suppress(KeyError, TypeError, ValueError):
+                getattr(self, name).setValue(kind(state[name]))
 
     @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
@@ -196,15 +196,6 @@ class GraphBar(QWidget):
         for button, text, keys in ((self.undo, undo, "Ctrl+Z"), (self.redo, redo, "Ctrl+Shift+Z")):
             button.setEnabled(bool(text))
             button.setToolTip(f"{button.text().replace('&', '')}: {text or 'nothing'} ({keys})")
-
-    def _boxes(self) -> Dict[str, QCheckBox]:
-        return {
-            "dead_sinks": self.dead_sinks,
-            "leaf_topics": self.leaf_topics,
-            "debug": self.debug,
-            "nodes": self.nodes,
-            "highlight": self.highlight,
-        }
 
     def _arrange(self) -> None:
         self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
