@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from typing import Callable, NamedTuple, Optional
+from typing import Callable, NamedTuple
 
 #: Seconds without an answer after which a peer counts as silent.
 PATIENCE = 2.5
@@ -28,30 +28,25 @@ class Status(NamedTuple):
     text: str
 
 
-class _Ear:
-    """When one peer was heard last, and whether it refused since."""
+class _Peer:
+    """When a peer answered last, and whether it refused since."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._heard: Optional[float] = None
-        self._begin = clock()
-        self.is_gone = False
-
-    @property
-    def was_heard(self) -> bool:
-        return self._heard is not None
+        self._since = clock()
+        self.was_heard = self.is_gone = False
 
     @property
     def silence(self) -> float:
-        """Seconds since it was heard, or since the beginning."""
-        return self._clock() - (self._begin if self._heard is None else self._heard)
+        """Seconds since its last answer, or since the beginning."""
+        return self._clock() - self._since
 
     @property
     def is_well(self) -> bool:
         return self.was_heard and not self.is_gone and self.silence < PATIENCE
 
     def hear(self) -> None:
-        self._heard, self.is_gone = self._clock(), False
+        self._since, self.was_heard, self.is_gone = self._clock(), True, False
 
 
 class Contact:
@@ -73,7 +68,7 @@ class Contact:
             now: seconds on the clock on the wall.
         """
         self._manager, self._master, self._now = manager, master, now
-        self._of_manager, self._of_master = _Ear(clock), _Ear(clock)
+        self._of_manager, self._of_master = _Peer(clock), _Peer(clock)
         self._is_known = True
         self._since = 0.0
 
@@ -113,18 +108,16 @@ class Contact:
             return Status(True, False, short, f"{short}; {self._manager} answers{advice}")
         if not manager.was_heard:
             complaints.append(f"waiting for {self._manager}")
-        elif manager.is_gone:
-            complaints.append(f"{self._manager} gone{_for(manager)}")
-        else:
-            complaints.append(f"{self._manager} silent{_for(manager)}")
-        words = "; ".join(complaints)
-        aged = ": what is shown is that old" if manager.was_heard else ""
-        return Status(False, False, complaints[-1 if aged else 0], words + aged)
+            return Status(False, False, complaints[0], "; ".join(complaints))
+        state = "gone" if manager.is_gone else "silent"
+        complaints.append(f"{self._manager} {state}{_for(manager)}")
+        aged = f"{'; '.join(complaints)}: what is shown is that old"
+        return Status(False, False, complaints[-1], aged)
 
 
-def _for(ear: _Ear) -> str:
+def _for(peer: _Peer) -> str:
     """For how long it has been silent, if it was heard before."""
-    return f" for {_duration(ear.silence)}" if ear.was_heard else ""
+    return f" for {_duration(peer.silence)}" if peer.was_heard else ""
 
 
 def _duration(seconds: float) -> str:

@@ -182,42 +182,28 @@ def key_of(kind: VertexKind, name: str) -> str:
 
 def unboxed_figure_of(snapshot: Snapshot, options: Options) -> Figure:
     """Make the figure of a snapshot, all but its boxes."""
-    nodelets = {
-        n.name: n for n in snapshot.nodelets if _wanted(n.name, options.nodelet_filter, options)
-    }
-    nodes = (
-        {n.name: n for n in snapshot.nodes if _wanted(n.name, options.nodelet_filter, options)}
-        if options.show_nodes
-        else {}
-    )
-    ends = _Ends(snapshot, set(nodelets), set(nodes))
-    topics = {
-        name: topic
-        for name, topic in snapshot.topics().items()
-        if _wanted(name, options.topic_filter, options) and ends.shown(topic, options)
-    }
-    vertices = [
-        Vertex(
-            key_of(VertexKind.NODELET, name),
-            VertexKind.NODELET,
-            name,
-            (),
-            tuple(port.name for port in nodelet.ports if port.direction == IN),
-            tuple(port.name for port in nodelet.ports if port.direction != IN),
-        )
-        for name, nodelet in nodelets.items()
-    ]
-    vertices += [Vertex(key_of(VertexKind.NODE, name), VertexKind.NODE, name) for name in nodes]
-    if options.topics:
-        vertices += [
-            Vertex(key_of(VertexKind.TOPIC, name), VertexKind.TOPIC, name) for name in topics
-        ]
-        edges = [edge for topic in topics.values() for edge in ends.through(topic)]
-    else:
-        edges = [edge for topic in topics.values() for edge in ends.past(topic)]
+    ends = _Ends(snapshot, options)
+    vertices: List[Vertex] = []
+    for name, nodelet in ends.nodelets.items():
+        inputs = tuple(port.name for port in nodelet.ports if port.direction == IN)
+        outputs = tuple(port.name for port in nodelet.ports if port.direction != IN)
+        key = key_of(VertexKind.NODELET, name)
+        vertices.append(Vertex(key, VertexKind.NODELET, name, (), inputs, outputs))
+    edges: List[Edge] = []
+    for name, topic in snapshot.topics().items():
+        if not (_wanted(name, options.topic_filter, options) and ends.shown(topic)):
+            continue
+        if options.topics:
+            vertices.append(Vertex(key_of(VertexKind.TOPIC, name), VertexKind.TOPIC, name))
+            edges += ends.through(topic)
+        else:
+            edges += ends.past(topic)
     used = {key for edge in edges for key in (edge.tail, edge.head)}
-    vertices = [v for v in vertices if v.kind is not VertexKind.NODE or v.key in used]
-    vertices = sorted(vertices, key=lambda v: v.key)
+    for node in ends.nodes:
+        key = key_of(VertexKind.NODE, node.name)
+        if key in used:
+            vertices.append(Vertex(key, VertexKind.NODE, node.name))
+    vertices.sort(key=lambda v: v.key)
     return Figure(tuple(vertices), tuple(sorted(edges)), options.is_downwards)
 
 
@@ -228,19 +214,23 @@ def _wanted(name: str, chosen: Filter, options: Options) -> bool:
 class _Ends:
     """The ends of topics, among the vertices that are shown."""
 
-    def __init__(self, snapshot: Snapshot, nodelets: Set[str], nodes: Set[str]) -> None:
-        self._snapshot = snapshot
-        self._nodelets = nodelets
-        self._nodes = nodes
+    def __init__(self, snapshot: Snapshot, options: Options) -> None:
+        wanted = options.nodelet_filter
+        self._snapshot, self._options = snapshot, options
+        self.nodelets = {n.name: n for n in snapshot.nodelets if _wanted(n.name, wanted, options)}
+        nodes = snapshot.nodes if options.show_nodes else ()
+        self.nodes = [n for n in nodes if _wanted(n.name, wanted, options)]
 
-    def shown(self, topic: Topic, options: Options) -> bool:
-        if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.targets):
+    def shown(self, topic: Topic) -> bool:
+        """Whether the topic has a nodelet, and as many ends as the options ask for."""
+        if not any(ref.nodelet in self.nodelets for ref in topic.sources + topic.targets):
             return False
-        readers = len(topic.targets) + self._count(topic.name, subscribing=True)
-        writers = len(topic.sources) + self._count(topic.name, subscribing=False)
-        if options.hide_dead_sinks and readers == 0:
+        nodes = self._snapshot.nodes
+        readers = len(topic.targets) + sum(topic.name in node.subscribes for node in nodes)
+        writers = len(topic.sources) + sum(topic.name in node.publishes for node in nodes)
+        if self._options.hide_dead_sinks and readers == 0:
             return False
-        return not (options.hide_leaf_topics and readers + writers < 2)
+        return not (self._options.hide_leaf_topics and readers + writers < 2)
 
     def through(self, topic: Topic) -> Iterator[Edge]:
         """Arrows to and from the rectangle of a topic."""
@@ -257,32 +247,19 @@ class _Ends:
             for head, head_port in sinks:
                 yield Edge(tail, tail_port, head, head_port, topic.name)
 
-    def _count(self, topic: str, subscribing: bool) -> int:
-        return sum(
-            topic in (node.subscribes if subscribing else node.publishes)
-            for node in self._snapshot.nodes
-        )
-
     def _sources(self, topic: Topic) -> List[Tuple[str, str]]:
-        return self._ports(topic.sources) + [
-            (key_of(VertexKind.NODE, node.name), "")
-            for node in self._snapshot.nodes
-            if node.name in self._nodes and topic.name in node.publishes
-        ]
+        nodes = (node.name for node in self.nodes if topic.name in node.publishes)
+        return self._keys(topic.sources, nodes)
 
     def _sinks(self, topic: Topic) -> List[Tuple[str, str]]:
-        return self._ports(topic.targets) + [
-            (key_of(VertexKind.NODE, node.name), "")
-            for node in self._snapshot.nodes
-            if node.name in self._nodes and topic.name in node.subscribes
-        ]
+        nodes = (node.name for node in self.nodes if topic.name in node.subscribes)
+        return self._keys(topic.targets, nodes)
 
-    def _ports(self, refs: Tuple[PortRef, ...]) -> List[Tuple[str, str]]:
-        return [
-            (key_of(VertexKind.NODELET, ref.nodelet), ref.port)
-            for ref in refs
-            if ref.nodelet in self._nodelets
-        ]
+    def _keys(self, refs: Iterable[PortRef], nodes: Iterable[str]) -> List[Tuple[str, str]]:
+        """The vertices of shown nodelets and nodes, with the ports of the nodelets."""
+        ports = [ref for ref in refs if ref.nodelet in self.nodelets]
+        keys = [(key_of(VertexKind.NODELET, ref.nodelet), ref.port) for ref in ports]
+        return keys + [(key_of(VertexKind.NODE, name), "") for name in nodes]
 
 
 def figure_of(snapshot: Snapshot, options: Options) -> Figure:
