@@ -14,7 +14,7 @@ import time
 from typing import Callable, List, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
-from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
+from python_qt_binding.QtGui import QColor, QFontDatabase, QMouseEvent, QPalette
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
@@ -108,6 +108,8 @@ def _take(
     try:
         wait(lambda: len(widget.graph.drawn.vertices) > 15, 20.0, "the graph is drawn")
         wait(lambda: widget.monitor.library, 10.0, "the library is there")
+        if remote.client.rates:
+            wait(lambda: _has_rates(widget), 20.0, "the rates are there")
         pose(widget)
         QTest.qWait(300)
         print(f"screenshots: {path}")
@@ -125,12 +127,16 @@ def _has_rates(widget: DyKnowWidget) -> bool:
     return any(each is not None and each.drop_rate > 0 for each in traffic)
 
 
-def _pose_graph(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
-    widget.graph.bar.nodes.setChecked(True)
-    wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
+def _tidy(widget: DyKnowWidget) -> None:
+    QTest.qWait(500)
     widget.graph.tidy()
     QTest.qWait(500)
+
+
+def _pose_graph(widget: DyKnowWidget) -> None:
+    widget.graph.bar.nodes.setChecked(True)
+    wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
+    _tidy(widget)
     widget.active.table.choose(["/nao1/ball_detector"])
 
 
@@ -152,18 +158,14 @@ def _pose_narrow(widget: DyKnowWidget) -> None:
 
 
 def _pose_highlight(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     view = widget.graph.view
     QTest.qWait(300)
     view.scene().highlight("n_/nao1/subsampler")
 
 
 def _pose_nodelets_only(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.graph.bar.mode.setCurrentIndex(1)
-    QTest.qWait(500)
-    widget.graph.tidy()
-    QTest.qWait(500)
+    _tidy(widget)
 
 
 def _pose_hosts(widget: DyKnowWidget) -> None:
@@ -172,22 +174,17 @@ def _pose_hosts(widget: DyKnowWidget) -> None:
     assert isinstance(remote, SimulatedRemote)
     for nodelet in remote.graph().nodelets:
         remote.client.alter(nodelet.name, host=nodelet.name.split("/")[1])
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.graph.bar.boxes.setCurrentText(Boxes.HOSTS.value)
     widget.graph.bar.depth.setValue(2)
-    QTest.qWait(500)
-    widget.graph.tidy()
-    QTest.qWait(500)
+    _tidy(widget)
 
 
 def _pose_library(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.library)
     widget.library.table.choose(["ball_detector"])
 
 
 def _pose_create(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.create_)
     widget.create_.begin("ball_detector")
     widget.create_.given.fields["?robot"].setText("nao1")
@@ -195,7 +192,6 @@ def _pose_create(widget: DyKnowWidget) -> None:
 
 def _pose_connect(widget: DyKnowWidget) -> None:
     """A connection half drawn by hand, and the same in the panel."""
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.connect_)
     widget.connect_.begin("/field/ceiling_camera", "field_position")
     widget.connect_.begin("/field/tracker", "position")
@@ -205,12 +201,13 @@ def _pose_connect(widget: DyKnowWidget) -> None:
     end = view.place_of(PortRef("/field/tracker", "position"))
     if start is not None and end is not None:
         QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
-        move = _mouse_move(end)
+        move = QMouseEvent(
+            QEvent.MouseMove, QPointF(end), Qt.NoButton, Qt.LeftButton, Qt.NoModifier
+        )
         QApplication.sendEvent(view.viewport(), move)
 
 
 def _pose_gone(widget: DyKnowWidget) -> None:
-    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     remote = widget.monitor.remote
     assert isinstance(remote, SimulatedRemote)
     remote.client.is_up = False
@@ -224,12 +221,6 @@ def _pose_dark(widget: DyKnowWidget) -> None:
         "/field/ceiling_camera:field_position sends geometry_msgs/PointStamped, "
         "but /nao1/line_detector:hsv expects sensor_msgs/Image"
     )
-
-
-def _mouse_move(place: object) -> object:
-    from python_qt_binding.QtGui import QMouseEvent
-
-    return QMouseEvent(QEvent.MouseMove, QPointF(place), Qt.NoButton, Qt.LeftButton, Qt.NoModifier)
 
 
 def _font() -> object:
