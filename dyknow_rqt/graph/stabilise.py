@@ -15,14 +15,7 @@ from statistics import median
 from typing import Dict, List, Mapping, Sequence, Set, Tuple
 
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import (
-    Layout,
-    Point,
-    Size,
-    around,
-    boxes_around,
-    curve_between,
-)
+from dyknow_rqt.graph.geometry import Layout, Point, Size, around, boxes_around, curve_between
 
 #: So many vertices may move when something is added or removed.
 MOST_MOVED = 4

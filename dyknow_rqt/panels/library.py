@@ -8,21 +8,11 @@ from __future__ import annotations
 from typing import Mapping, Optional
 
 from python_qt_binding.QtCore import Qt, Signal
-from python_qt_binding.QtWidgets import (
-    QFileDialog,
-    QPushButton,
-    QSplitter,
-    QVBoxLayout,
-    QWidget,
-)
+from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter, QVBoxLayout, QWidget
 
 from dyknow.model.transformation import IN, Transformation
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import (
-    add_transformations,
-    as_specification,
-    remove_transformations,
-)
+from dyknow_rqt.graph.changes import add_transformations, as_specification, remove_transformations
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine
