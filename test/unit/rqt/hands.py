@@ -9,20 +9,26 @@ import time
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QMouseEvent
-from python_qt_binding.QtWidgets import (
-    QAbstractButton,
-    QApplication,
-    QLabel,
-    QMenu,
-    QMessageBox,
-)
+from python_qt_binding.QtTest import QTest
+from python_qt_binding.QtWidgets import QAbstractButton, QApplication, QLabel, QMenu, QMessageBox
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow_rqt.graph.changes import spawn
+from dyknow_rqt.window import DyKnowWidget
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")
 HSV_IN = PortRef("/nao1/line_detector", "hsv")
+
+
+def window_of(qtbot, remote, size=(1400, 800)):
+    """A window that is shown and reads."""
+    window = DyKnowWidget(remote)
+    qtbot.addWidget(window, before_close_func=lambda w: w.shut_down())
+    window.resize(*size)
+    window.show()
+    window.start()
+    return window
 
 
 def until(qtbot, condition):
@@ -38,16 +44,10 @@ def topic(remote, ref):
 def drag(view, start, end):
     """Press, move and release, as a hand does."""
     port = view.viewport()
-    for kind, place, button, buttons in (
-        (QEvent.MouseButtonPress, start, Qt.LeftButton, Qt.LeftButton),
-        (QEvent.MouseMove, (start + end) / 2, Qt.NoButton, Qt.LeftButton),
-        (QEvent.MouseMove, end, Qt.NoButton, Qt.LeftButton),
-        (QEvent.MouseButtonRelease, end, Qt.LeftButton, Qt.NoButton),
-    ):
-        event = QMouseEvent(
-            kind, QPointF(place), QPointF(port.mapToGlobal(place)), button, buttons, Qt.NoModifier
-        )
-        QApplication.sendEvent(port, event)
+    QTest.mousePress(port, Qt.LeftButton, Qt.NoModifier, start)
+    move(view, (start + end) / 2)
+    move(view, end)
+    QTest.mouseRelease(port, Qt.LeftButton, Qt.NoModifier, end)
 
 
 def move(view, place):

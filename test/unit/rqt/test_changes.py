@@ -29,13 +29,7 @@ from dyknow_rqt.graph.changes import (
 )
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.wiring import (
-    connect,
-    connect_topic,
-    disconnect,
-    partners,
-    topics_for,
-)
+from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners, topics_for
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

@@ -21,85 +21,75 @@ from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget
 
-
-@pytest.fixture
-def clock():
-    return HandClock(100.0)
-
-
-@pytest.fixture
-def contact(clock):
-    return Contact("/manager", "http://robot:11311", clock, now=lambda: 0.0)
-
-
-def test_before_anything_is_heard_it_waits(contact, clock):
-    assert contact.status()[:3] == (False, False, "waiting for /manager")
-    contact.miss_master()
-    contact.miss_manager(is_gone=True)
-    clock.time += 60.0
-    text = "no ROS master at http://robot:11311; waiting for /manager"
-    assert contact.status().text == text
-
-
-def test_all_is_well(contact, clock):
-    contact.hear_master(is_known=True)
-    contact.hear_manager()
-    moment = time.strftime("%H:%M:%S", time.localtime(0.0))
-    clock.time += 2.0
-    assert contact.status() == (
-        True,
-        True,
-        f"/manager answers since {moment}",
-        f"/manager answers since {moment}; ROS master at http://robot:11311",
-    )
+_MASTER = "http://robot:11311"
+_MOMENT = time.strftime("%H:%M:%S", time.localtime(0.0))
+_FINE = f"/manager answers since {_MOMENT}"
+_OLD = "{}: what is shown is that old"
+_STEPS = {
+    "manager": lambda contact: contact.hear_manager(),
+    "manager silent": lambda contact: contact.miss_manager(is_gone=False),
+    "manager gone": lambda contact: contact.miss_manager(is_gone=True),
+    "master": lambda contact: contact.hear_master(is_known=True),
+    "new master": lambda contact: contact.hear_master(is_known=False),
+    "no master": lambda contact: contact.miss_master(),
+}
 
 
 @pytest.mark.parametrize(
-    ("silence", "words"), [(7.2, "7 s"), (119.0, "119 s"), (150.0, "2 min"), (9000.0, "2 h")]
+    ("steps", "is_current", "is_sound", "short", "text"),
+    [
+        ((), False, False, "waiting for /manager", "{}"),
+        (
+            ("no master", "manager gone", 60.0),
+            *(False, False, f"no ROS master at {_MASTER}", "{}; waiting for /manager"),
+        ),
+        (("master", "manager", 2.0), True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
+        *(
+            (
+                ("manager", seconds, "master", "manager silent"),
+                *(False, False, f"/manager silent for {words}", _OLD),
+            )
+            for seconds, words in (
+                (7.2, "7 s"),
+                (119.0, "119 s"),
+                (150.0, "2 min"),
+                (9000.0, "2 h"),
+            )
+        ),
+        (
+            ("master", "manager", "manager gone", 1.0),
+            *(False, False, "/manager gone for 1 s", _OLD),
+        ),
+        (
+            ("master", "manager", "manager gone", "manager"),
+            *(True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
+        ),
+        (
+            ("master", 3.0, "manager"),
+            *(True, False, f"no ROS master at {_MASTER} for 3 s"),
+            "{}; /manager answers; nothing new can be asked for",
+        ),
+        (
+            ("master", 3.0, "manager", "manager gone"),
+            *(False, False, "/manager gone for 0 s"),
+            f"no ROS master at {_MASTER} for 3 s; {_OLD}",
+        ),
+        (
+            ("manager", "new master"),
+            *(True, False, f"the ROS master at {_MASTER} does not know /manager"),
+            "{}; /manager answers: a new roscore? Start the manager and its nodes again",
+        ),
+    ],
 )
-def test_a_manager_that_does_not_answer_is_silent_for_so_long(contact, clock, silence, words):
-    contact.hear_manager()
-    clock.time += silence
-    contact.hear_master(is_known=True)
-    contact.miss_manager(is_gone=False)
-    status = contact.status()
-    assert not status.is_current and status.short == f"/manager silent for {words}"
-    assert status.text == f"/manager silent for {words}: what is shown is that old"
-
-
-def test_a_manager_without_a_process_is_gone_at_once(contact, clock):
-    contact.hear_master(is_known=True)
-    contact.hear_manager()
-    contact.miss_manager(is_gone=True)
-    clock.time += 1.0
-    assert contact.status().short == "/manager gone for 1 s"
-    contact.hear_manager()
-    assert contact.status().is_sound
-
-
-def test_without_a_master_the_manager_is_still_heard(contact, clock):
-    contact.hear_master(is_known=True)
-    clock.time += 3.0
-    contact.hear_manager()
-    assert contact.status() == (
-        True,
-        False,
-        "no ROS master at http://robot:11311 for 3 s",
-        "no ROS master at http://robot:11311 for 3 s; /manager answers; "
-        "nothing new can be asked for",
-    )
-    contact.miss_manager(is_gone=True)
-    text = "no ROS master at http://robot:11311 for 3 s; /manager gone for 0 s: "
-    assert contact.status().text.startswith(text)
-
-
-def test_a_master_that_does_not_know_the_manager_is_a_new_one(contact):
-    contact.hear_manager()
-    contact.hear_master(is_known=False)
-    status = contact.status()
-    assert status.is_current and not status.is_sound
-    assert "the ROS master at http://robot:11311 does not know /manager" in status.text
-    assert "a new roscore? Start the manager and its nodes again" in status.text
+def test_the_status_says_who_answers_and_since_when(steps, is_current, is_sound, short, text):
+    clock = HandClock(100.0)
+    contact = Contact("/manager", _MASTER, clock, now=lambda: 0.0)
+    for step in steps:
+        if isinstance(step, float):
+            clock.time += step
+        else:
+            _STEPS[step](contact)
+    assert contact.status() == (is_current, is_sound, short, text.format(short))
 
 
 # In the window

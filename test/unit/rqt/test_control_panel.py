@@ -8,14 +8,7 @@ from __future__ import annotations
 import time
 
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import (
-    TRACKER,
-    click,
-    no_boxes,
-    topic,
-    until,
-    vertex_keys,
-)
+from unit.rqt.hands import TRACKER, click, no_boxes, topic, until, vertex_keys
 
 
 def test_active_lists_and_destroys(qtbot, window, remote):

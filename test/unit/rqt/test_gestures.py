@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 from python_qt_binding.QtCore import QPoint, Qt
-from python_qt_binding.QtWidgets import (
-    QFileDialog,
-)
+from python_qt_binding.QtWidgets import QFileDialog
 from unit.rqt.hands import (
     CEILING,
     HSV_IN,

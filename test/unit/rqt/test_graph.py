@@ -14,7 +14,7 @@ import pytest
 from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow_rqt.graph.figure import Boxes, Options, VertexKind, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
-from dyknow_rqt.graph.geometry import Layout, Point, Size
+from dyknow_rqt.graph.geometry import Layout, Point, Size, around
 from dyknow_rqt.graph.layout import BadLayout, layered, read_layout, to_dot, without_crossings
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
 from dyknow_rqt.graph.stabilise import backwards, moved, stabilise
@@ -89,7 +89,7 @@ def test_completion_is_of_the_last_part():
     ]
 
 
-def test_topics_stand_between_nodelets():
+def test_topics_stand_between_nodelets_or_are_the_arrows():
     figure = figure_of(chain(2), Options())
     assert [v.key for v in figure.vertices] == ["n_/n00", "n_/n01", "t_/t00", "t_/t01"]
     assert [tuple(edge) for edge in figure.edges] == [
@@ -97,11 +97,7 @@ def test_topics_stand_between_nodelets():
         ("n_/n01", "out", "t_/t01", "", "/t01"),
         ("t_/t00", "", "n_/n01", "in", "/t00"),
     ]
-
-
-def test_without_topics_arrows_lead_from_nodelet_to_nodelet():
-    figure = figure_of(chain(3), Options(topics=False))
-    assert [tuple(edge) for edge in figure.edges] == [
+    assert [tuple(edge) for edge in figure_of(chain(3), Options(topics=False)).edges] == [
         ("n_/n00", "out", "n_/n01", "in", "/t00"),
         ("n_/n01", "out", "n_/n02", "in", "/t01"),
     ]
@@ -224,15 +220,6 @@ def test_dot_can_be_read_by_others():
     assert len(graph.get_edges()) == 2
 
 
-def test_the_layout_leads_from_left_to_right():
-    figure = figure_of(chain(4), Options())
-    layout = laid_out(figure)
-    for edge in figure.edges:
-        assert layout.centres[edge.tail].x < layout.centres[edge.head].x
-        assert len(layout.curves[edge]) % 3 == 1
-        assert layout.curves[edge][0].x < layout.curves[edge][-1].x
-
-
 def test_ports_stand_in_the_order_of_their_arrows():
     snapshot = Snapshot(
         (
@@ -249,11 +236,10 @@ def test_ports_stand_in_the_order_of_their_arrows():
     assert ports["/sink"] == ("two", "one", "three") if a_is_above else ("one", "two", "three")
 
 
-def test_a_layout_of_something_else_is_refused():
+@pytest.mark.parametrize("answer", ["{}", "Segmentation fault"])
+def test_a_layout_of_something_else_is_refused(answer):
     with pytest.raises(BadLayout):
-        read_layout("{}", figure_of(chain(2), Options()))
-    with pytest.raises(BadLayout):
-        read_layout("Segmentation fault", figure_of(chain(2), Options()))
+        read_layout(answer, figure_of(chain(2), Options()))
 
 
 ADDITIONS = [
@@ -273,6 +259,16 @@ def test_a_nodelet_more_leaves_the_others_where_they_are(added):
     new = stabilise(old, before, laid_out(after), after, sizes_of(after))
     assert len(moved(old, new)) <= 4
     assert set(new.curves) == set(after.edges)
+
+
+@pytest.mark.parametrize("arrange", [layered, lambda figure, sizes: laid_out(figure)])
+def test_the_layout_leads_from_left_to_right(arrange):
+    figure = figure_of(chain(4), Options())
+    layout = arrange(figure, sizes_of(figure))
+    for edge in figure.edges:
+        assert layout.centres[edge.tail].x < layout.centres[edge.head].x
+        assert len(layout.curves[edge]) % 3 == 1
+        assert layout.curves[edge][0].x < layout.curves[edge][-1].x
 
 
 @pytest.mark.parametrize("arrange", [layered, lambda figure, sizes: laid_out(figure)])
@@ -307,8 +303,6 @@ def test_connections_made_one_by_one_end_in_a_drawing_from_left_to_right():
 
 
 def _check_apart(layout, sizes):
-    from dyknow_rqt.graph.geometry import around
-
     areas = {key: around(place, sizes[key]) for key, place in layout.centres.items()}
     assert not [(a, b) for a in areas for b in areas if a < b and areas[a].meets(areas[b])]
 

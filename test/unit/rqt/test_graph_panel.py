@@ -9,17 +9,8 @@ import pydot
 import pytest
 from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QWheelEvent
-from python_qt_binding.QtWidgets import (
-    QApplication,
-    QFileDialog,
-    QLineEdit,
-)
-from unit.rqt.hands import (
-    centre_of,
-    drag,
-    until,
-    vertex_keys,
-)
+from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
+from unit.rqt.hands import centre_of, drag, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 

@@ -16,12 +16,7 @@ from python_qt_binding.QtWidgets import (
     QLabel,
     QWidget,
 )
-from unit.rqt.hands import (
-    CEILING,
-    description_of,
-    texts_of,
-    until,
-)
+from unit.rqt.hands import CEILING, description_of, texts_of, until
 
 from dyknow_rqt.widgets import KEYS, KeysDialog
 

@@ -1,18 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The places of the labels of arrows."""
+"""Labels of arrows and titles of boxes: legible, and over nothing else."""
 
 from __future__ import annotations
 
 import time
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as some
+from python_qt_binding.QtCore import QRectF
+from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QImage, QPainter, QPalette
 from unit.rqt.hands import until
 
+from dyknow_rqt.canvas.appearance import colours_of
+from dyknow_rqt.canvas.overview import FAR, paint_titles
 from dyknow_rqt.graph.figure import Edge
-from dyknow_rqt.graph.geometry import Point, Rectangle, Size, place_labels
+from dyknow_rqt.graph.geometry import Point, Rectangle, Size, boxes_around, place_labels
 
 SIZE = Size(40.0, 12.0)
 
@@ -89,3 +94,38 @@ def test_in_the_drawing_no_label_covers_another_or_a_vertex(qtbot, window):
         for number, area in enumerate(placed):
             assert not any(area.intersects(other) for other in placed[number + 1 :] + inked)
     assert len(placed) == len(labels) > 10, "where topics are drawn, there is room for all"
+
+
+_FONT = QFont("DejaVu Sans", 9)
+_NODELET = Size(80.0, 30.0)
+
+
+def painted_rows(zoom):
+    """Rows of pixels that the title of a box takes, and how many are above its nodelet."""
+    group = ("/nao1",)
+    box = boxes_around({"a": group}, {"a": Point(0.0, 0.0)}, {"a": _NODELET})[group]
+    image = QImage(400, 400, QImage.Format_RGB32)
+    white = QColor("white")
+    image.fill(white)
+    painter = QPainter(image)
+    painter.scale(zoom, zoom)
+    painter.translate(-box.left, -box.top)
+    owner = QRectF(box.left, box.top, box.right - box.left, box.bottom - box.top)
+    paint_titles(painter, [(owner, "/nao1")], _FONT, colours_of(QPalette()))
+    painter.end()
+    rows = [
+        y for y in range(400) if any(image.pixelColor(x, y) != white for x in range(0, 400, 2))
+    ]
+    return rows, (-_NODELET.height / 2 - box.top) * zoom
+
+
+@pytest.mark.parametrize("zoom", [0.55, 0.7, 0.85, 1.0, 2.0])
+def test_titles_beside_legible_names_cover_no_nodelet(qapp, zoom):
+    rows, room = painted_rows(zoom)
+    assert rows and max(rows) < room
+
+
+@pytest.mark.parametrize("zoom", [0.05, 0.1, 0.9 * FAR])
+def test_titles_seen_from_far_are_as_large_as_texts_elsewhere(qapp, zoom):
+    rows, _ = painted_rows(zoom)
+    assert len(rows) >= QFontMetricsF(_FONT).height() - 1

@@ -8,11 +8,10 @@ from __future__ import annotations
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
 from python_qt_binding.QtGui import QImage
-from unit.rqt.hands import centre_of, click, until, vertex_keys
+from unit.rqt.hands import centre_of, click, until, vertex_keys, window_of
 
 from dyknow_rqt.canvas.overview import FAR
 from dyknow_rqt.example_graphs import tree
-from dyknow_rqt.window import DyKnowWidget
 
 _COUNT = 200
 
@@ -24,17 +23,9 @@ def crowd():
 
 @pytest.fixture
 def window(qtbot, crowd):
-    return window_on(qtbot, crowd, _COUNT, 1366, 768)
-
-
-def window_on(qtbot, crowd, count, width, height):
-    widget = DyKnowWidget(crowd)
-    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
-    widget.resize(width, height)
-    widget.show()
-    widget.start()
-    until(qtbot, lambda: len(widget.graph.drawn.vertices) == 2 * count)
-    return widget
+    window = window_of(qtbot, crowd, (1366, 768))
+    until(qtbot, lambda: len(window.graph.drawn.vertices) == 2 * _COUNT)
+    return window
 
 
 def is_seen(view, key):
@@ -81,10 +72,7 @@ def test_the_map_shows_what_is_seen_and_moves_there(qtbot, window):
 
 
 def test_without_nodelets_there_is_no_map(qtbot):
-    widget = DyKnowWidget(tree(0))
-    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
-    widget.show()
-    widget.start()
+    widget = window_of(qtbot, tree(0))
     widget.graph.view.scene().look_again()
     widget.graph.view._minimap._take_picture()
     assert widget.line.text == "" and not widget.graph.view._minimap.isVisible()
@@ -102,7 +90,8 @@ def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qt
 
 
 def test_a_picture_has_names_also_of_what_is_seen_from_far(qtbot, tmp_path):
-    window = window_on(qtbot, tree(40), 40, 400, 300)
+    window = window_of(qtbot, tree(40), (400, 300))
+    until(qtbot, lambda: len(window.graph.drawn.vertices) == 80)
     assert window.graph.view.zoom < FAR
     window.graph.save(str(tmp_path / "graph.svg"))
     assert "nodelet7" in (tmp_path / "graph.svg").read_text()

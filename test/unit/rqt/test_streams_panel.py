@@ -6,13 +6,7 @@
 from __future__ import annotations
 
 from python_qt_binding.QtCore import Qt
-from unit.rqt.hands import (
-    cells_of,
-    click,
-    no_boxes,
-    until,
-    vertex_keys,
-)
+from unit.rqt.hands import cells_of, click, no_boxes, until, vertex_keys
 
 
 def _ask_for(qtbot, window, tag):

@@ -11,13 +11,7 @@ import pytest
 from python_qt_binding.QtCore import QSize
 from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QMainWindow, QWidget
-from unit.rqt.hands import (
-    click,
-    create,
-    pauses,
-    until,
-    vertex_keys,
-)
+from unit.rqt.hands import click, create, pauses, until, vertex_keys, window_of
 
 from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.layouter import Layouter
@@ -94,11 +88,7 @@ def test_settings_are_kept(qtbot, window, remote):
 @pytest.mark.long
 def test_five_hundred_nodelets_stay_usable(qtbot):
     remote = tree(500)
-    widget = DyKnowWidget(remote)
-    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
-    widget.resize(1400, 800)
-    widget.show()
-    widget.start()
+    widget = window_of(qtbot, remote)
     worst = max(pauses(qtbot, 180000, lambda: len(widget.graph.drawn.vertices) == 1000))
     assert len(widget.graph.drawn.vertices) == 1000
     assert worst < 2.0, worst
