@@ -61,11 +61,7 @@ class BackgroundCalls(QObject):
     _delivered = Signal()
 
     def __init__(self, count: int = 4) -> None:
-        """Start the threads; to be made in the thread of the window.
-
-        Args:
-            count: how many calls are made at the same time.
-        """
+        """Start the threads for so many calls at a time; in the thread of the window."""
         super().__init__()
         self._closed = threading.Event()
         self._results: Deque[Callable[[], None]] = deque()

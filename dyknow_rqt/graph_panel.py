@@ -142,11 +142,7 @@ class GraphPanel(QWidget):
         self.bar.search.selectAll()
 
     def save(self, path: str) -> None:
-        """Write the drawing in the format of the file's extension, DOT by default.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Write the drawing in the format of the file's extension, DOT by default."""
         if path.lower().endswith(".svg"):
             self.view.scene().save_svg(path)
         elif path.lower().endswith((".png", ".jpg", ".jpeg", ".bmp")):

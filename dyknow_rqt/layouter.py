@@ -38,12 +38,6 @@ class Layouter(QObject):
     failed = Signal(str)
 
     def __init__(self, program: str = "dot", limit: float = LIMIT) -> None:
-        """Prepare.
-
-        Args:
-            program: graphviz's.
-            limit: seconds that it may take.
-        """
         super().__init__()
         self._program = program
         self._calls = BackgroundCalls(1)
@@ -62,14 +56,7 @@ class Layouter(QObject):
     def lay_out(
         self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0, anew: bool = False
     ) -> None:
-        """Lay a figure out; ``ready`` is emitted when it is done.
-
-        Args:
-            figure: what to lay out.
-            sizes: of its vertices.
-            gap: room for the words on an arrow, in pixels.
-            anew: without regard to the drawing before.
-        """
+        """Lay a figure out, ``anew`` without regard to the drawing before; then emit ``ready``."""
         anew = anew or (self._next is not None and self._next.anew)
         self._next = _Order(figure, sizes, gap, anew)
         if self._current is None:

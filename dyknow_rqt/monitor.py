@@ -76,12 +76,6 @@ class Monitor(QObject):
     history_changed = Signal(str, str)
 
     def __init__(self, remote: Remote, period: float = 1.0) -> None:
-        """Set up the monitor; ``start`` begins to read.
-
-        Args:
-            remote: the other side.
-            period: seconds from look to look.
-        """
         super().__init__()
         self.remote = remote
         self._client = remote.client

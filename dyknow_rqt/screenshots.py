@@ -52,11 +52,7 @@ def dark_palette() -> QPalette:
 
 
 def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
-    """Run the window until a condition holds.
-
-    Raises:
-        TimeoutError: it does not within ``seconds``; ``what`` is in the message.
-    """
+    """Run the window until a condition holds; TimeoutError names the condition."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:

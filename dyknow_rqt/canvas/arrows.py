@@ -24,7 +24,7 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
-from dyknow_rqt.canvas.items import PORT_RADIUS, Item
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
@@ -82,7 +82,7 @@ class EdgeItem(Item):
 
     def place_label(self, area: Optional[Rectangle]) -> None:
         """Set the area of its label; None if there is no room for it."""
-        found = QRectF() if area is None else _rectangle(area)
+        found = QRectF() if area is None else rectangle_of(area)
         if found != self.label_area:
             self.label_area = found
             self._measure()
@@ -155,7 +155,3 @@ class EdgeItem(Item):
     def _measure(self) -> None:
         area = self.path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
         self.setRect(area.united(self.label_area))
-
-
-def _rectangle(area: Rectangle) -> QRectF:
-    return QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)

@@ -20,6 +20,10 @@ from dyknow_rqt.graph.geometry import Rectangle
 PORT_RADIUS = 4.0
 
 
+def rectangle_of(area: Rectangle) -> QRectF:
+    return QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
+
+
 class Item(QGraphicsRectItem):
     """The base of all items: colours, a tone, and a way to report errors.
 
@@ -73,7 +77,7 @@ class BoxItem(Item):
         self.setZValue(-10 + len(group))
 
     def set_area(self, area: Rectangle) -> None:
-        self.area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
+        self.area = rectangle_of(area)
         self.setRect(self.area.adjusted(-2, -2, 2, 2))
 
     @property

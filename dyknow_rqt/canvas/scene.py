@@ -313,11 +313,7 @@ class GraphScene(QGraphicsScene):
         return QRectF(self._area)
 
     def save_svg(self, path: str) -> None:
-        """Write the drawing as SVG.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Write the drawing as SVG, or raise OSError."""
         area = self._picture_area()
         with open(path, "wb"):
             pass  # the generator ignores files that it cannot write

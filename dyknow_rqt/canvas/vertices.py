@@ -43,9 +43,8 @@ class VertexItem(Item):
         self._label = ""
         self.found = False
         self.setAcceptHoverEvents(True)
-        self.setZValue(1)  # names of ports are read above rates
         self.setFlag(QGraphicsItem.ItemIsSelectable)
-        self.setZValue(10)
+        self.setZValue(10)  # names of ports are read above rates
 
     def set_vertex(self, vertex: Vertex, size: Size, is_downwards: bool = False) -> None:
         """Change its size and ports, which are at its sides, or above and below it."""

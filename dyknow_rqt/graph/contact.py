@@ -59,14 +59,7 @@ class Contact:
         clock: Callable[[], float] = time.monotonic,
         now: Callable[[], float] = time.time,
     ) -> None:
-        """Start without any answer.
-
-        Args:
-            manager: its name.
-            master: its address.
-            clock: seconds, steady.
-            now: seconds on the clock on the wall.
-        """
+        """``clock`` is steady; ``now`` is the clock on the wall, in seconds."""
         self._manager, self._master, self._now = manager, master, now
         self._of_manager, self._of_master = _Peer(clock), _Peer(clock)
         self._is_known = True

@@ -298,12 +298,7 @@ def _home(nodelet: NodeletStatus, boxes: Boxes) -> Group:
 
 
 def _boxed_by_home(figure: Figure, homes: Mapping[str, Group]) -> Figure:
-    """Assign nodelets to their boxes, and topics to the innermost that holds all of their ends.
-
-    Args:
-        figure: what to assign.
-        homes: of nodelets.
-    """
+    """Assign nodelets to their boxes, and topics to the innermost around all of their ends."""
     groups = {
         vertex.key: homes.get(vertex.name, ())
         for vertex in figure.vertices

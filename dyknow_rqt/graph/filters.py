@@ -39,11 +39,7 @@ class Filter:
 
 
 def parse(text: str) -> Filter:
-    """Read a filter.
-
-    Raises:
-        BadFilter: a part is neither a name nor a regular expression.
-    """
+    """Read a filter; a part that is neither a name nor a regular expression is a BadFilter."""
     includes: List[Callable[[str], bool]] = []
     excludes: List[Callable[[str], bool]] = []
     for part in _parts(text):
@@ -56,12 +52,7 @@ def parse(text: str) -> Filter:
 
 
 def completions(text: str, names: Iterable[str]) -> List[str]:
-    """Completions of the last part of a filter; whole texts, sorted.
-
-    Args:
-        text: the typed text.
-        names: the existing names; their namespaces are offered too.
-    """
+    """Whole texts, sorted, whose last part is completed to a name or a namespace."""
     head, comma, last = text.rpartition(",")
     stem = last.strip()
     minus = "-" if stem.startswith("-") else ""

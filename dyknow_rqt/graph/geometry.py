@@ -152,15 +152,7 @@ def boxes_around(
     margin: float = 8.0,
     title: float = 20.0,
 ) -> Dict[Tuple[str, ...], Rectangle]:
-    """Draw boxes around the vertices of namespaces, inner ones first.
-
-    Args:
-        groups: namespace of each vertex.
-        centres: of the vertices.
-        sizes: of the vertices.
-        margin: between a box and its contents.
-        title: height of the line with the name.
-    """
+    """Draw boxes around the vertices of namespaces; above the contents is a line for the title."""
     found: Dict[Tuple[str, ...], Rectangle] = {}
 
     def include(group: Tuple[str, ...], part: Rectangle) -> None:

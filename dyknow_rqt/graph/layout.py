@@ -162,13 +162,7 @@ class BadLayout(ValueError):
 
 
 def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
-    """Write a figure as DOT.
-
-    Args:
-        figure: what to write.
-        sizes: of the vertices, as they are drawn.
-        gap: room for the words on an arrow, in pixels.
-    """
+    """Write a figure as DOT, with a gap between ranks (pixels) for the words on an arrow."""
     lines = [
         "digraph dyknow {",
         f'  graph [rankdir="{"TB" if figure.is_downwards else "LR"}", '
@@ -193,11 +187,7 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
 
 
 def read_layout(answer: str, figure: Figure) -> Layout:
-    """Read what ``dot -Tjson0`` answers for a figure.
-
-    Raises:
-        BadLayout: it is something else.
-    """
+    """Read what ``dot -Tjson0`` answers for a figure; anything else is a BadLayout."""
     try:
         graph = json.loads(answer)
         height = float(graph["bb"].split(",")[3])

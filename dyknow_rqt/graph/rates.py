@@ -58,13 +58,7 @@ class Meter:
         self._traffic: Dict[PortRef, PortRate] = {}
 
     def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
-        """Take the statistics of a nodelet.
-
-        Args:
-            nodelet: its name.
-            statistics: its answer.
-            now: when, in seconds by a steady clock.
-        """
+        """Take the statistics of a nodelet at a time in seconds of a steady clock."""
         for port in statistics.ports:
             ref = PortRef(nodelet, port.port)
             if port.messages is None or port.dropped is None or port.rate is None:
@@ -109,11 +103,7 @@ class Meter:
 
 
 def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, ...], int]:
-    """Return the next names in a round.
-
-    Returns:
-        The names, and where to begin next time.
-    """
+    """Return the next names in a round, and where to begin next time."""
     ordered = sorted(names)
     if not ordered:
         return (), 0

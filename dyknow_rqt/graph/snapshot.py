@@ -77,29 +77,19 @@ class Snapshot:
 def plain_nodes(
     publishers: Side, subscribers: Side, topics: AbstractSet[str], hosts: AbstractSet[str]
 ) -> Tuple[PlainNode, ...]:
-    """Find the ordinary nodes that use some topics.
-
-    Args:
-        publishers: of all topics, as the master reports.
-        subscribers: the same.
-        topics: those that matter.
-        hosts: nodelet managers; their topics are used by their nodelets.
-    """
-    sides: List[Mapping[str, List[str]]] = []
-    for side in (publishers, subscribers):
-        used: Dict[str, List[str]] = {}
+    """Find the ordinary nodes, all but the nodelet managers ``hosts``, that use these topics."""
+    published: Dict[str, List[str]] = {}
+    subscribed: Dict[str, List[str]] = {}
+    for side, used in ((publishers, published), (subscribers, subscribed)):
         for topic, nodes in side:
             for node in nodes:
                 if topic in topics and node not in hosts:
                     used.setdefault(node, []).append(topic)
-        sides.append(used)
     return tuple(
         PlainNode(
-            name,
-            tuple(sorted(sides[0].get(name, ()))),
-            tuple(sorted(sides[1].get(name, ()))),
+            name, tuple(sorted(published.get(name, ()))), tuple(sorted(subscribed.get(name, ())))
         )
-        for name in sorted({*sides[0], *sides[1]})
+        for name in sorted({*published, *subscribed})
     )
 
 

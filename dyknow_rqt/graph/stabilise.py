@@ -34,15 +34,7 @@ _SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 def stabilise(
     old: Layout, before: Figure, new: Layout, after: Figure, sizes: Mapping[str, Size]
 ) -> Layout:
-    """Move the vertices of a new layout to their old places, if that looks well.
-
-    Args:
-        old: the drawing on the screen.
-        before: the figure of it.
-        new: what graphviz says of the figure to come.
-        after: the figure to come.
-        sizes: of its vertices.
-    """
+    """Move the vertices of a new layout to their old places on the screen, if that looks well."""
     common = sorted(set(old.centres) & set(new.centres))
     if not common:
         return new

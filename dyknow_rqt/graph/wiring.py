@@ -45,11 +45,7 @@ def topics_for(snapshot: Snapshot, ref: PortRef) -> List[str]:
 
 
 def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
-    """Choose the topic for a connection, as ``dyknow connect`` does.
-
-    Raises:
-        CannotConnect: no stream can lead from one port to the other.
-    """
+    """Choose the topic for a connection, as ``dyknow connect`` does, or raise CannotConnect."""
     out_port, in_port = snapshot.port(source), snapshot.port(sink)
     if out_port is None or in_port is None:
         raise CannotConnect(f"{source if out_port is None else sink} is gone")
@@ -62,11 +58,7 @@ def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
 
 
 def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
-    """Connect two ports, given in any order, over a topic that is chosen for them.
-
-    Raises:
-        CannotConnect: they do not fit.
-    """
+    """Connect two ports, in any order, over a topic that is chosen, or raise CannotConnect."""
     port = snapshot.port(one)
     source, sink = (other, one) if port is not None and port.direction == IN else (one, other)
     topic = choose_topic(snapshot, source, sink)
@@ -99,14 +91,10 @@ def disconnect(snapshot: Snapshot, refs: Tuple[PortRef, ...]) -> Rewire:
 
 def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: str) -> Rewire:
     """Change connections; ports that are already connected as wanted are left out."""
-    found = [(ref, topic, snapshot.port(ref)) for ref, topic in topics]
-    needed = [
-        (ref, topic, port.topic if port is not None else "")
-        for ref, topic, port in found
-        if port is None or port.topic != topic
-    ]
-    return Rewire(
-        tuple((ref, topic) for ref, topic, _ in needed),
-        text,
-        tuple((ref, now) for ref, _, now in needed),
-    )
+    wanted, now = [], []
+    for ref, topic in topics:
+        port = snapshot.port(ref)
+        if port is None or port.topic != topic:
+            wanted.append((ref, topic))
+            now.append((ref, port.topic if port is not None else ""))
+    return Rewire(tuple(wanted), text, tuple(now))

@@ -79,11 +79,7 @@ class GivenFields(QWidget):
         self.more = self._add("More", "rate=5 frame=map", tip)
 
     def given(self) -> Tuple[Parameter, ...]:
-        """Return the given parameters, with the types left to the manager.
-
-        Raises:
-            InvalidParameters: the text for further parameters is something else.
-        """
+        """The given parameters, with the types left to the manager, or InvalidParameters."""
         texts = [(name, field.text().strip()) for name, field in self.fields.items()]
         found = [Parameter(name, "", text) for name, text in texts if text]
         if self.more is not None and self._shown is not None:

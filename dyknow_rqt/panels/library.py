@@ -57,21 +57,11 @@ class LibraryPanel(Panel):
         self._follow_selection()
 
     def import_file(self, path: str) -> None:
-        """Add the transformations of a file.
-
-        Raises:
-            OSError: the file cannot be read.
-        """
         with open(path, encoding="utf-8", errors="strict") as file:
             text = file.read()
         self._monitor.do(add_transformations(text, path.rpartition("/")[2]))
 
     def export_file(self, path: str) -> None:
-        """Write the transformations that are selected.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
         chosen = [self._monitor.library[label] for label in self.table.chosen()]
         with open(path, "w", encoding="utf-8") as file:
             file.write(as_specification(chosen))
