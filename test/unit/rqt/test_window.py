@@ -13,6 +13,7 @@ from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QMainWindow, QWidget
 from unit.rqt.hands import click, create, pauses, until, vertex_keys, window_of
 
+from dyknow_rqt.canvas.appearance import sizes_of
 from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.screenshots import dark_palette
@@ -110,8 +111,6 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
 
 def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
     figure = window.graph.drawn
-    from dyknow_rqt.canvas.appearance import sizes_of
-
     sizes = sizes_of(figure, window.font())
     for layouter in (Layouter("no_such_program"), Layouter("dot", limit=0.0)):
         words = []
