@@ -117,11 +117,14 @@ class EndsTest(ManagerCase):
             eventually(lambda: self.manager.nodelet("/alone") == before, 10.0, "it is back")
 
     def test_another_nodelet_manager_that_takes_the_name(self):
-        def take_over() -> None:
-            other = Running(*NODELET, "manager", f"__name:={CHILD[1:]}")
-            self.addCleanup(other.__exit__)
-
-        self.check_child(take_over)
+        """It keeps the name, as everywhere in ROS; once it has ended, everything is back."""
+        self.spawn("")
+        ended = self.manager.child()
+        with Running(*NODELET, "manager", f"__name:={CHILD[1:]}"):
+            eventually(lambda: not ended.alive, 10.0, "its process has ended")
+            eventually(lambda: not self.looks_as_spawned(), 10.0, "the model shows it")
+        eventually(self.looks_as_spawned, 40.0, "all nodelets are back")
+        self.assertNotEqual(self.manager.child(), ended)
 
     def test_a_stock_nodelet_manager(self):
         self.manager.client.add_transformation(NATIVE)
