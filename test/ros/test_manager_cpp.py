@@ -174,9 +174,10 @@ class ExternalTest(ManagerCase):
             self.addCleanup(process.__exit__)
             process.load("image_proc/resize", f"{name}_resize", {"image": "/cam/image_raw"})
         manager = self.started(nodelet_managers=["/ours", "/stock"])
-        eventually(lambda: manager.nodelet("/ours_resize"), 10.0, "it is seen")
+        for name in ("/ours_resize", "/stock_resize"):
+            eventually(lambda name=name: manager.nodelet(name), 10.0, f"{name} is seen")
         self.assertIs(manager.nodelet("/ours_resize").kind, NodeletKind.CPP)
-        self.assertIn("~image", manager.topics("/ours_resize"))
+        eventually(lambda: "~image" in manager.topics("/ours_resize"), 10.0, "its ports are seen")
         self.assertEqual(manager.topics("/stock_resize"), {})
         self.assertTrue(manager.nodelet("/stock_resize").is_fixed)
         manager.client.set_config("/ours_resize", {"~image": "/small"})
