@@ -180,6 +180,11 @@ class ControlLoop:
             return found.ended >= number
 
     @property
+    def started(self) -> bool:
+        """Whether `start` was called."""
+        return self._started
+
+    @property
     def running(self) -> bool:
         return any(thread.is_alive() for thread in self._threads)
 
@@ -308,8 +313,9 @@ class PeriodicWorker:
 
     def start(self) -> None:
         """Start the thread, once; the first round comes after a period, or a wake."""
-        if self._loop.start():
-            self._loop.requeue(self._what, self._until_next())
+        if not self._loop.started:
+            self._loop.requeue(self._what, self._until_next())  # before its thread waits for it
+            self._loop.start()
 
     def _until_next(self) -> float | None:
         return self._period() if callable(self._period) else self._period
