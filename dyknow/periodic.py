@@ -194,14 +194,12 @@ class ControlLoop:
             _, self._keys[key].due = self._times(after)
             self._changed.notify_all()
 
-    def start(self) -> bool:
-        """Start the threads; returns False if they were started, or the loop is closed."""
+    def start(self) -> None:
+        """Start the threads, unless they were started or the loop is closed."""
         with self._changed:
-            if self._started or self._closed:
-                return False
-            self._started = True
-            self._start_threads(self._workers + len(self._keys))
-            return True
+            if not self._started and not self._closed:
+                self._started = True
+                self._start_threads(self._workers + len(self._keys))
 
     def advance(self, until: float) -> Iterator[float]:
         """Run the rounds that are due by then in this thread; yields the time before each."""
