@@ -19,12 +19,13 @@ import rdflib
 from dyknow.errors import Problem
 from dyknow.manager.specifications.ontology_files import OntologyFile
 from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
+from dyknow.manager.specifications.ontology_statements import RELATIVES
 
 #: Most remarks that are listed for one file.
 _LISTED = 100
 #: Most URIs that one remark lists.
 _URIS = 5
-_KINDS = {"": "a class expression", "Restriction": "an owl:Restriction"}
+_IN_PART = frozenset(local_name(str(each)) for each in RELATIVES)
 
 
 class _Remark(NamedTuple):
@@ -43,8 +44,9 @@ class Remarks:
         self._remarks: dict[str, set[_Remark]] = defaultdict(set)
 
     def unread(self, path: str, owner: str, word: str) -> None:
-        what = _KINDS.get(word, f"owl:{word}")
-        self._note(path, owner, word, f"{what} in the description of <{owner}> is not read")
+        what = f"owl:{word}" if word else "a class expression"
+        how = "read in part" if word in _IN_PART else "not read"
+        self._note(path, owner, word, f"{what} in the description of <{owner}> is {how}")
 
     def not_imported(self, path: str, uri: str) -> None:
         message = (

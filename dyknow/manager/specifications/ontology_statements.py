@@ -4,8 +4,9 @@
 """Reads the statements of an ontology about classes and individuals.
 
 Class expressions are blank nodes: classes without a name that take part in the hierarchy. Of
-restrictions only owl:someValuesFrom is read. Any other one is a class of which nothing is known,
-so an intersection with one is a subclass of its other parts and contains nothing by itself.
+restrictions those are read by which a class has some relative. Any other one is a class of which
+nothing is known, so an intersection with one is a subclass of its other parts and contains nothing
+by itself.
 """
 
 from __future__ import annotations
@@ -31,6 +32,25 @@ _XSD = ("http://www.w3.org/2001/XMLSchema#",)
 _CLASSES = (OWL.Class, RDFS.Class)
 _INDIVIDUALS = (OWL.NamedIndividual, OWL.Thing)
 _BOOLEANS = (OWL.intersectionOf, OWL.unionOf, OWL.disjointUnionOf, OWL.oneOf)
+_ANYTHING = str(OWL.Thing)
+#: Restrictions by which a class has some relative if their number is not zero.
+_COUNTS = (
+    OWL.minCardinality,
+    OWL.minQualifiedCardinality,
+    OWL.cardinality,
+    OWL.qualifiedCardinality,
+)
+#: Restrictions by which a class has some relative: read for classes, not for individuals.
+RELATIVES = (OWL.someValuesFrom, OWL.hasValue, *_COUNTS)
+#: Expressions that are not read wholly.
+_WORDS = (
+    *RELATIVES,
+    OWL.allValuesFrom,
+    OWL.maxCardinality,
+    OWL.maxQualifiedCardinality,
+    OWL.hasSelf,
+    OWL.complementOf,
+)
 
 
 class Unread(NamedTuple):
@@ -39,6 +59,19 @@ class Unread(NamedTuple):
     path: str
     owner: str
     word: str
+
+
+class _Relatives(NamedTuple):
+    """Whatever is in a class has some relative, by a property or its inverse, in another class.
+
+    Attributes:
+        is_exact: whether everything with such a relative is in the class.
+    """
+
+    key: str
+    name: str
+    filler: str
+    is_exact: bool
 
 
 class OntologyStatements:
@@ -54,6 +87,10 @@ class OntologyStatements:
     def __init__(self, files: Sequence[OntologyFile]) -> None:
         """Read the statements, or raise OntologyFileError for a malformed list."""
         self.hierarchy = Hierarchy()
+        #: Properties and their inverses, which are `^` and the property.
+        self._properties = Hierarchy()
+        #: Superclasses of what has some value of a property, as stated.
+        self._domains: dict[str, set[str]] = defaultdict(set)
         self.types: dict[str, set[str]] = defaultdict(set)
         self._files = files
         self._graph = merged(files)
@@ -68,6 +105,7 @@ class OntologyStatements:
         self._read_subclasses()
         self._read_lists()
         self.unread = sorted({*self._unread_expressions(), *self._same_individuals()})
+        self._read_properties()
         self._read_domains_and_ranges()
         self.is_complete = self._complete(VISITS)
 
@@ -179,67 +217,117 @@ class OntologyStatements:
                 yield Unread(file.path, node_key(node), "sameAs")
 
     def _word(self, expression: Node) -> str:
-        if (expression, RDF.type, OWL.Restriction) in self._graph:
-            return "Restriction"
-        return "complementOf" if (expression, OWL.complementOf, None) in self._graph else ""
+        words = (each for each in _WORDS if (expression, each, None) in self._graph)
+        return local_name(str(next(words, "")))
 
     def _file_of(self, node: Node) -> str:
         """Return the first file that states something of a node, else the first one."""
         stating = (each.path for each in self._files if (node, None, None) in each.graph)
         return next(stating, self._files[0].path)
 
+    def _read_properties(self) -> None:
+        for lower, upper in self._graph.subject_objects(RDFS.subPropertyOf):
+            self._add_subproperty(node_key(lower), node_key(upper))
+        for one, other in self._graph.subject_objects(OWL.equivalentProperty):
+            self._add_equal_properties(node_key(one), node_key(other))
+        for one, other in self._graph.subject_objects(OWL.inverseOf):
+            self._add_equal_properties(node_key(one), _inverse(node_key(other)))
+        for each in self._graph.subjects(RDF.type, OWL.SymmetricProperty):
+            self._add_equal_properties(node_key(each), _inverse(node_key(each)))
+
+    def _add_subproperty(self, lower: str, upper: str) -> None:
+        self._properties.add_subclass(lower, upper)
+        self._properties.add_subclass(_inverse(lower), _inverse(upper))
+
+    def _add_equal_properties(self, one: str, other: str) -> None:
+        self._add_subproperty(one, other)
+        self._add_subproperty(other, one)
+
     def _read_domains_and_ranges(self) -> None:
         """Take the domain and the range of each property as types of the related individuals."""
-        graph, types = self._graph, self.types
-        #: Superclasses of the individuals that have some value of a property.
-        self._domains: dict[Node, set[str]] = defaultdict(set)
-        for predicate in (RDFS.domain, RDFS.range):
-            for name, value in graph.subject_objects(predicate):
-                if not self._is_class(value) or str(value).startswith(_BUILT_IN + _XSD):
-                    continue
-                key = node_key(value)
-                for each in graph.transitive_subjects(RDFS.subPropertyOf, name):
-                    if predicate == RDFS.domain:
-                        self._domains[each].add(key)
-                    place = graph.subjects if predicate == RDFS.domain else graph.objects
-                    for node in place(predicate=each):
-                        if not isinstance(node, rdflib.Literal) and node_key(node) in types:
-                            types[node_key(node)].add(key)
-                            self.hierarchy.add(key)
+        for name, value in self._graph.subject_objects(RDFS.domain):
+            self._add_domain(node_key(name), value)
+        for name, value in self._graph.subject_objects(RDFS.range):
+            self._add_domain(_inverse(node_key(name)), value)
+        domains: dict[Node, tuple[set[str], set[str]]] = {}
+        for subject, name, value in self._graph.triples((None, None, None)):
+            if name not in domains:
+                key = node_key(name)
+                domains[name] = (self._domains_of(key), self._domains_of(_inverse(key)))
+            for node, found in zip((subject, value), domains[name]):
+                if found and not isinstance(node, rdflib.Literal) and node_key(node) in self.types:
+                    self.types[node_key(node)] |= found
+
+    def _add_domain(self, name: str, value: Node) -> None:
+        if self._is_class(value) and not str(value).startswith(_BUILT_IN + _XSD):
+            self.hierarchy.add(node_key(value))
+            self._domains[name].add(node_key(value))
+
+    def _domains_of(self, name: str) -> set[str]:
+        """Return the classes of what has some value of a property."""
+        above = self._properties.above((name,))
+        return {kind for each in above for kind in self._domains.get(each, ())}
 
     def _complete(self, visits: int) -> bool:
-        """Add the consequences of unions and of someValuesFrom, within a number of visits.
+        """Add the consequences of unions and of relatives, within a number of visits.
 
         A class with some relative of one class has some relative of each class above it.
         """
-        relatives = self._some_values()
-        by_property: dict[Node, list[tuple[str, str]]] = defaultdict(list)
-        for key, name, filler in relatives:
-            by_property[name].append((key, filler))
-            for domain in self._domains[name]:
-                self.hierarchy.add_subclass(key, domain)
+        relatives = self._relatives()
+        exact: dict[str, list[_Relatives]] = defaultdict(list)
+        for each in relatives:
+            if each.is_exact:
+                exact[each.name].append(each)
+        #: The exact ones of each property and of those above it, and the range of the property.
+        wider: dict[str, tuple[list[_Relatives], set[str]]] = {}
+        for each in relatives:
+            if each.name not in wider:
+                above = self._properties.above((each.name,))
+                visits -= len(above)
+                found = [one for upper in above for one in exact.get(upper, ())]
+                wider[each.name] = (found, self._domains_of(_inverse(each.name)))
+            for domain in self._domains_of(each.name):
+                self.hierarchy.add_subclass(each.key, domain)
         changed = True
         while changed:
             changed = False
             if not self.hierarchy.complete_unions(visits):
                 return False
-            for key, name, filler in relatives:
-                above, known = self.hierarchy.above((filler,)), self.hierarchy.above((key,))
-                visits -= len(above) + len(known)
+            for each in relatives:
+                found, ranges = wider[each.name]
+                above = self.hierarchy.above((each.filler, *ranges)) | {_ANYTHING}
+                known = self.hierarchy.above((each.key,))
+                visits -= len(above) + len(known) + len(found)
                 if visits < 0:
                     return False
-                for upper in self._graph.transitive_objects(name, RDFS.subPropertyOf):
-                    for wider, kind in by_property.get(upper, ()):
-                        if kind in above and wider not in known:
-                            self.hierarchy.add_subclass(key, wider)
-                            changed = True
+                for one in found:
+                    if one.key not in known and one.filler in above:
+                        self.hierarchy.add_subclass(each.key, one.key)
+                        changed = True
         return True
 
-    def _some_values(self) -> list[tuple[str, rdflib.URIRef, str]]:
-        """Return the classes that owl:someValuesFrom describes: key, property and class."""
-        return sorted(
-            (node_key(node), name, node_key(filler))
-            for node, filler in self._graph.subject_objects(OWL.someValuesFrom)
-            for name in self._graph.objects(node, OWL.onProperty)
-            if isinstance(name, rdflib.URIRef) and not isinstance(filler, rdflib.Literal)
-        )
+    def _relatives(self) -> list[_Relatives]:
+        """Return what restrictions say of relatives."""
+        graph = self._graph
+        found = []
+        for node, name in graph.subject_objects(OWL.onProperty):
+            read = [
+                (node_key(filler), True)
+                for filler in graph.objects(node, OWL.someValuesFrom)
+                if not isinstance(filler, rdflib.Literal)
+            ]
+            read += [(_ANYTHING, False) for _ in graph.objects(node, OWL.hasValue)]
+            for predicate in _COUNTS:
+                for count in map(str, graph.objects(node, predicate)):
+                    if count.isdigit() and int(count) > 0:
+                        stated = (OWL.onClass, OWL.onDataRange)
+                        fillers = [each for word in stated for each in graph.objects(node, word)]
+                        is_exact = int(count) == 1 and predicate in _COUNTS[:2]
+                        read.append((node_key((*fillers, OWL.Thing)[0]), is_exact))
+            found += [_Relatives(node_key(node), node_key(name), *each) for each in read]
+        return sorted(found)
+
+
+def _inverse(name: str) -> str:
+    """Return the inverse of a property."""
+    return name[1:] if name.startswith("^") else f"^{name}"

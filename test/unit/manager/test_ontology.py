@@ -112,22 +112,21 @@ RESTRICTIONS = """
 :Thing a owl:Class ; rdfs:label "Thing" .
 :red rdfs:label "red" ; a
   [ a owl:Restriction ; owl:onProperty :p ; owl:hasValue :green ] .
-[ a owl:Restriction ; owl:onProperty :p ; owl:hasValue :x ] rdfs:subClassOf :Thing .
+[ a owl:Restriction ; owl:onProperty :p ; owl:allValuesFrom :x ] rdfs:subClassOf :Thing .
 :p rdfs:domain [ a owl:Restriction ; owl:onProperty :q ; owl:hasValue :x ] .
 """
 
 
-def test_restrictions_are_passed_over_with_a_warning(ontology):
+def test_a_warning_names_the_restriction_and_whether_it_is_read_in_part(ontology):
     found = ontology(RESTRICTIONS)
 
-    told = "{} in the description of <http://example.org/#{}> is not read"
-    restriction = "an owl:Restriction"
+    told = "owl:{} in the description of <http://example.org/#{}> is {}"
     assert [(each.line, each.message) for each in found.warnings] == [
-        (8, told.format(restriction, "Ball")),
-        (11, told.format(restriction, "Goal")),
-        (13, told.format("owl:complementOf", "Other")),
-        (16, told.format(restriction, "red")),
-        (17, told.format(restriction, "Thing")),
+        (8, told.format("someValuesFrom", "Ball", "read in part")),
+        (11, told.format("minCardinality", "Goal", "read in part")),
+        (13, told.format("complementOf", "Other", "not read")),
+        (16, told.format("hasValue", "red", "read in part")),
+        (17, told.format("allValuesFrom", "Thing", "not read")),
     ]
     assert found.is_subsumed("Ball", "Thing")
     assert found.is_subsumed("Goal", "Thing")

@@ -384,6 +384,121 @@ def test_what_has_some_relative_has_one_of_each_class_above_it(ontology) -> None
     assert not found.is_subsumed("Person", "Learned")
 
 
+@pytest.mark.parametrize(
+    "some",
+    [
+        "owl:hasValue :x",
+        "owl:minCardinality 1",
+        "owl:cardinality 2",
+        "owl:minQualifiedCardinality 3 ; owl:onClass :Other",
+        "owl:qualifiedCardinality 1 ; owl:onDataRange rdfs:Literal",
+    ],
+)
+def test_a_number_of_relatives_is_some_relative(ontology, some: str) -> None:
+    found = ontology(
+        f":A rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :p ; {some} ] .\n"
+        ":p rdfs:domain :Domain .\n"
+        ":Some owl:equivalentClass [ a owl:Restriction ; owl:onProperty :p ;"
+        " owl:someValuesFrom owl:Thing ] . :Others owl:equivalentClass [ a owl:Restriction ;"
+        " owl:onProperty :p ; owl:minQualifiedCardinality 1 ; owl:onClass :Other ] .\n"
+        ":Other a owl:Class ."
+    )
+    assert found.is_subsumed("A", "Domain")
+    assert found.is_subsumed("A", "Some")
+    assert found.is_subsumed("A", "Others") == (":Other" in some)
+    assert not found.is_subsumed("Some", "A")
+
+
+def test_none_and_at_most_some_relatives_are_no_relative(ontology) -> None:
+    restriction = "[ a owl:Restriction ; owl:onProperty :p ; {} ]"
+    found = ontology(
+        f":A rdfs:subClassOf {restriction.format('owl:minCardinality 0')} .\n"
+        f":B rdfs:subClassOf {restriction.format('owl:maxCardinality 1')} .\n"
+        f":C rdfs:subClassOf {restriction.format('owl:allValuesFrom :A')} .\n"
+        f":D owl:equivalentClass {restriction.format('owl:minCardinality 2')} .\n"
+        f":E rdfs:subClassOf {restriction.format('owl:minCardinality 1')} .\n"
+        ":p rdfs:domain :F ."
+    )
+    assert subsumed(found, "A B C D E F") == ["D<F", "E<F"]
+
+
+def test_inverse_and_equivalent_properties_have_each_others_domains_and_ranges(ontology) -> None:
+    found = ontology(
+        ":sees owl:inverseOf :seenBy . :seenBy owl:equivalentProperty :watchedBy .\n"
+        ":sees rdfs:domain :Camera ; rdfs:range :Ball . :near a owl:SymmetricProperty .\n"
+        ":near rdfs:domain :Place .\n"
+        ":Goal rdfs:subClassOf [ a owl:Restriction ; owl:onProperty [ owl:inverseOf :sees ] ;"
+        " owl:someValuesFrom :Robot ] . :Robot a owl:Class .\n"
+        ":Seen owl:equivalentClass [ a owl:Restriction ; owl:onProperty :watchedBy ;"
+        " owl:someValuesFrom :Camera ] .\n"
+        ":a a owl:NamedIndividual ; :watchedBy :b ; :near :c . :b a owl:NamedIndividual .\n"
+        ":c a owl:NamedIndividual ."
+    )
+    assert found.is_subsumed("a", "Ball")
+    assert found.is_subsumed("b", "Camera")
+    assert not found.is_subsumed("a", "Camera")
+    assert found.is_subsumed("c", "Place")
+    assert found.is_subsumed("Goal", "Ball")
+    assert found.is_subsumed("Goal", "Seen")  # what sees it is a camera
+    assert not found.is_subsumed("Robot", "Camera")
+
+
+LONG = 5000
+CHAINS = [
+    *((f":p{n}", "rdfs:subClassOf", f":p{n + 1}") for n in range(LONG)),
+    *((f":p{n}", "rdfs:subPropertyOf", f":p{n + 1}") for n in range(LONG)),
+    (f":p{LONG}", "rdfs:domain", ":Domain"),
+    (":x", "rdf:type", "owl:NamedIndividual"),
+    (":x", ":p0", ":x"),
+    (":Some", "rdfs:subClassOf", "_:some"),
+    ("_:some", "owl:onProperty", ":p0"),
+    ("_:some", "owl:someValuesFrom", ":p0"),
+    (":Wider", "owl:equivalentClass", "_:wider"),
+    ("_:wider", "owl:onProperty", f":p{LONG}"),
+    ("_:wider", "owl:someValuesFrom", f":p{LONG}"),
+]
+
+
+def uri(name: str) -> str:
+    prefix, _, local = name.partition(":")
+    return name if prefix == "_" else f"{N_TRIPLES[prefix] if prefix else '<' + BASE}{local}>"
+
+
+def rdf_xml(triples: Sequence[Tuple[str, str, str]]) -> str:
+    def node(name: str, word: str) -> str:
+        blank = name.startswith("_:")
+        return f'rdf:nodeID="{name[2:]}"' if blank else f'rdf:{word}="{uri(name)[1:-1]}"'
+
+    spaces = " ".join(f'xmlns:{prefix}="{each[1:]}"' for prefix, each in N_TRIPLES.items())
+    told = "\n".join(
+        f"<rdf:Description {node(one, 'about')}>"
+        f"<{name.lstrip(':')} {node(other, 'resource')}/></rdf:Description>"
+        for one, name, other in triples
+    )
+    return f'<rdf:RDF xmlns="{BASE}" {spaces}>\n{told}\n</rdf:RDF>\n'
+
+
+@pytest.mark.parametrize(
+    ("ending", "text"),
+    [
+        ("ttl", PREFIXES + "".join(f"{' '.join(each)} .\n" for each in CHAINS)),
+        ("nt", "".join(f"{' '.join(map(uri, each))} .\n" for each in CHAINS)),
+        ("owl", rdf_xml(CHAINS)),
+    ],
+    ids=["Turtle", "N-Triples", "RDF/XML"],
+)
+def test_long_chains_of_classes_and_of_properties(tmp_path: Path, ending: str, text: str) -> None:
+    path = tmp_path / f"o.{ending}"
+    path.write_text(text)
+
+    found = load_ontology([str(path)])
+    assert found.is_subsumed("p0", f"p{LONG}")
+    assert found.is_subsumed("x", "Domain")
+    assert found.is_subsumed("Some", "Wider")
+    assert found.is_subsumed("Some", "Domain")
+    assert found.individuals(BASE + "Domain") == ("x",)
+
+
 def test_domains_and_ranges_are_classes_of_what_a_property_relates(ontology) -> None:
     found = ontology(
         ":sees rdfs:subPropertyOf :senses ; rdfs:domain :Camera .\n"
