@@ -17,6 +17,7 @@
 #include "process_services.h"
 #include "registry.h"
 #include "self_check.h"
+#include "stuck_callbacks.h"
 #include "symbols.h"
 
 namespace dyknow
@@ -129,6 +130,7 @@ void Nodelet::init(const std::string& name, const M_string& remapping_args, cons
     throw;
   }
   dyknow::offerServices(proxy);
+  dyknow::watchCallbacks();
 }
 
 namespace detail

@@ -148,7 +148,7 @@ void start()
       {
         if (dyknow::areHooksReached())
         {
-          dyknow::offerProcessServices();
+          dyknow::offerServicesAgain();
         }
       });
 }

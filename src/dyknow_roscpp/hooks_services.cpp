@@ -19,6 +19,8 @@
 #include "master.h"
 #include "names.h"
 #include "problems.h"
+#include "process_services.h"
+#include "self_check.h"
 #include "symbols.h"
 
 namespace dyknow
@@ -120,6 +122,10 @@ bool ServiceManager::advertiseService(const AdvertiseServiceOptions& ops)
   if (check == nullptr)
   {
     return next(this, ops);
+  }
+  if (dyknow::areHooksReached())
+  {
+    dyknow::offerManagerServices();  // first: clients of the loader's services know its kind
   }
   AdvertiseServiceOptions guarded = ops;
   guarded.helper = boost::make_shared<dyknow::GuardedCallback>(ops.helper, check);

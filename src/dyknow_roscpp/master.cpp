@@ -6,6 +6,7 @@
 #include <ros/master.h>
 #include <ros/network.h>
 #include <ros/this_node.h>
+#include <ros/xmlrpc_manager.h>
 #include <xmlrpcpp/XmlRpcClient.h>
 
 #include <algorithm>
@@ -86,15 +87,20 @@ XmlRpc::XmlRpcValue ask(const std::string& uri, const std::string& question, con
     {
       request[1] = argument;
     }
-    XmlRpc::XmlRpcClient client(host.c_str(), static_cast<int>(port), "/");
+    // Of roscpp's pool, so mostly it is connected: a new connection is a new thread of the master.
+    const auto clients = ros::XMLRPCManager::instance();
+    auto& client = *clients->getXMLRPCClient(host, static_cast<int>(port), "/");
     if (client.executeNonBlock(question.c_str(), request))
     {
       const std::chrono::duration<double> left = deadline - Clock::now();
       client._disp.work(std::max(0.0, left.count()));  // returns when the answer is there
       is_answered = client.executeCheckDone(answer) && !client.isFault();
     }
-    client._disp.removeSource(&client);
-    client.close();
+    if (!is_answered)
+    {
+      client.close();  // an answer that is late must not be taken for that to the next question
+    }
+    clients->releaseXMLRPCClient(&client);
   }
   if (!is_answered || answer.getType() != XmlRpc::XmlRpcValue::TypeArray || answer.size() != 3 ||
       answer[0].getType() != XmlRpc::XmlRpcValue::TypeInt)

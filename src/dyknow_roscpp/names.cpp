@@ -3,6 +3,7 @@
 
 #include "names.h"
 
+#include <algorithm>
 #include <cctype>
 
 #include "problems.h"
@@ -110,6 +111,11 @@ std::string portOf(const std::string& name, const std::string& node)
   }
   const std::string space = parent(node);
   return isBelow(name, space) ? name.substr(space == "/" ? 1 : space.size() + 1) : name;
+}
+
+std::string base(const std::string& port)
+{
+  return port.substr(std::min(port.find_first_not_of("~/"), port.size()));
 }
 
 std::string globalOf(const std::string& port, const std::string& node)

@@ -36,6 +36,9 @@ std::string beforeRemapping(const std::string& name, const std::map<std::string,
 /// relative to the node's namespace, private with `~`, else global.
 std::string portOf(const std::string& name, const std::string& node);
 
+/// The name of a port without the `~` or `/` that says where it begins.
+std::string base(const std::string& port);
+
 /// The global name of a port, before any remapping.
 std::string globalOf(const std::string& port, const std::string& node);
 

@@ -259,6 +259,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
 std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
                                                       const std::vector<NamedPort>& ports) const
 {
+  const std::string origin = text.empty() ? "" : names::globalOf(text, name);
   std::vector<std::string> known;
   std::vector<std::shared_ptr<Port>> by_origin;
   std::vector<std::shared_ptr<Port>> by_image;  // of an image that comes by image_transport's topics alone
@@ -268,7 +269,7 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
     {
       return {each.port};
     }
-    if (each.port->name.origin == text)
+    if (each.port->name.origin == origin)
     {
       by_origin.push_back(each.port);
     }
@@ -284,7 +285,7 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
   }
   if (by_origin.empty())
   {
-    by_origin.push_back(portToCome(text));
+    by_origin.push_back(portToCome(text, origin, ports));
   }
   if (by_origin.size() != 1 || !by_origin.front())  // of two it cannot say which
   {
@@ -294,17 +295,28 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
   return by_origin;
 }
 
-std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
+std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text, const std::string& origin,
+                                               const std::vector<NamedPort>& ports) const
 {
-  const std::string origin = names::globalOf(text, name);
   const auto remappings = this->remappings();
   const auto remapping = remappings.find(origin);
   if (text.empty() || remapping == remappings.end())
   {
     return nullptr;
   }
-  // Of which direction it will be is not known; usually the subscription is lazy.
   const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
+  // Misspelt, `out` for `~out`: no load names that. Where the code watches who subscribes to `~image`, it may
+  // subscribe to `image` then.
+  const auto is_meant = [&](const auto& each)
+  {
+    return names::base(each.port->name.label) == names::base(port_name.label) &&
+           remappings.count(each.port->name.origin) == 0 && !each.port->is_watched;
+  };
+  if (std::any_of(ports.begin(), ports.end(), is_meant))
+  {
+    return nullptr;
+  }
+  // Of which direction it will be is not known; usually the subscription is lazy.
   return std::make_shared<Port>(name, port_name, Direction::IN, topicAtStart(remapping->second), true);
 }
 

@@ -61,6 +61,7 @@ PortPublication::PortPublication(std::shared_ptr<Port> port) : port_(std::move(p
 bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::SubscriberCallbacksPtr& callbacks)
 {
   const Traffic before = port_->join(shared_from_this(), options.datatype);
+  port_->is_watched = port_->is_watched || options.connect_cb;
   RegistrationPtr first;
   {
     std::lock_guard<std::mutex> lock(message_lock_);

@@ -27,6 +27,7 @@
 #include "names.h"
 #include "problems.h"
 #include "registry.h"
+#include "stuck_callbacks.h"
 #include "topics.h"
 
 namespace dyknow
@@ -38,7 +39,7 @@ constexpr int THREADS = 4;
 /// In which changes that follow an announced one are collected.
 constexpr std::chrono::milliseconds WINDOW(20);
 constexpr int QUEUE_SIZE = 1000;
-/// Where a node with live ports announces its name; a nodelet manager is found otherwise.
+/// Where a node with live ports announces its name, and changes of it; a nodelet manager is found otherwise.
 constexpr char NODES[] = "/dyknow/rewirable_nodes";
 /// Characters of one text in the log.
 constexpr std::size_t LONGEST_LOG = 4096;
@@ -187,7 +188,7 @@ bool getCounts(GetCountsEvent& event)
   return true;
 }
 
-/// The topic on which this process announces changes.
+/// The topic on which a nodelet manager announces changes.
 std::string changesTopic()
 {
   return names::join(ros::this_node::getName(), "changes");
@@ -215,11 +216,17 @@ public:
     offerInTurn(proxy);
   }
 
+  void offerManager()
+  {
+    const std::lock_guard<std::mutex> turn(turn_lock_);
+    offerProcessInTurn();
+    advertise(changesTopic(), &Services::tellEverything);
+  }
+
   void offerEverything()
   {
     {
       const std::lock_guard<std::mutex> turn(turn_lock_);
-      offerProcessInTurn();
       for (const auto& each : Registry::instance().owners())
       {
         if (each->is_offered)
@@ -263,7 +270,6 @@ private:
 
   void offerProcessInTurn()
   {
-    advertise(changesTopic(), &Services::tellEverything);
     advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
     advertise<RenewLeaseEvent>(names::join(ros::this_node::getName(), "renew_lease"), renewLease);
   }
@@ -324,42 +330,60 @@ private:
   /// A newcomer may have missed changes.
   static void tellEverything(const ros::SingleSubscriberPublisher& newcomer)
   {
-    dyknow_msgs::NodeletChanges message;
+    std::set<std::string> nodelets;
     for (const auto& each : Registry::instance().owners())
     {
-      message.nodelets.push_back(each->name);
+      nodelets.insert(each->name);
     }
-    if (!message.nodelets.empty())
+    if (!nodelets.empty())
     {
-      newcomer.publish(message);
+      newcomer.publish(messageOf(nodelets));
     }
   }
 
   static void tellName(const ros::SingleSubscriberPublisher& newcomer)
   {
+    newcomer.publish(messageOf({ros::this_node::getName()}));
+  }
+
+  static dyknow_msgs::NodeletChanges messageOf(const std::set<std::string>& nodelets)
+  {
     dyknow_msgs::NodeletChanges message;
-    message.nodelets.push_back(ros::this_node::getName());
-    newcomer.publish(message);
+    for (const auto& each : nodelets)
+    {
+      message.nodelets.push_back(each);
+      message.details.push_back(stuckCallback(each));
+    }
+    return message;
+  }
+
+  static void publish(const std::string& topic, const std::set<std::string>& nodelets)
+  {
+    if (const auto publication = topics::publication(topic))
+    {
+      const auto message = messageOf(nodelets);
+      ros::SerializedMessage serialised;
+      topics::publish(
+          *publication, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
+    }
   }
 
   void tell()
   {
-    dyknow_msgs::NodeletChanges message;
+    std::set<std::string> changed;
     {
       std::lock_guard<std::mutex> lock(state_lock_);
-      message.nodelets.assign(changed_.begin(), changed_.end());
-      changed_.clear();
+      changed.swap(changed_);
       told_ = Clock::now();
     }
-    if (!topics::isUp() || message.nodelets.empty())
+    if (!topics::isUp() || changed.empty())
     {
       return;
     }
-    if (const auto publication = topics::publication(changesTopic()))
+    publish(changesTopic(), changed);
+    if (changed.count(ros::this_node::getName()) > 0)
     {
-      ros::SerializedMessage serialised;
-      topics::publish(
-          *publication, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
+      publish(NODES, {ros::this_node::getName()});
     }
   }
 
@@ -387,7 +411,12 @@ void withdrawServices(NodeletProxy& proxy)
   announceChange(proxy.name);
 }
 
-void offerProcessServices()
+void offerManagerServices()
+{
+  Services::instance().offerManager();
+}
+
+void offerServicesAgain()
 {
   Services::instance().offerEverything();
 }

@@ -16,21 +16,24 @@
 namespace dyknow
 {
 
-/// Offers get_config, set_config and get_statistics in the name of a nodelet, and announces it on `~changes`;
-/// once is enough, however often roscpp is shut down and started again.
+/// Offers get_config, set_config and get_statistics in the name of a nodelet, and `~get_counts` and
+/// `~renew_lease`, and announces it; once is enough, however often roscpp is shut down and started again.
 void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 
 /// Withdraws them, and announces it.
 void withdrawServices(NodeletProxy& proxy);
 
-/// Offers the services of the process, `~get_counts` and the topic `~changes`, and again what
-/// `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after each start.
-void offerProcessServices();
+/// Offers what a nodelet manager offers of its own: `~get_counts`, `~renew_lease` and the topic `~changes`.
+void offerManagerServices();
+
+/// Offers again what `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after
+/// each start.
+void offerServicesAgain();
 
 /// Whether a topic is one of those that the process offers.
 bool isOwnTopic(const std::string& topic);
 
-/// Tells on `~changes` that a nodelet, or a port of it, has changed; returns at once.
+/// Announces that a nodelet, or a port of it, has changed; returns at once.
 void announceChange(const std::string& nodelet);
 
 }  // namespace dyknow

@@ -8,6 +8,7 @@
 
 #include <charconv>
 #include <cstring>
+#include <mutex>
 
 #include "process_services.h"
 
@@ -16,7 +17,19 @@ namespace dyknow
 namespace
 {
 
-thread_local const ros::CallbackQueueInterface* t_running = nullptr;
+struct Works
+{
+  std::mutex state_lock;
+  std::vector<RunningQueue::Work*> all;
+};
+
+Works& works()
+{
+  static auto& works = *new Works;  // leaked, see later.cpp
+  return works;
+}
+
+thread_local RunningQueue::Work* t_work = nullptr;
 
 /// The suffix that makes a topic the key of a handle, with a number behind it.
 constexpr char MARK[] = "/__dyknow";
@@ -106,6 +119,13 @@ std::shared_ptr<NodeletProxy> Registry::leave(const ros::CallbackQueueInterface*
   }
   gone->close();
   return gone;
+}
+
+std::string Registry::nodeletOf(const ros::CallbackQueueInterface* queue) const
+{
+  std::shared_lock<std::shared_mutex> lock(state_lock_);
+  const auto found = queues_.find(queue);
+  return found == queues_.end() ? "" : found->second;
 }
 
 std::shared_ptr<NodeletProxy> Registry::ownerOf(const ros::NodeHandle& handle,
@@ -214,19 +234,32 @@ void Registry::remove(const std::string& key)
   publication = extract(publications_, key);
 }
 
-RunningQueue::RunningQueue(const ros::CallbackQueueInterface* queue) : before_(t_running)
+RunningQueue::RunningQueue(const ros::CallbackQueueInterface* queue) : before_(current())
 {
-  t_running = queue;
+  if (t_work == nullptr)
+  {
+    t_work = new Work;
+    std::lock_guard<std::mutex> lock(works().state_lock);
+    works().all.push_back(t_work);
+  }
+  t_work->queue.store(queue, std::memory_order_relaxed);
+  t_work->number.store(t_work->number.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
 }
 
 RunningQueue::~RunningQueue()
 {
-  t_running = before_;
+  t_work->queue.store(before_, std::memory_order_relaxed);
 }
 
 const ros::CallbackQueueInterface* RunningQueue::current()
 {
-  return t_running;
+  return t_work == nullptr ? nullptr : t_work->queue.load(std::memory_order_relaxed);
+}
+
+std::vector<RunningQueue::Work*> RunningQueue::all()
+{
+  std::lock_guard<std::mutex> lock(works().state_lock);
+  return works().all;
 }
 
 }  // namespace dyknow

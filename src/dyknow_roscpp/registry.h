@@ -9,12 +9,14 @@
 #include <ros/callback_queue_interface.h>
 #include <ros/node_handle.h>
 
+#include <atomic>
 #include <map>
 #include <memory>
 #include <shared_mutex>
 #include <string>
 #include <vector>
 
+#include "later.h"
 #include "nodelet_proxy.h"
 #include "port_publication.h"
 #include "port_subscription.h"
@@ -44,6 +46,9 @@ public:
 
   /// The nodelet of a queue ends: returns its proxy, which is closed; null if there is none (any more).
   std::shared_ptr<NodeletProxy> leave(const ros::CallbackQueueInterface* queue);
+
+  /// The name of the nodelet of a queue; empty if there is none (any more).
+  std::string nodeletOf(const ros::CallbackQueueInterface* queue) const;
 
   std::shared_ptr<NodeletProxy> ownerOf(const ros::NodeHandle& handle,
                                         const ros::CallbackQueueInterface* queue);
@@ -88,6 +93,20 @@ public:
   RunningQueue& operator=(const RunningQueue&) = delete;
 
   static const ros::CallbackQueueInterface* current();
+
+  /// What a thread is at.
+  struct Work
+  {
+    std::atomic<const ros::CallbackQueueInterface*> queue{nullptr};
+    std::atomic<std::uint64_t> number{0};  ///< of the callback
+    // Of the one thread that looks at it.
+    std::uint64_t seen = 0;
+    Clock::time_point since;
+    std::chrono::duration<double> due;
+  };
+
+  /// That of all threads which have worked for a nodelet.
+  static std::vector<Work*> all();
 
 private:
   const ros::CallbackQueueInterface* const before_;
