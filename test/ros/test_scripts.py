@@ -7,22 +7,34 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import tempfile
 import time
-from typing import Any, List
+from typing import List
 
 import graph  # first: it makes the test package known
-import rosgraph
+import psutil
 import rospy
 import rostest
-from dyknow_msgs.msg import Port
+from dyknow_msgs.msg import NodeletChanges, Port
 from dyknow_msgs.srv import GetCounts
-from graph import NodeletManagerCase, get_config, hearing, hears, set_config, topics_of_ports
-from processes import BUSY, DYKNOW, HELD_UP, NODELET, eventually
+from graph import (
+    Heard,
+    NodeletManagerCase,
+    comes,
+    connect,
+    get_config,
+    hears,
+    registered,
+    set_config,
+    topics_of_ports,
+)
+from processes import BUSY, DYKNOW, HELD_UP, NODELET, becomes, eventually
 from roslib.packages import find_node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
 
 RUN = [*DYKNOW, "run"]
 SCRIPT = "dyknow/Script"
@@ -41,9 +53,12 @@ rospy.spin()
 """
 
 
-def said(text: str, heard: List[Any]) -> bool:
-    """Whether a text is among the messages; a loop may send another one after it."""
-    return any(each.data == text for each in list(heard))
+LAST_WORDS = ["stopping", "stopped"]
+
+
+def words_on(topic: str) -> Heard:
+    """The words that come on a topic."""
+    return Heard(topic, String, lambda message: message.data)
 
 
 def without_traces(output: str) -> List[str]:
@@ -51,30 +66,8 @@ def without_traces(output: str) -> List[str]:
     return [line for line in output.splitlines() if line and not line.startswith("  ")]
 
 
-def said_last(heard: List[Any]) -> None:
-    """Wait until the last words of `habits.py` have come: the process may have ended before."""
-    words = ["stopping", "stopped"]
-    eventually(lambda: [each.data for each in heard] == words, 5.0, "last words", lambda: heard)
-
-
-def connected(topic: str, publisher: str) -> None:
-    """Wait until the node that publishes a topic sends it to this process.
-
-    It greets before that, and messages in between do not come.
-    """
-    me = rospy.get_name()
-    eventually(
-        lambda: any(
-            each[1] == me and each[2] == "o" and each[4] == topic
-            for each in graph.bus_info(publisher)
-        ),
-        10.0,
-        f"connected to {topic}",
-    )
-
-
 class SharedTest(NodeletManagerCase):
-    """In one nodelet manager."""
+    """In one nodelet manager, whose loads wait 2 s for a script: a busy machine takes longer."""
 
     def load(self, script: str, name: str, *arguments: str, **remappings: str) -> None:
         self.manager.load(SCRIPT, name, remappings, [f"dyknow_test/{script}", *arguments])
@@ -84,44 +77,51 @@ class SharedTest(NodeletManagerCase):
         self.manager.unload(name)
         self.assertLess(time.monotonic() - began, HELD_UP)
 
+    def is_free(self, name: str) -> None:
+        """Nothing of it is left, and its name can be used again."""
+        eventually(lambda: self.manager.is_free(name), 5.0, f"{name} is free")
+        self.nothing_of(name)
+
+    def nothing_of(self, name: str) -> None:
+        becomes(lambda: [each for each in registered("/manager") if name in each], [])
+
     def test_a_node_becomes_a_nodelet(self):
         rospy.set_param("/robot/a/word", "one")
         self.load("talker.py", "/robot/a")
-        names = {"/robot/words": "/b_words"}
-        self.load("talker.py", "/robot/b", "--word", "two", **names)
-        self.assertEqual(topics_of_ports("/robot/a"), {"words": "/robot/words"})
-        self.assertEqual(topics_of_ports("/robot/b"), {"words": "/b_words"})
+        self.load("talker.py", "/robot/b", "--word", "two", **{"/robot/words": "/b_words"})
+        becomes(lambda: topics_of_ports("/robot/a"), {"words": "/robot/words"})
+        becomes(lambda: topics_of_ports("/robot/b"), {"words": "/b_words"})
         hears("/robot/words", "one 1")
-        hears("/b_words", "two 2")
-        with hearing("/b_words") as heard:
-            eventually(lambda: heard, 5.0, "connected")
+        with words_on("/b_words") as heard:
+            heard.has(lambda text: "two 2" in text)
             self.unload("/robot/b")
-            eventually(lambda: said("good-bye", heard), 5.0, "on_shutdown", lambda: heard)
-        state = rosgraph.Master("/tests").getSystemState()
-        self.assertNotIn("/b_words", [topic for topic, nodes in state[0] if "/manager" in nodes])
+            heard.has(lambda text: text == "good-bye")  # a loop may send another one after it
+        self.nothing_of("/b_words")
 
     def test_it_is_connected_elsewhere_and_loses_nothing(self):
         self.load("talker.py", "/talker")
-        with hearing("/words") as first, hearing("/second") as second:
-            eventually(lambda: first, 5.0, "heard")
-            self.assertTrue(set_config("/talker", **{"/words": "/second"}).success)
-            eventually(lambda: len(second) > 5, 5.0, "moved")
-            self.assertTrue(set_config("/talker", words="/words").success)
-            count = len(first)
-            eventually(lambda: len(first) > count + 5, 5.0, "moved back")
-            numbers = sorted(int(each.data.split()[1]) for each in [*first, *second])
-            self.assertEqual(numbers, list(range(numbers[0], numbers[0] + len(numbers))))
+        with words_on("/words") as first, words_on("/second") as second:
+            first.flows()
+            for topic, heard in (("/second", second), ("/words", first)):
+                connect("/talker", **{"/words": topic})
+                heard.flows(6)
+
+            def missing():
+                numbers = {int(text.split()[1]) for text in [*first, *second]}
+                return set(range(min(numbers), max(numbers))) - numbers
+
+            becomes(missing, set())  # the last of each may come in any order
+            self.assertEqual(len({*first, *second}), len(first) + len(second))
 
     def test_what_the_manager_disconnects_begins_disconnected(self):
         self.load("talker.py", "/talker", words="/talker/disconnected/words")
-        self.assertEqual(topics_of_ports("/talker"), {"words": ""})
+        becomes(lambda: topics_of_ports("/talker"), {"words": ""})
 
     def test_ports_bear_the_names_of_the_code(self):
         names = {"/robot/told": "/news", "/robot/shout": "/yell"}
         self.load("both_ways.py", "/robot/n", **names)
-        ports = {port.name: (port.direction, port.topic) for port in get_config("/robot/n")}
-        self.assertEqual(
-            ports,
+        becomes(
+            lambda: {each.name: (each.direction, each.topic) for each in get_config("/robot/n")},
             {
                 "shout_out": (Port.OUT, "/yell"),
                 "shout_in": (Port.IN, "/yell"),
@@ -130,34 +130,49 @@ class SharedTest(NodeletManagerCase):
                 "told": (Port.IN, "/news"),
             },
         )
-        self.assertTrue(set_config("/robot/n", **{"/robot/n/whisper": "/quiet"}).success)
+        connect("/robot/n", **{"/robot/n/whisper": "/quiet"})
         self.assertEqual(topics_of_ports("/robot/n")["~whisper"], "/quiet")
         refused = set_config("/robot/n", **{"/robot/shout": "/x"})
         self.assertIn("shout_out", refused.message)
 
     def test_neighbours_see_what_a_script_does_to_its_messages_only_on_request(self):
         for by_reference in (False, True):
-            with hearing("/spoiler/seen", JointState) as seen:
-                rospy.set_param("/spoiler/by_reference", by_reference)
-                self.load("spoiler.py", "/spoiler")
-                eventually(lambda seen=seen: len(seen) > 50, 10.0, "messages")
-            self.assertEqual("spoilt" in {each.name[0] for each in seen}, by_reference)
-            if not by_reference:
-                self.assertTrue(all(each.position[0] >= 0 for each in seen))
+            rospy.set_param("/spoiler/by_reference", by_reference)
+            self.load("spoiler.py", "/spoiler")
+            with Heard("/spoiler/seen", JointState) as seen:
+                if by_reference:
+                    seen.has(lambda state: state.name[0] == "spoilt")
+                else:
+                    seen.flows(50)
+                    self.assertEqual({each.name[0] for each in seen}, {"a"})
+                    self.assertTrue(all(each.position[0] >= 0 for each in seen))
             self.unload("/spoiler")
 
     def test_libraries_work_between_two_instances(self):
         self.load("libraries.py", "/server")
-        with hearing("/diagnostics", rospy.AnyMsg) as told:
-            eventually(lambda: told, 10.0, "diagnostics")
+        comes("/diagnostics", rospy.AnyMsg)
         self.load("libraries.py", "/client", "/server/count")
         hears("/client/told", "42 2.0")
-        self.assertIn("/server/count/goal", graph.registrations("/manager")["subscribers"])
+        self.assertIn("subscribers /server/count/goal", registered("/manager"))
         self.unload("/client")
         self.unload("/server")
-        left = graph.registrations("/manager")
-        self.assertEqual([t for kind in left.values() for t in kind if "/server" in t], [])
-        self.assertNotIn("/tf_static", left["publishers"] + left["subscribers"])
+        self.nothing_is_left()
+
+    def refusal(self, script: str, *arguments: str) -> str:
+        """What the refusal of a load says; a late script may fail after its load."""
+        said: List[str] = []
+
+        def is_refused() -> bool:
+            try:
+                self.load(script, "/ill", *arguments)
+            except rospy.ServiceException as error:
+                said.append(str(error))
+            else:
+                self.is_free("/ill")
+            return bool(said)
+
+        eventually(is_refused, 5.0, "it is refused")
+        return said[0]
 
     def test_what_cannot_share_a_process_is_refused_with_the_cure(self):
         for what, said in (
@@ -176,48 +191,50 @@ class SharedTest(NodeletManagerCase):
                 if said is None:
                     self.load("ill.py", "/ill", what)  # it ends at once, in order
                 else:
-                    with self.assertRaisesRegex(rospy.ServiceException, re.escape(said)) as caught:
-                        self.load("ill.py", "/ill", what)
+                    refusal = self.refusal("ill.py", what)
+                    self.assertIn(said, refusal)
                     if "own" not in said and "exit" not in said:
-                        self.assertIn("isolated", str(caught.exception))
-                eventually(lambda: self.manager.is_free("/ill"), 5.0, "nothing is left")
+                        self.assertIn("isolated", refusal)
+                self.is_free("/ill")
         for script in ("gone.py", "package.xml"):
-            with self.assertRaises(rospy.ServiceException) as caught:
-                self.load(script, "/ill")
-            self.assertIn(script, str(caught.exception))
-
-    def test_a_script_may_do_without_what_is_refused(self):
-        self.load("ill.py", "/ill", "optional")
-        self.assertIn("/ill/without", graph.services_of("/manager"))
+            self.assertIn(script, self.refusal(script))
+        self.load("ill.py", "/ill", "optional")  # a script may do without what is refused
+        without = "services /ill/without"
+        eventually(lambda: without in registered("/manager"), 5.0, "it goes on")
 
     def test_a_script_that_ends_or_fails_is_gone_and_its_neighbours_stay(self):
         self.load("talker.py", "/talker")
         for what in ("later", "quit", "_exit", "display", "show"):
             with self.subTest(what):
                 self.load("ill.py", "/ill", what)
-                eventually(lambda: self.manager.is_free("/ill"), 5.0, "it is unloaded")
+                self.is_free("/ill")
         hears("/words", "hello")
 
     def test_last_words_are_sent(self):
-        self.load("habits.py", "/habits", "spin", **{"/camera": "/left"})
-        self.assertEqual(rospy.get_param("/habits/remapped"), ["/left", "lamp"])
-        with hearing("/habits/words") as heard:
-            connected("/habits/words", "/manager")
-            self.unload("/habits")
-            said_last(heard)
+        def are_sent():
+            self.load("habits.py", "/habits", "spin", **{"/camera": "/left"})
+            becomes(lambda: rospy.get_param("/habits/remapped", None), ["/left", "lamp"])
+            with words_on("/habits/words") as heard:
+                self.unload("/habits")
+                self.nothing_of("/habits")
+                heard.has(lambda text: text == LAST_WORDS[0])
+                return list(heard)
+
+        # On a busy machine an unload may not wait for the second one.
+        eventually(lambda: are_sent() == LAST_WORDS, 5.0, "both last words are sent")
 
     def test_waits_end_with_the_unload(self):
+        before = self.manager.threads()
         for what in ("service", "message"):
             with self.subTest(what):
                 self.load("habits.py", "/waiting", what)
                 self.unload("/waiting")
-        self.assertNotIn("thread '/waiting main' does not end", self.manager.output)
+        eventually(lambda: self.manager.threads() <= before + 1, 10.0, "threads have ended")
 
     def test_a_shutdown_of_its_own_is_complete_when_it_returns(self):
         self.load("habits.py", "/habits", "quit")
-        eventually(lambda: rospy.has_param("/habits/quit"), 10.0, "it has shut down")
-        self.assertEqual(rospy.get_param("/habits/quit"), [True, "enough"])
-        eventually(lambda: self.manager.is_free("/habits"), 5.0, "it is unloaded")
+        becomes(lambda: rospy.get_param("/habits/quit", None), [True, "enough"])
+        self.is_free("/habits")
 
     def test_endless_threads_end_within_a_second(self):
         before = self.manager.threads()
@@ -236,7 +253,7 @@ class SharedTest(NodeletManagerCase):
             for number, word in enumerate(("old", "new")):
                 write(f"{folder}/news_sibling.py", f"word = '{word}'", number)
                 self.manager.load(SCRIPT, f"/n{number}", {}, ["news/news.py"])
-                self.assertEqual(rospy.get_param(f"/n{number}/word"), word)
+                becomes(lambda n=number: rospy.get_param(f"/n{n}/word", None), word)
 
 
 def write(path: str, text: str, seconds: int) -> None:
@@ -249,17 +266,15 @@ def write(path: str, text: str, seconds: int) -> None:
 class CommandTest(graph.TellingCase):
     """With `load_script`, `standalone_script` and `run`."""
 
-    def start(self, *command: str) -> graph.Ended:
-        process = graph.Ended(*command)
-        self.addCleanup(process.__exit__)
-        return process
+    def run_script(self, *words: str) -> graph.Ended:
+        return self.run_process(*RUN, "dyknow_test", *words)
 
     def test_load_script_is_bonded_as_load_is(self):
-        manager = self.start(*NODELET, "manager", "__name:=host")
-        client = self.start(
-            *NODELET, "load_script", "dyknow_test", "talker.py", "host", "--word", "w",
-            "__name:=told", "words:=/told_words", "_rate:=20",
-        )  # fmt: skip
+        manager = self.run_process(*NODELET, "manager", "__name:=host")
+        client = self.run_process(
+            *(*NODELET, "load_script", "dyknow_test", "talker.py", "host", "--word", "w"),
+            *("__name:=told", "words:=/told_words", "_rate:=20"),
+        )
         hears("/told_words", "w 3")
         self.assertEqual(rospy.get_param("/told/rate"), 20)
         graph.let_the_bond_form("/host/bond")
@@ -267,32 +282,37 @@ class CommandTest(graph.TellingCase):
         manager.wait_for("unloaded nodelet /told", 30.0)
 
     def test_a_script_in_a_process_of_its_own(self):
-        node = self.start(
-            *RUN, "dyknow_test", "talker.py", "--word", "alone", "words:=/here", "_rate:=100"
-        )
+        words = ("--word", "alone", "words:=/here", "_rate:=100")
+        node = self.run_script("talker.py", *words)
         hears("/here", "alone")
-        name = next(n for n in graph.nodes_on("/here")[0])
+        (name,) = graph.nodes_on("/here")[0]
         self.assertRegex(name, r"^/talker_\d+_\d+$")  # as anonymous nodes are called
+        rospy.wait_for_service(f"{name}/get_counts", 5.0 * BUSY)  # its last
         self.assertEqual(topics_of_ports(name), {"words": "/here"})
         self.assertEqual(rospy.get_param(f"{name}/rate"), 100)
-        rospy.wait_for_service(f"{name}/get_counts", 5.0 * BUSY)
         counts = rospy.ServiceProxy(f"{name}/get_counts", GetCounts)([])
         self.assertEqual(counts.kind, "node")
-        self.assertTrue(set_config(name, words="/there").success)
-        with hearing("/there") as heard:
-            eventually(lambda: heard, 5.0, "moved")
+        self.assertIn("did you mean words?", set_config(name, wrods="/there").message)
+        publishers = [NODES_TOPIC, "/here", "/rosout"]
+        becomes(lambda: graph.registrations(name)["publishers"], publishers)
+        with Heard(NODES_TOPIC, NodeletChanges, lambda message: message.nodelets) as told:
+            told.has(lambda names: names == [name])
+            del told[:]
+            connect(name, words="/there")
+            told.has(lambda names: names == [name])
+        with words_on("/there") as heard:
+            heard.flows()
             node.stop()
-            eventually(lambda: said("good-bye", heard), 5.0, "on_shutdown", lambda: heard)
+            heard.has(lambda text: text == "good-bye")
         self.assertEqual(node.exit_code(20.0), 0)
 
     def test_last_words_are_sent_alone(self):
-        node = self.start(*RUN, "dyknow_test", "habits.py", "spin", "__name:=habits")
-        rospy.wait_for_service("/habits/get_config", 40.0 * BUSY)
-        with hearing("/habits/words") as heard:
-            connected("/habits/words", "/habits")
+        node = self.run_script("habits.py", "spin", "__name:=habits")
+        rospy.wait_for_service("/habits/get_counts", 40.0 * BUSY)
+        with words_on("/habits/words") as heard:
             node.stop(signal.SIGTERM)
             self.assertEqual(node.exit_code(20.0), 0)
-            said_last(heard)
+            becomes(heard.copy, LAST_WORDS)
 
     def test_its_exit_code_and_errors_are_its_own(self):
         for what, code, said in (
@@ -303,7 +323,9 @@ class CommandTest(graph.TellingCase):
             ("crash", -signal.SIGSEGV, ""),
         ):
             with self.subTest(what):
-                node = self.start(*NODELET, "standalone_script", "dyknow_test", "ill.py", what)
+                node = self.run_process(
+                    *NODELET, "standalone_script", "dyknow_test", "ill.py", what
+                )
                 self.assertEqual(node.exit_code(30.0), code)
                 self.assertIn(said, node.output)
                 self.assertNotIn("dyknow/ros", node.output)
@@ -312,7 +334,7 @@ class CommandTest(graph.TellingCase):
         words = ("dyknow_test", "mirror.py", "here:=there", "_word:=5", "__ns:=/mirrors")
         seen = []
         for command in (find_node(*words[:2]), [*RUN, *words[:2]]):
-            node = self.start(*command, *words[2:])
+            node = self.run_process(*command, *words[2:])
             self.assertEqual(node.exit_code(60.0), 0, node.output)
             lines = node.output.splitlines()
             seen.append([line for line in lines if line and "[INFO]" not in line])
@@ -320,31 +342,42 @@ class CommandTest(graph.TellingCase):
         self.assertEqual(*seen)
 
     def test_what_a_script_sets_takes_effect_on_its_process(self):
+        words = ("dyknow_test", "own_process.py")
         for what in ("settings", "waits", "catches", "handles", "no_node"):
             with self.subTest(what):
-                words = ("dyknow_test", "own_process.py")
-                plain = self.start(*find_node(*words), what)
-                live = self.start(*RUN, *words, what)
-                codes = [each.exit_code(60.0) for each in (plain, live)]
-                self.assertEqual(codes[1], codes[0], live.output)
-                self.assertEqual(without_traces(live.output), without_traces(plain.output))
+                seen = []
+
+                def is_same(what=what, seen=seen):
+                    commands = (find_node(*words), [*RUN, *words])
+                    nodes = [self.run_process(*command, what) for command in commands]
+                    codes = [node.exit_code(60.0) for node in nodes]
+                    seen[:] = [(c, without_traces(n.output)) for c, n in zip(codes, nodes)]
+                    return seen[0] == seen[1]
+
+                # On a busy machine a signal that is due in half a second may find it elsewhere.
+                eventually(is_same, 1.0, "it does as without DyKnow", lambda seen=seen: seen)
 
     def test_what_cannot_share_a_process_runs_alone(self):
         for what in ("fork", "chdir", "alarm", "stdin"):
             with self.subTest(what):
-                node = self.start(*RUN, "dyknow_test", "ill.py", what)
-                self.assertIn(node.exit_code(30.0), (0, -signal.SIGALRM))
+                code = self.run_script("ill.py", what).exit_code(30.0)
+                self.assertIn(code, (0, -signal.SIGALRM))
+        for _ in range(5):  # a child that is forked while another thread holds a lock ends too
+            self.run_script("ill.py", "fork").exit_code(30.0)
+        words = [*find_node("dyknow_test", "ill.py"), "fork"]
+        eventually(
+            lambda: all(
+                each.info["cmdline"][-2:] != words for each in psutil.process_iter(["cmdline"])
+            ),
+            5.0,
+            "forked children end",
+        )
 
     def test_libraries_work_between_processes(self):
-        self.start(*RUN, "dyknow_test", "libraries.py", "__name:=far_server")
-        self.start(*RUN, "dyknow_test", "libraries.py", "/far_server/count", "__name:=far")
+        self.run_script("libraries.py", "__name:=far_server")
+        self.run_script("libraries.py", "/far_server/count", "__name:=far")
         hears("/far/told", "42 2.0")
         self.assertEqual(topics_of_ports("/far")["/tf_static"], "/tf_static")
-
-    def test_what_is_no_node_runs_as_ever(self):
-        script = os.path.join(os.path.dirname(os.path.abspath(__file__)), "no_such")
-        node = self.start(*RUN, "dyknow_test", script)
-        self.assertNotEqual(node.exit_code(20.0), 0)
 
 
 if __name__ == "__main__":

@@ -73,6 +73,7 @@ class _ScriptProcess:
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
         self._withdrawal_turn = turn_lock("end of a script")
+        os.register_at_fork(after_in_child=self._forget_node)
 
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""
@@ -151,6 +152,11 @@ class _ScriptProcess:
         if threading.current_thread() is not threading.main_thread():
             return
         on_signals(_SIGNALS, self._stop)
+
+    def _forget_node(self) -> None:
+        """Leave the node to the parent; a forked child has the locks of its threads, not them."""
+        self._manager = None
+        self._withdrawal_turn = turn_lock("end of a script")
 
     def _stop(self) -> None:
         """End the node; returns when it is done."""
