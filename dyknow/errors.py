@@ -196,10 +196,11 @@ class NodeletError(DyKnowError):
 
 
 class NameTaken(NodeletError):
-    """A nodelet of that name is loaded, is being loaded, or is being unloaded."""
+    """A nodelet of that name is loaded, is being loaded, or is being unloaded; or a node runs."""
 
-    def __init__(self, name: str, state: str = "already loaded") -> None:
-        super().__init__(name, f"a nodelet named '{name}' is {state}; choose another name")
+    def __init__(self, name: str, state: str = "already loaded", what: str = "a nodelet") -> None:
+        self.holder = f"{what} named '{name}' is {state}"
+        super().__init__(name, f"{self.holder}; choose another name")
 
 
 class UnknownNodelet(NodeletError):

@@ -6,7 +6,7 @@
 A *state lock* guards memory and is held for microseconds: nobody calls out or waits under it. A
 *turn* is held over such calls, each of which has a time limit, so waiting for a turn ends too.
 A thread that holds locks takes only locks that come later in ``ORDER``. ``doc/locks.rst`` has the
-policy with its reasons, and what each lock guards.
+policy with its reasons.
 
 The functions below return the locks of ``threading``. Where the environment variable
 ``DYKNOW_LOCK_REPORT`` names a file, they return locks that check the policy: a violation is
@@ -24,43 +24,43 @@ from typing import Any, cast
 OTHER_STATE_LOCKS = "every other state lock"
 
 #: Every turn, the outermost first.
-TURNS: tuple[str, ...] = (
-    "end of a script",
-    "simulated manager",
-    "claim request",
-    "claim work",
-    "look at nodelet managers",
-    "model on its topic",
-    "services of fixed nodelets",
-    "opening of a stream session",
-    "library",
-    "nodelets on disk",
-    "claims on disk",
-    "records of children",
-    "parts of model messages",
-    "bonds of claims",
-    "grants to processes",
-    "reconfiguration",
-    "listening to nodelet managers",
-    "messages of bonds",
-    "output of a child",
-    "service client",
-    "backup of the state file",
-    "state file",
-)
+TURNS: dict[str, str] = {
+    "end of a script": "the node of a script in a process of its own, until it is withdrawn",
+    "simulated manager": "one call at a time to the simulated manager",
+    "claim request": "one request for a stream at a time",
+    "claim work": "making and mending claims: requests and the reconciler's rounds take turns",
+    "look at nodelet managers": "one look of the observer at all nodelet managers at a time",
+    "model on its topic": "which model was published last",
+    "services of fixed nodelets": "the services of the manager for nodelets with fixed topics",
+    "opening of a stream session": "a session with one manager, from its first stream to its last",
+    "library": "changes of the library reach the disk in the order of the memory",
+    "nodelets on disk": "changes of nodelets, and the revision, reach the disk in that order",
+    "claims on disk": "changes of claims reach the disk in the order of the memory",
+    "records of children": "records of nodelet managers reach the disk in the order of the memory",
+    "parts of model messages": "what is kept of one message of the model for the next",
+    "bonds of claims": "changes of claims are followed one after the other",
+    "grants to processes": "guards and producers of claims: older ones never replace newer",
+    "reconfiguration": "one change of a nodelet's ports at a time: declared, connected elsewhere",
+    "listening to nodelet managers": "subscriptions to the changes that nodelet managers announce",
+    "messages of bonds": "what is sent on a bond's topic, until it is withdrawn",
+    "output of a child": "how far a file was read that a process prints into",
+    "service client": "the one connection of a persistent service client",
+    "backup of the state file": "the copy of the manager's database that is being made",
+    "state file": "the manager's database",
+}
 
 #: State locks that are held while others are taken, the outermost first.
-STATE_LOCKS: tuple[str, ...] = (
-    "port",
-    "bus",
-    OTHER_STATE_LOCKS,
-    "running clock",
-    "event queue",
-    "control loop",
-    "messages",
-)
+STATE_LOCKS: dict[str, str] = {
+    "port": "the handles that share an out-port",
+    "bus": "topics of the process, and who publishes and receives on them",
+    OTHER_STATE_LOCKS: "one object each; none of them is held while another one is taken",
+    "running clock": "the time for which the process has run",
+    "event queue": "events on their way to a listener, in the order in which they were added",
+    "control loop": "the times of its keys; woken under the locks of what changed",
+    "messages": "queues and routes; every message passes under it",
+}
 
-ORDER: tuple[str, ...] = TURNS + STATE_LOCKS
+ORDER: tuple[str, ...] = (*TURNS, *STATE_LOCKS)
 
 
 class LockViolation(AssertionError):

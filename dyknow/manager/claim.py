@@ -6,13 +6,16 @@
 from __future__ import annotations
 
 import functools
+import json
 import time
 from dataclasses import asdict, dataclass, field
-from typing import Any, Callable, Dict, Mapping, Optional, Tuple
+from typing import Callable, Iterable, Mapping, Optional, Tuple
 
+from dyknow.datatypes import same_type
 from dyknow.errors import BadParameter
+from dyknow.manager.bodies import check_types
+from dyknow.manager.planning.problem import Demand, Wishes
 from dyknow.manager.specifications.tags import Bindings, parse_tag
-from dyknow.manager.store import check_types
 from dyknow.model.streams import ClaimState, StreamRequest
 
 #: Seconds that the improvement of one plan may take: meanwhile no other request is served.
@@ -81,19 +84,49 @@ class Claim:
     def nodelets(self) -> Tuple[str, ...]:
         return tuple(sorted(self.wiring))
 
-    def body(self, now: Moment) -> Dict[str, Any]:
-        """Return the claim's JSON body, with the rest of its lease and the present time."""
+    @property
+    def wanted_type(self) -> str:
+        """The ROS type that the client expects: of its request, or its first stream."""
+        return self.request.datatype or self.datatype.replace("*", "")
+
+    @functools.cached_property
+    def demand(self) -> Demand:
+        """The demand of the client."""
+        request = self.request
+        tags = frozenset([parse_tag(request.tag)])
+        return Demand(tags, self.wanted_type, request.min_rate, request.max_age)
+
+    @property
+    def wishes(self) -> Wishes:
+        """The preferences of the client."""
+        request = self.request
+        return Wishes(tuple(sorted({*request.prefer})), tuple(sorted({*request.avoid})))
+
+    def may_share(self, other: Claim) -> bool:
+        """Whether every stream that satisfies another claim, now or later, satisfies this one."""
+        mine, theirs = self.demand, other.demand
+        return (
+            mine.tags == theirs.tags
+            and (not mine.datatype or same_type(mine.datatype, theirs.datatype))
+            and mine.min_rate <= theirs.min_rate
+            and (not mine.max_age or 0 < theirs.max_age <= mine.max_age)
+            and {*self.request.exclude} == {*other.request.exclude}
+            and self.wishes == other.wishes
+        )
+
+    def body(self, now: Moment) -> str:
+        """Return what is stored of it, with the rest of its lease and the present time."""
         body = asdict(self)
         body["state"] = int(self.state)
         body["left"] = None if self.deadline is None else self.deadline - now.steady
         body["written"] = asdict(now)
         del body["deadline"]
-        return body
+        return json.dumps(body)
 
     @classmethod
-    def from_body(cls, body: Mapping[str, Any], now: Moment) -> Claim:
-        """Read a JSON body; the lease has run on since it was written."""
-        fields = dict(body)
+    def from_body(cls, claim_id: str, text: str, now: Moment) -> Claim:
+        """Read what ``body`` returned; the lease has run on since it was written."""
+        fields = dict(json.loads(text))
         left = fields.pop("left")
         written = Moment(**fields.pop("written", asdict(now)))
         check_types(written)
@@ -111,9 +144,22 @@ class Claim:
                 "deadline": None if left is None else now.steady + left - now.since(written),
             }
         )
+        if claim.claim_id != claim_id:
+            raise ValueError(f"it says that it is '{claim.claim_id}'")
         check_types(claim)
         parse_tag(claim.request.tag)
         return claim
+
+
+def demand_of(claims: Iterable[Claim]) -> Demand:
+    """Return what one stream has to be to satisfy all these claims."""
+    demands = [claim.demand for claim in claims]
+    return Demand(
+        frozenset().union(*[each.tags for each in demands]),
+        demands[0].datatype or max([each.datatype for each in demands]),
+        max([each.min_rate for each in demands]),
+        min([each.max_age for each in demands if each.max_age], default=0.0),
+    )
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Iterator
+from typing import Callable, Iterator, Mapping
 
 from dyknow.errors import Busy, NameTaken, UnknownNodelet
 from dyknow.locks import state_condition, turn_lock
@@ -47,35 +47,29 @@ class Graph:
         self._clock = clock
         self._turn = turn_lock("nodelets on disk")
         self._changed = state_condition("records of nodelets")
-        self._records: dict[str, Record] = {}
+        #: All records by name, sorted; replaced as a whole by every change.
+        self.records: Mapping[str, Record] = {}
         self._lives: dict[str, _Life] = {}
         self._busy: set[str] = set()
-        self._revision = store.number("revision")
-        self._reserved = self._revision
+        self.revision = store.number("revision")
+        self._reserved = self.revision
         #: Called after every change of nodelets or transformations, outside the locks.
         self.on_change = on_change
         with self._turn:
             self._reserve()
-        self._revision += 1
-
-    @property
-    def revision(self) -> int:
-        return self._revision
+        self.revision += 1
 
     def all(self) -> list[Record]:
-        with self._changed:
-            return [self._records[name] for name in sorted(self._records)]
+        return list(self.records.values())
 
     def get(self, name: str) -> Record:
-        with self._changed:
-            found = self._records.get(name)
-            if found is None:
-                raise UnknownNodelet(name, self._records)
-            return found
+        found = self.records.get(name)
+        if found is None:
+            raise UnknownNodelet(name, self.records)
+        return found
 
     def find(self, name: str) -> Record | None:
-        with self._changed:
-            return self._records.get(name)
+        return self.records.get(name)
 
     def lifetime(self, name: str) -> float:
         """Seconds of a nodelet's present life or, if it does not run, of its last one."""
@@ -110,10 +104,10 @@ class Graph:
                 if left <= 0.0:
                     raise NameTaken(name) if new else Busy(name)
                 self._clock.wait(self._changed, left)
-            if new and name in self._records:
+            if new and name in self.records:
                 raise NameTaken(name)
             self._busy.add(name)
-            record = self._records.get(name)
+            record = self.records.get(name)
         try:
             yield record
         finally:
@@ -121,44 +115,50 @@ class Graph:
                 self._busy.discard(name)
                 self._changed.notify_all()
 
-    def put(self, *records: Record) -> None:
-        """Show records, all in one step; spawned ones are written to the store first."""
+    def put(self, *records: Record, soon: bool = False) -> None:
+        """Show records, all in one step; those that are stored are written first.
+
+        With ``soon`` they are written with the next change, or by the next look.
+        """
         with self._turn:
             new = [each for each in records if self.find(each.name) != each]
             if not new:
                 return
-            for record in new:
-                if record.is_spawned:
-                    self._store.put_nodelet(record)
+            bodies = {
+                ("nodelets", each.name): each.body() if each.is_stored else None for each in new
+            }
+            (self._store.write_later if soon else self._store.write)(bodies)
             self._reserve()
             with self._changed:
                 for record in new:
                     self._note_life(record)
-                    self._records[record.name] = record
-                self._revision += 1
+                self._show({**self.records, **{record.name: record for record in new}})
         self.on_change()
 
     def remove(self, name: str) -> None:
         """Forget a record, on disk first."""
         with self._turn:
-            self._store.remove_nodelet(name)
+            self._store.write({("nodelets", name): None})
             if self.find(name) is None:
                 return
             self._reserve()
             with self._changed:
-                del self._records[name]
                 self._lives.pop(name, None)
-                self._revision += 1
+                self._show({key: each for key, each in self.records.items() if key != name})
         self.on_change()
 
     def _reserve(self) -> None:
         """Write to the disk that the next revision may be shown; in the turn of the disk."""
-        if self._revision == self._reserved:
-            self._store.set_number("revision", self._reserved + _BLOCK)
+        if self.revision == self._reserved:
             self._reserved += _BLOCK
+            self._store.write({("facts", "revision"): str(self._reserved)})
+
+    def _show(self, records: Mapping[str, Record]) -> None:
+        self.records = dict(sorted(records.items()))
+        self.revision += 1
 
     def _note_life(self, record: Record) -> None:
-        before, life = self._records.get(record.name), self._lives.get(record.name)
+        before, life = self.records.get(record.name), self._lives.get(record.name)
         now = self._clock.now()
         if record.state is not State.RUNNING:
             if life is not None and life.end is None:

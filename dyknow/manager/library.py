@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
+from dyknow.manager.bodies import pack, unpack
 from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.given import shares_variables
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
@@ -44,9 +45,7 @@ class Library:
         self._limits = limits
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
-        self._by_label: dict[str, Transformation] = {
-            each.label: each for each in store.transformations()
-        }
+        self._by_label: dict[str, Transformation] = store.read("transformations", _stored)
         self.revision = store.number("library_revision")
         self._topics: list[Transformation] = []
         self._nodes: dict[str, Transformation] = {}
@@ -55,6 +54,10 @@ class Library:
 
     def __len__(self) -> int:
         return len(self._by_label)
+
+    def __contains__(self, label: str) -> bool:
+        with self._state_lock:
+            return label in self._by_label
 
     def all(self) -> list[Transformation]:
         with self._state_lock:
@@ -113,7 +116,7 @@ class Library:
             count = len(self._by_label.keys() | new.keys())
             if count > self._limits.transformations:
                 raise LimitExceeded("transformations", count, self._limits.transformations)
-            self._store.put_transformations(new.values(), self.revision + 1)
+            self._write({label: pack(each) for label, each in new.items()})
             with self._state_lock:
                 self._by_label.update(new)
                 self.revision += 1
@@ -123,11 +126,16 @@ class Library:
         """Remove a transformation; its nodelets run on."""
         with self._turn:
             found = self.get(label)
-            self._store.remove_transformation(label, self.revision + 1)
+            self._write({label: None})
             with self._state_lock:
                 del self._by_label[label]
                 self.revision += 1
         return found
+
+    def _write(self, bodies: Mapping[str, str | None]) -> None:
+        """Write transformations by label, and the revision that the library has with them."""
+        changes = {("transformations", label): body for label, body in bodies.items()}
+        self._store.write({**changes, ("facts", "library_revision"): str(self.revision + 1)})
 
     def _find_described(self) -> None:
         """Index the descriptions of topics and nodes, once for each revision; under the lock."""
@@ -166,4 +174,11 @@ class Library:
                 "something else in each tag of %s",
                 listed(shared),
             )
-        self._store.set_number("schema", _SCHEMA)
+        self._store.write({("facts", "schema"): str(_SCHEMA)})
+
+
+def _stored(label: str, body: str) -> Transformation:
+    found = unpack(body)
+    if found.label != label:
+        raise ValueError(f"it says that it is '{found.label}'")
+    return found

@@ -105,83 +105,78 @@ class Lifecycle:
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation)
-            planned = Record(
-                request.name, transformation, "", claimed=claimed, parameters=parameters, kind=kind
-            )
-            self._suspects.know(planned)
-            suspicion = "" if request.manager else self._suspects.verdict(request.name)
             by_default = transformation.isolated and not request.manager
             isolated = request.isolated or kind.is_node or by_default
-            if suspicion and not isolated:
-                _log.warning("%s is given a process of its own; %s", request.name, suspicion)
-                isolated = True
-            kind = kind.alone if isolated else kind
-            topics = (*config.values(), *near)
-            alone = request.name if isolated else ""
-            manager = self._loading.place(kind, topics, request.manager, alone)
-            record = replace(
-                planned,
-                kind=kind,
-                manager=manager,
-                is_protected=request.is_protected,
-                isolated=isolated,
+            record = Record(
+                request.name,
+                transformation,
+                request.manager,
+                request.is_protected,
+                isolated,
                 topics=config,
-                suspicion=suspicion,
+                claimed=claimed,
+                parameters=parameters,
+                kind=kind.alone if isolated else kind,
             )
+            self._suspects.know(record)
+            if request.manager:
+                self._loading.check(record)
+            else:
+                record = self._judged(record)
+            place = self._loading.place(record, near)
+            detail = f"it is being started{'' if kind.is_node else f' in {place}'}"
+            record = replace(record, manager=place, detail=detail)
             try:
                 self._graph.put(record)
                 running = self._loading.bring_up(record)
             except NameTaken:  # by an external nodelet that was not seen yet: it stays
                 self._graph.remove(record.name)
                 with contextlib.suppress(HostError):
-                    if record.isolated and record.name not in self._host.list(manager):
-                        self._host.retire(manager)
+                    if record.isolated and record.name not in self._host.list(record.manager):
+                        self._host.retire(record.manager)
                 raise
             except BaseException as error:
                 self.clear(record)
                 if isinstance(error, DyKnowError):
                     raise SpawnFailed(record.name, error) from error
                 raise
-            self._graph.put(running)
+            self._graph.put(running, soon=claimed)  # with the claim; the next life clears it
             return running
 
-    def restore(self, record: Record) -> Record:
+    def restore(self, record: Record) -> None:
         """Bring back a nodelet that died, where it was or, if it is isolated, in a new process.
 
         It is isolated from now on if it is suspected of having crashed its process, and placed
-        like a new one if its nodelet manager is gone.
-
-        Returns:
-            Its record, which says FAILED, with the reason, if that did not work.
+        like a new one if its nodelet manager is gone. If that does not work, its record says
+        FAILED, with the reason.
         """
-        transformation = record.transformation
-        assert transformation is not None
-        suspicion = self._suspects.verdict(record.name)
-        if suspicion and not record.isolated:
-            _log.warning("%s is given a process of its own; %s", record.name, suspicion)
-            # Without the name of the process that it leaves, which does not end with it.
-            record = replace(record, isolated=True, manager="", kind=record.kind.alone)
-        record = replace(record, suspicion=suspicion or record.suspicion)
+        record = self._judged(record)
+        why = (record.detail, "" if record.suspicion in record.detail else record.suspicion)
         starting = replace(
-            record, state=State.STARTING, detail=record.suspicion, heard=NOTHING_HEARD
+            record,
+            state=State.STARTING,
+            detail="; ".join(filter(None, why)),
+            heard=NOTHING_HEARD,
         )
-        self._graph.put(starting)  # from now on it counts where it will be
+        self._graph.put(starting)
         try:
             # Its place is on disk before it is there: the manager's next life finds it.
-            starting = replace(starting, manager=self._place_again(starting))
+            starting = replace(starting, manager=self._loading.place(starting))
             self._graph.put(starting)
             starting = replace(starting, topics=self.fitting(starting))
             running = self._loading.bring_up(starting)
-        except NameTaken:
-            return starting  # it is there: the next look finds it
+        except NameTaken as error:  # if it is a nodelet of ours, the next look finds it
+            running = replace(starting, detail=error.holder)
         except DyKnowError as error:
             self._take_down(starting)
+            _log.warning("%s is not back: %s", record.name, error)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
             running = replace(
                 record, manager=starting.manager, state=State.FAILED, detail=detail, ports=()
             )
+        else:
+            _log.info("%s is back", record.name)
         self._graph.put(running)
-        return running
 
     def destroy(self, name: str) -> None:
         """Destroy a nodelet; if its process does not answer in time, as soon as it does."""
@@ -192,15 +187,13 @@ class Lifecycle:
                 return
             if record.is_protected:
                 raise Protected(name)
-            if record.state in (State.RUNNING, State.LOST):
-                try:
+            try:
+                if record.state in (State.RUNNING, State.LOST):
                     self._unload(record)
-                except HostTimeout as error:
-                    later = f"it is destroyed as soon as {record.manager} answers"
-                    self._graph.put(replace(record, state=State.LOST, detail=later, unwanted=True))
-                    raise HostTimeout(
-                        f"'{name}' is not destroyed yet: {error}; {later}"
-                    ) from error
+            except HostTimeout as error:
+                later = f"it is destroyed as soon as {record.manager} answers"
+                self._graph.put(replace(record, state=State.LOST, detail=later, unwanted=True))
+                raise HostTimeout(f"'{name}' is not destroyed yet: {error}; {later}") from error
             self.forget(record)
 
     def finish_destroying(self, record: Record) -> None:
@@ -225,16 +218,16 @@ class Lifecycle:
 
     # Inside
 
-    def _place_again(self, record: Record) -> str:
-        """Return the nodelet manager of a nodelet that died, started again if it is ours."""
-        if record.isolated:
-            return self._host.ensure(record.kind.host, record.name)
-        state = self._host.states().get(record.manager)
-        if state is None:  # it died while there was no manager, and has no successor
-            return self._loading.place(record.kind, record.topics.values())
-        if state.own and not state.alive:
-            self._host.ensure(state.kind)
-        return record.manager
+    def _judged(self, record: Record) -> Record:
+        """Isolate a nodelet that is suspected of having crashed its process."""
+        suspicion = self._suspects.verdict(record.name)
+        if not suspicion:
+            return record
+        if not record.isolated:
+            _log.warning("%s is given a process of its own; %s", record.name, suspicion)
+            # Without the name of the process that it leaves, which does not end with it.
+            record = replace(record, isolated=True, manager="", kind=record.kind.alone)
+        return replace(record, suspicion=suspicion)
 
     def _unload(self, record: Record) -> None:
         try:

@@ -46,50 +46,55 @@ class Loading:
         self._clock = clock
         self._pause = state_condition("ports of nodes that start")
 
-    def place(
-        self, kind: NodeletKind, topics: Iterable[str], asked: str = "", isolated_for: str = ""
-    ) -> str:
-        """Choose, and start if need be, a nodelet manager for a new nodelet.
+    def place(self, record: Record, near: Iterable[str] = ()) -> str:
+        """Return the nodelet manager of a nodelet that is made or brought back, started if needed.
 
-        It is the one that runs most neighbours of the nodelet on ``topics``, since messages go by
+        It is the one where it was, or was asked for. If there is none, it is the one that runs
+        most neighbours of the nodelet on its topics and those ``near`` it, since messages go by
         reference there; else the one with fewest nodelets. One without live ports is used only if
-        it was ``asked`` for, or if the host can start no other.
+        it was asked for, or if the host can start no other.
         """
-        if asked:
-            self._check(asked, kind, isolated_for)
-            return asked
-        if isolated_for:
-            return self._host.ensure(kind.host, isolated_for)
+        kind = record.kind.host
+        if record.isolated:
+            return self._host.ensure(kind, record.name)
+        states = self._host.states()
+        present = states.get(record.manager)
+        if present is not None:
+            if present.own and not present.alive:
+                self._host.ensure(present.kind)
+            return record.manager
         shared = [
             state.name
-            for state in self._host.states().values()
+            for state in states.values()
             if state.alive
             and state.responsive
             and state.rewirable
-            and state.kind is kind.host
+            and state.kind is kind
             and not state.isolated_for
         ]
         if not shared:
-            return self._host.ensure(kind.host)
-        wanted = set(topics)
+            return self._host.ensure(kind)
+        wanted = {*record.topics.values(), *near}
         load: Counter[str] = collections.Counter()
-        near: Counter[str] = collections.Counter()
-        for record in self._graph.all():
-            load[record.manager] += 1
-            used = {*topics_of(record).values(), *record.topics.values()}
-            near[record.manager] += not wanted.isdisjoint(used)
-        return min(shared, key=lambda name: (-near[name], load[name], name))
+        neighbours: Counter[str] = collections.Counter()
+        for each in self._graph.all():
+            load[each.manager] += 1
+            used = {*topics_of(each).values(), *each.topics.values()}
+            neighbours[each.manager] += not wanted.isdisjoint(used)
+        return min(shared, key=lambda name: (-neighbours[name], load[name], name))
 
-    def _check(self, asked: str, kind: NodeletKind, isolated_for: str) -> None:
+    def check(self, record: Record) -> None:
+        """Raise HostError if a new nodelet cannot be in the nodelet manager that it names."""
+        asked, kind = record.manager, record.kind
         """Check that a nodelet can go to the nodelet manager that was requested."""
         if kind.is_node:
             raise HostError(
                 f"a {kind.title} has a process of its own, and is in no nodelet manager such as "
                 f"'{asked}'"
             )
-        if isolated_for:
+        if record.isolated:
             raise HostError(
-                f"'{isolated_for}' cannot be isolated in nodelet manager '{asked}': "
+                f"'{record.name}' cannot be isolated in nodelet manager '{asked}': "
                 "expected a process of its own or a named one, not both"
             )
         self._host.look_for(asked)

@@ -29,7 +29,7 @@ from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeeper
 from dyknow.manager.observer import Observer, at_once
-from dyknow.manager.record import Record, topics_of, with_ports
+from dyknow.manager.record import Record, with_present_ports
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 from dyknow.manager.store import Store
@@ -105,7 +105,7 @@ class Manager:
 
     def start(self) -> None:
         """Take over the running nodelets of an earlier life, and bring back the dead ones."""
-        self.observer.adopt(self.store.nodelets())
+        self.observer.adopt(self.store.read("nodelets", Record.from_body).values())
 
     def look(self, changed: Iterable[str] = ()) -> float:
         """Compare the picture with reality; returns the seconds until the next look."""
@@ -200,8 +200,9 @@ class Manager:
                 raise DyKnowError("; ".join([str(failed.error), *failed.troubles])) from failed
             raise failed.error from failed
         finally:
-            for move in checked:
-                self._ask_for_ports(move.name)
+            for move in checked:  # if that fails, the next look shows the ports
+                with contextlib.suppress(HostError, Busy):
+                    self.show_ports(move.name, PATIENCE)
 
     def _checked(self, name: str, config: Mapping[str, str]) -> _Move:
         name = self.resolve(name)
@@ -223,19 +224,16 @@ class Manager:
         if back:
             self.host.connect(move.name, back)
 
-    def _ask_for_ports(self, name: str) -> None:
-        """Show the present ports of a nodelet at once; if that fails, the next look does."""
-        with contextlib.suppress(HostError, Busy), self.graph.changing(
-            name, patience=PATIENCE
-        ) as record:
+    def show_ports(self, name: str, patience: float = 0.0) -> None:
+        """Show the present ports of a nodelet at once."""
+        with self.graph.changing(name, patience=patience) as record:
             if record is not None and record.state is State.RUNNING:
-                record = with_ports(record, self.host.ports(name))
-                self.graph.put(replace(record, topics=topics_of(record)))
+                self.graph.put(with_present_ports(record, self.host.ports(name)))
 
     # The model
 
     def graph_model(self) -> Model:
-        nodelets = tuple(record.status for record in self.graph.all())
+        nodelets = tuple([record.status for record in self.graph.all()])
         return Model(self.graph.revision, self.library.revision, nodelets)
 
     def get_model(self) -> Model:

@@ -20,7 +20,7 @@ from typing import AbstractSet, Callable, Iterable
 
 from dyknow import names
 from dyknow.backoff import Backoff
-from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
+from dyknow.errors import Busy, HostError, NameTaken
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, HostReport, ProcessState
@@ -30,9 +30,7 @@ from dyknow.manager.record import (
     Record,
     declared_ports,
     missing_connections,
-    seen_ports,
-    topics_of,
-    with_ports,
+    with_present_ports,
 )
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, State
@@ -163,11 +161,9 @@ class Observer:
 
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
-        self._suspects.accuse(crash, hosted)
-        running = crash.running or frozenset()
-        gone = running.difference(map(names.mark, hosted))
-        for label in {self._suspects.label(mark) for mark in gone} - {""}:
+        for label in self._suspects.accuse(crash, hosted):
             self._keeper.on_crash(label)
+        running = crash.running or frozenset()
         at_work = ", ".join(name for name in hosted if names.mark(name) in running)
         _log.error(
             "%s crashed (%s)%s",
@@ -192,7 +188,9 @@ class Observer:
                 if current.state is State.RUNNING:
                     _log.warning("%s is lost: %s", current.name, why)
                     self._backoff.served(current.name, self._graph.lifetime(current.name))
-                lost.append(replace(current, state=State.LOST, detail=why))
+                is_starting = current.state is State.STARTING
+                state = State.STARTING if is_starting else State.LOST
+                lost.append(replace(current, state=state, detail=why))
             self._graph.put(*lost)
 
     def _reserve(self, record: Record, held: contextlib.ExitStack) -> Record | None:
@@ -208,10 +206,10 @@ class Observer:
         return current if current and (current.manager, current.incarnation) == life else None
 
     def _trouble(self, record: Record, fate: Fate, report: HostReport) -> str:
-        """Say why a nodelet is lost with its nodelet manager; empty if it is not."""
+        """Say why a nodelet is lost, or not up yet, with its nodelet manager; else empty."""
         if record.transformation is None or record.unwanted:
             return ""
-        if record.state not in (State.RUNNING, State.LOST):
+        if record.state is State.FAILED:
             return ""
         if fate is Fate.DIED and record.is_spawned:
             crash = report.crashes.get(record.incarnation)
@@ -263,8 +261,11 @@ class Observer:
             and record.state is State.RUNNING
             and record.incarnation == state.incarnation
         )
-        if record.state is State.STARTING and not self._complete(record):
-            return
+        if record.state is State.STARTING:
+            trouble = self._complete(record)
+            if trouble:
+                self._graph.put(replace(record, detail=trouble))
+                return
         record = replace(
             record,
             transformation=description,
@@ -276,15 +277,14 @@ class Observer:
         )
         if (closely or not is_known) and not record.is_fixed:
             try:
-                record = with_ports(record, self._ports(record))
+                record = with_present_ports(record, self._ports(record))
             except HostError as error:
                 _log.debug("%s: %s", record.name, error)
                 if closely or record.transformation is not None:  # it has a proxy
                     self.note([record.name])
             else:
                 details = (self._host.detail(record.name), record.suspicion)
-                detail = "; ".join(filter(None, details))
-                record = replace(record, detail=detail, topics=topics_of(record))
+                record = replace(record, detail="; ".join(filter(None, details)))
         if not record.ports and not record.is_described:  # without a proxy: as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
@@ -304,74 +304,45 @@ class Observer:
             self._host.connect(record.name, late)
         return tuple(replace(port, topic=late.get(port.name, port.topic)) for port in ports)
 
-    def _complete(self, record: Record) -> bool:
-        """Finish bringing a nodelet back, which an earlier life of the manager had begun."""
+    def _complete(self, record: Record) -> str:
+        """Finish bringing a nodelet back, which an earlier life of the manager had begun.
+
+        Returns why it is not finished; empty if it is.
+        """
         wanted = replace(record, topics=self._lifecycle.fitting(record))
         try:
             if record.is_fixed:  # its present wiring cannot be known
                 self._host.unload(record.manager, record.name)
-                return False
+                return "it is loaded again, since its wiring is not known"
             wiring = missing_connections(wanted, self._host.ports(record.name))
             if wiring:
                 self._host.connect(record.name, wiring)
         except HostError as error:
             _log.warning("%s: %s", record.name, error)
-            return False
-        return True
+            return str(error)
+        return ""
 
     def _bring_back(self, name: str) -> None:
-        try:
-            with self._graph.changing(name) as record:
-                if record is not None and record.unwanted:
-                    self._backoff.failed(name)
-                    self._lifecycle.finish_destroying(record)
-                elif record is not None and record.state is not State.RUNNING:
-                    if record.claimed:  # the claim's repair chooses its replacement
-                        self._keeper.on_death(record)
-                        self._lifecycle.forget(record)
-                        return
-                    self._backoff.failed(name)
-                    self._restore(record)
-        except Busy:
-            return  # another operation works on it; the next look sees the outcome
-
-    def _restore(self, record: Record) -> None:
-        try:
-            restored = self._lifecycle.restore(record)
-        except DyKnowError as error:
-            _log.warning("%s cannot be brought back yet: %s", record.name, error)
-            return
-        if restored.state is State.RUNNING:
-            _log.info("%s is back", record.name)
-        else:
-            _log.warning("%s is not back: %s", record.name, restored.detail)
+        # Busy: another operation works on it; the next look sees the outcome.
+        with contextlib.suppress(Busy), self._graph.changing(name) as record:
+            if record is None or (record.state is State.RUNNING and not record.unwanted):
+                return
+            if record.claimed and not record.unwanted:  # the claim's repair replaces it
+                self._keeper.on_death(record)
+                self._lifecycle.forget(record)
+                return
+            self._backoff.failed(name)
+            if record.unwanted:
+                self._lifecycle.finish_destroying(record)
+            else:
+                self._lifecycle.restore(record)
 
     def _adopt_unknown(self, name: str, state: ProcessState) -> None:
-        try:
-            with self._graph.changing(name, new=True):
-                if name in self._host.list(state.name):  # and not gone since the look began
-                    self._graph.put(self._foreign(name, state))
-        except (Busy, NameTaken, HostError):
-            return
-
-    def _foreign(self, name: str, state: ProcessState) -> Record:
-        ports: tuple[PortState, ...] = ()
-        if state.rewirable:
-            with contextlib.suppress(HostError):
-                ports = self._host.ports(name)
-        record = Record(
-            name,
-            None,
-            state.name,
-            state=State.RUNNING,
-            incarnation=state.incarnation,
-            is_fixed=not state.rewirable,
-            kind=state.kind,
-            host=state.host,
-        )
-        record = replace(record, transformation=self._description(record))
-        record = replace(record, ports=seen_ports(record, ports))
-        return replace(record, topics=topics_of(record))
+        with contextlib.suppress(Busy, NameTaken, HostError), self._graph.changing(name, new=True):
+            if name in self._host.list(state.name):  # and not gone since the look began
+                is_fixed, kind = not state.rewirable, state.kind
+                record = Record(name, None, state.name, is_fixed=is_fixed, kind=kind)
+                self._update(replace(record, state=State.RUNNING), state, False)
 
     def _description(self, record: Record) -> Transformation | None:
         """Return the blueprint of a spawned nodelet, or the description of an external node."""

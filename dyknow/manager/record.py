@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import json
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
-from dyknow.manager.specifications.given import bindings_of
+from dyknow import names
+from dyknow.manager.bodies import check_types, pack, unpack
+from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State
 from dyknow.model.transformation import Parameter, Transformation
@@ -95,6 +98,11 @@ class Record:
         return self.transformation is not None and bool(self.transformation.node)
 
     @property
+    def is_stored(self) -> bool:
+        """Whether it outlives the manager: an external node by what it has received alone."""
+        return self.is_spawned or bool(self.is_described and self.heard.ways)
+
+    @property
     def is_complete(self) -> bool:
         """Whether each of its declared ports was seen."""
         declared = self.transformation.ports if self.transformation is not None else ()
@@ -122,6 +130,48 @@ class Record:
             self.kind,
             self.host,
         )
+
+    def body(self) -> str:
+        """Return what is stored of it, as JSON."""
+        body = {each.name: getattr(self, each.name) for each in fields(self)}
+        for name in ("name", "ports", "awaited"):  # the key, and observations of each life
+            del body[name]
+        if not self.heard.ways:
+            del body["heard"]  # earlier versions do not read it
+        body["transformation"] = pack(self.transformation) if self.transformation else None
+        body.update(topics=dict(self.topics), state=int(self.state), kind=self.kind.value)
+        return json.dumps(body, sort_keys=True)
+
+    @classmethod
+    def from_body(cls, name: str, text: str) -> Record:
+        """Read what ``body`` returned; one of the errors that ``Store.read`` expects if it is not.
+
+        Earlier versions did not write all fields.
+        """
+        body = json.loads(text)
+        made_from = body.pop("transformation")
+        if "is_fixed" not in body:  # its name in earlier versions, which did not write the kind
+            body["is_fixed"] = body.pop("rewired_by_reload")
+        plain = NodeletKind.CPP if body["is_fixed"] else NodeletKind.PYTHON
+        connections, ways = body.pop("heard", ((), ()))
+        record = cls(
+            name=name,
+            transformation=unpack(made_from) if made_from else None,
+            state=State(body.pop("state")),
+            parameters=tuple(Parameter(*each) for each in body.pop("parameters", ())),
+            kind=NodeletKind(body.pop("kind", plain)),
+            heard=Heard(
+                tuple((port, tuple(topics)) for port, topics in connections),
+                tuple(tuple((variable, value) for variable, value in way) for way in ways),
+            ),
+            **body,
+        )
+        check_types(record)
+        if names.check(name, "nodelet name") != name or name[:1] != "/":
+            raise ValueError("its name is not global")
+        if record.transformation is not None:
+            set_on_load(record.transformation, record.parameters)
+        return record
 
 
 def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:
@@ -164,6 +214,12 @@ def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
     awaited = [port.name for port in declared_ports(record) if port.name not in made]
     return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
+
+
+def with_present_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
+    """Return a record with the ports of a proxy, whose topics are desired from now on."""
+    record = with_ports(record, ports)
+    return replace(record, topics=topics_of(record))
 
 
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:

@@ -3,286 +3,564 @@
 
 """Durable state: the manager's promises, kept over ``kill -9``.
 
-A change is on disk before the call that makes it returns, so an acknowledged change survives when
-the manager is killed. A disk that does not take a change stops no operation: ``trouble`` explains
-it, and the change is written as soon as the disk takes it (``state_file``). Meaningless entries
-are set aside, and the others are used. Backups take the place of a damaged file.
+The entries are texts by table and key. All are in memory and in a file of sqlite, where each row
+has a checksum. A change is in the file before the call that makes it returns, so an acknowledged
+change survives when the manager is killed. No fault of the file stops an operation:
+
+- *Trouble*: the file cannot be read or written now (disk full, read-only, locked by another
+  program). It is left alone, and written as soon as that works; ``trouble`` explains it.
+- *Damage*: the contents differ from the last write, as sqlite or a checksum says. The file is set
+  aside and written anew from memory or, at the start, from the newest good backup. Two backups
+  are beside the file, the last good states of it.
 """
 
 from __future__ import annotations
 
-import collections.abc
-import dataclasses
-import enum
-import functools
+import collections
+import contextlib
 import json
+import logging
+import os
+import shutil
+import sqlite3
+import tempfile
 import time
-from typing import (
-    Any,
-    Callable,
-    Iterable,
-    Mapping,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+import zlib
+from pathlib import Path
+from typing import Callable, Dict, Iterator, Mapping, Optional, Tuple, TypeVar
 
-from dyknow import names
-from dyknow.errors import DyKnowError
-from dyknow.manager.record import Heard, Record
-from dyknow.manager.specifications.given import set_on_load
-from dyknow.manager.state_file import IN_MEMORY, StateFile
-from dyknow.model.graph import NodeletKind, State
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.errors import DyKnowError, StoreError
+from dyknow.locks import turn_lock
 
+IN_MEMORY = ":memory:"
+#: Changes with the tables. Rows had no checksums in format 1.
+FORMAT = 2
+_WITHOUT_CHECKSUMS = 1
+#: The columns of each table that hold keys and texts.
+TABLES = {
+    "facts": ("name", "value"),
+    "transformations": ("label", "body"),
+    "nodelets": ("name", "body"),
+    "claims": ("id", "body"),
+}
+#: Seconds to wait for another program's lock: at the start, and for each change.
+_START_PATIENCE = 5.0
+_PATIENCE = 1.0
+#: Seconds between two attempts to write pending changes.
+_RETRY = 1.0
+#: Seconds after which a trouble that goes on is reported again.
+_REMINDER = 60.0
+#: Bytes at the beginning of each file.
+_HEADER = 100
+#: Names of the backups, the newest first.
+_BACKUPS = (".backup", ".backup-2")
+#: A file of sqlite, and its companions.
+_SUFFIXES = ("", "-wal", "-shm")
+
+_READ_ONLY = "readonly"
+_FULL = "disk is full"
+#: What sqlite says of a file that cannot be used now, and what that means to a user.
+_TROUBLES = {
+    _FULL: "the disk is full; free some space",
+    "lock": "it is locked by another program, such as a backup or an sqlite3 shell; "
+    "let that finish, or end it",
+    _READ_ONLY: "it is read-only; look at the permissions of the file and its folder and at how "
+    "the disk is mounted, or choose another folder (~state_dir)",
+    "unable to open": "it cannot be opened; look at the permissions of its folder and whether the "
+    "disk is full, or choose another folder (~state_dir)",
+    "disk I/O error": "the disk does not take it (input/output error); look for a quota, a size "
+    "limit or a failing disk",
+}
+#: Errors of the program, not of the file.
+_MISUSE = (sqlite3.ProgrammingError, sqlite3.InterfaceError)
+_SUBSTITUTE = "what the manager knows took its place"
 #: What reading an entry without a meaning may raise.
-MEANINGLESS = (DyKnowError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
+_MEANINGLESS = (DyKnowError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
+
+Rows = Dict[Tuple[str, str], str]
+"""Texts by table and key."""
+Changes = Mapping[Tuple[str, str], Optional[str]]
+"""Texts by table and key; None for an entry that has to go."""
 
 _Entry = TypeVar("_Entry")
 
-
-def pack(transformation: Transformation) -> str:
-    """Write a transformation as one line of JSON; earlier versions read it if they can use it."""
-    is_plain = not (transformation.isolated or transformation.node)
-    return json.dumps(transformation[:6] if is_plain else transformation, separators=(",", ":"))
+_log = logging.getLogger("rosout.dyknow")
 
 
-def unpack(body: str) -> Transformation:
-    """Read a transformation that ``pack`` wrote; ValueError or TypeError if it is not one."""
-    label, source, kind, cost, parameters, ports, *rest = json.loads(body)
-    isolated, node = rest or (False, "")
-    texts = [label, source, kind, node]  # checked by hand: there may be hundreds of thousands
-    for parameter in parameters:
-        texts += parameter
-    numbers: list[float] = []
-    for name, side, datatype, tags, *stated in ports:  # nothing in files of earlier versions
-        texts += (name, side, datatype, *tags)
-        numbers += stated
-    "".join(texts)
-    if type(cost) is not int:
-        raise TypeError(f"its cost is {cost!r}")
-    if not all(type(number) is float for number in numbers):
-        raise TypeError("the rate or latency of a port is no number")
-    if type(isolated) is not bool:
-        raise TypeError(f"isolated is {isolated!r}")
-    return Transformation(
-        label,
-        source,
-        kind,
-        cost,
-        tuple(Parameter(*each) for each in parameters),
-        tuple(
-            Port(name, side, datatype, tuple(tags), *stated)
-            for name, side, datatype, tags, *stated in ports
-        ),
-        isolated,
-        node,
-    )
+class _Damaged(Exception):
+    """The contents of a file differ from the last write."""
+
+
+#: What opening or reading a file may raise; sqlite's own words about a damaged one may be damaged.
+_FAULTS = (sqlite3.Error, UnicodeDecodeError, _Damaged)
 
 
 class Store:
     """The manager's state on disk; safe from any thread."""
 
     def __init__(self, path: str = IN_MEMORY, clock: Callable[[], float] = time.monotonic) -> None:
-        """Open the state, or start an empty one; StoreError if the file is of no use at all."""
-        self._file = StateFile(path, clock)
-
-    @property
-    def complaint(self) -> str:
-        """Description of unusable entries and their new place; empty for none."""
-        return self._file.complaint
-
-    @property
-    def trouble(self) -> str:
-        """Why changes are not on disk yet, and the remedy; empty if they are."""
-        return self._file.trouble
+        """Open the file, or start an empty one; StoreError if it is of no use at all."""
+        self.path = path
+        #: Why the latest changes are not on disk yet, and the remedy; empty if they are.
+        self.trouble = ""
+        #: Description of damage and of unusable entries, with their new place; empty for none.
+        self.complaint = ""
+        self._clock = clock
+        self._backup_turn = turn_lock("backup of the state file")
+        self._turn = turn_lock("state file")
+        self._connection: sqlite3.Connection | None = None
+        self._rows: Rows = {}
+        self._pending: dict[tuple[str, str], str | None] = {}  # changes that are not on disk yet
+        self._damage = ""  # of the file, until it is replaced
+        self._substitute = _SUBSTITUTE  # what takes its place then
+        self._is_new = not os.path.exists(path + _BACKUPS[0])  # to the backups
+        self._no_backup = ""  # why there is none of the latest changes
+        self._retry_at = self._remind_at = float("-inf")
+        if path != IN_MEMORY:
+            with self._turn:
+                self._start()
 
     @property
     def remark(self) -> str:
         """Remark for the answer to a request while changes are not on disk; else empty."""
         return f"done, but not on disk yet: {self.trouble}" if self.trouble else ""
 
-    def write_pending(self) -> None:
-        self._file.write_pending()
+    def read(self, table: str, meaning: Callable[[str, str], _Entry]) -> dict[str, _Entry]:
+        """Read a table by key; entries without a meaning are moved to a file beside this one.
 
-    def back_up(self) -> None:
-        self._file.back_up()
-
-    # Facts: small numbers that outlive the process
+        Args:
+            table: its name.
+            meaning: makes an entry of a key and a text.
+        """
+        found: dict[str, _Entry] = {}
+        rejected: list[dict[str, str]] = []
+        with self._turn:
+            texts = {key: text for (kind, key), text in self._rows.items() if kind == table}
+        for key in sorted(texts):
+            try:
+                found[key] = meaning(key, texts[key])
+            except _MEANINGLESS as error:
+                cause = f"{type(error).__name__}: {error}"
+                rejected.append({"table": table, "key": key, "text": texts[key], "cause": cause})
+        if rejected:
+            self._reject(rejected)
+        return found
 
     def number(self, name: str) -> int:
-        """Read a number, 0 if it was never written."""
-        return self._read("facts", lambda key, text: int(text)).get(name, 0)
+        """Read a number among the facts, 0 if it was never written."""
+        return self.read("facts", lambda key, text: int(text)).get(name, 0)
 
-    def set_number(self, name: str, value: int) -> None:
-        self._file.write({("facts", name): str(value)})
+    def write(self, changes: Changes) -> None:
+        """Write entries, all or none: to the disk or, as long as it does not take them, to memory.
 
-    # Transformations
+        What was written ``later`` is written with them.
+        """
+        with self._turn:
+            if self._change(changes) and self._clock() >= self._retry_at:
+                self._write()
 
-    def transformations(self) -> list[Transformation]:
-        def read(label: str, body: str) -> Transformation:
-            found = unpack(body)
-            if found.label != label:
-                raise ValueError(f"it says that it is '{found.label}'")
-            return found
+    def write_later(self, changes: Changes) -> None:
+        """Write entries with the next ones, or at the next look."""
+        with self._turn:
+            self._change(changes)
 
-        return list(self._read("transformations", read).values())
-
-    def put_transformations(
-        self, transformations: Iterable[Transformation], library_revision: int
-    ) -> None:
-        """Add or replace, all of them or none."""
-        rows = {("transformations", each.label): pack(each) for each in transformations}
-        self._file.write({**rows, ("facts", "library_revision"): str(library_revision)})
-
-    def remove_transformation(self, label: str, library_revision: int) -> None:
-        self._file.write(
-            {
-                ("transformations", label): None,
-                ("facts", "library_revision"): str(library_revision),
-            }
-        )
-
-    # Nodelets
-
-    def nodelets(self) -> list[Record]:
-        return list(self._read("nodelets", _record).values())
-
-    def put_nodelet(self, record: Record) -> None:
-        self._file.write({("nodelets", record.name): _body(record)})
-
-    def remove_nodelet(self, name: str) -> None:
-        self._file.write({("nodelets", name): None})
-
-    # Claims, as their owner writes them
-
-    def claims(self) -> dict[str, dict[str, Any]]:
-        return self._read("claims", lambda claim_id, text: dict(json.loads(text)))
-
-    def put_claim(self, claim_id: str, body: dict[str, Any]) -> None:
-        self._file.write({("claims", claim_id): json.dumps(body)})
-
-    def remove_claim(self, claim_id: str) -> None:
-        self._file.write({("claims", claim_id): None})
-
-    def reject_claims(self, causes: Mapping[str, str]) -> None:
-        """Set claims aside that have no meaning, with the causes by id."""
-        self._file.reject("claims", causes)
+    def write_pending(self) -> None:
+        """Write the pending changes, if there are any and it is time to try again."""
+        with self._turn:
+            if (self._pending or self.trouble) and self._clock() >= self._retry_at:
+                self._write()
 
     def end(self) -> None:
         """Forget nodelets and claims: the manager is stopped on purpose. Transformations stay."""
-        self._file.write(
-            {
-                (table, key): None
-                for table in ("nodelets", "claims")
-                for key in self._file.rows(table)
-            }
-        )
+        with self._turn:
+            places = [place for place in self._rows if place[0] in ("nodelets", "claims")]
+        self.write(dict.fromkeys(places))
+
+    def back_up(self) -> None:
+        """Make a backup if there is something new; a failure is logged, and tried again later."""
+        with self._backup_turn:
+            with self._turn:
+                if self._connection is None or self.trouble or not self._is_new:
+                    return
+                self._is_new = False
+            try:
+                _back_up(self.path)
+            except (OSError, *_FAULTS) as error:
+                with self._turn:
+                    self._is_new = True
+                    if not isinstance(error, OSError) and not _trouble(error):
+                        self._connection.close()
+                        self._connection, self._damage = None, str(error)
+                        self._write()
+                if str(error) != self._no_backup:
+                    self._no_backup = str(error)
+                    what = self._meaning(error)
+                    _log.warning("state file '%s': no backup: %s", self.path, what)
+            else:
+                self._no_backup = ""
 
     def close(self) -> None:
-        self._file.close()
+        """Close the file; changes that it does not take are lost."""
+        with self._turn:
+            if self._pending or self.trouble:
+                with contextlib.suppress(StoreError):
+                    self._write()
+        self.back_up()  # an older one would have forgotten entries
+        with self._turn:
+            if self._pending:
+                _log.error("%s. %d changes are lost", self.trouble, len(self._pending))
+            if self._connection is not None:
+                self._connection.close()
 
-    # Inside
+    # Opening
 
-    def _read(self, table: str, read: Callable[[str, str], _Entry]) -> dict[str, _Entry]:
-        """Read a table; entries without a meaning are set aside."""
-        found: dict[str, _Entry] = {}
-        causes: dict[str, str] = {}
-        for key, text in self._file.rows(table).items():
+    def _start(self) -> None:
+        try:
+            os.makedirs(os.path.dirname(os.path.abspath(self.path)), 0o700, exist_ok=True)
+            if os.path.exists(self.path + ".new") and not os.path.exists(self.path):
+                os.replace(self.path + ".new", self.path)  # killed while it was replaced
+            if os.path.exists(self.path) and os.path.getsize(self.path) < _HEADER:
+                self._damage = "it is cut off"
+        except OSError as error:
+            raise StoreError(self.path, error) from error
+        if not self._damage:
             try:
-                found[key] = read(key, text)
-            except MEANINGLESS as error:
-                causes[key] = f"{type(error).__name__}: {error}"
-        if causes:
-            self._file.reject(table, causes)
-        return found
+                self._connection, self._rows = _open(self.path, _START_PATIENCE)
+                return
+            except _FAULTS as error:
+                trouble = error
+            try:
+                self._rows = _read_aside(self.path)
+                self._note_trouble(trouble)
+                return
+            except _Damaged as error:
+                self._damage = str(error)
+        self._rows, self._substitute = _newest_backup(self.path)
+        self._write()
+
+    def _reopen(self) -> sqlite3.Connection:
+        """Open a file that could not be opened the last time; one that is damaged is replaced."""
+        if not self._damage:
+            try:
+                self._connection, _ = _open(self.path, 0.0)
+                return self._connection
+            except _FAULTS as error:
+                if _trouble(error):
+                    raise
+                self._damage = str(error)
+        aside = _replace(self.path, self._rows)
+        self._connection, _ = _open(self.path, 0.0)
+        counts = collections.Counter(table for table, _ in self._rows)
+        kept = ", ".join(f"{counts[table]} {table}" for table in TABLES if counts[table])
+        self._complain(
+            f"was damaged ({self._damage}); it was set aside as '{aside}'; {self._substitute}, "
+            f"with {kept or 'no entries'}"
+        )
+        self._damage, self._substitute = "", _SUBSTITUTE
+        return self._connection
+
+    def _complain(self, what: str) -> None:
+        complaint = f"state file '{self.path}': {what}"
+        self.complaint += ("\n" if self.complaint else "") + complaint
+        _log.error("%s", complaint)
+
+    # Writing
+
+    def _change(self, changes: Changes) -> bool:
+        """Change the memory; returns whether that differs from the disk now."""
+        for place, text in changes.items():
+            if self._rows.get(place) == text:
+                continue
+            self._pending[place] = text
+            if text is None:
+                del self._rows[place]
+            else:
+                self._rows[place] = text
+        if self.path == IN_MEMORY:
+            self._pending.clear()
+        return bool(self._pending)
+
+    def _write(self) -> None:
+        try:
+            self._put(self._connection or self._reopen())
+        except _MISUSE as error:
+            raise StoreError(self.path, error) from error
+        except (sqlite3.Error, OSError) as error:
+            self._note_trouble(error)
+        else:
+            self._is_new |= bool(self._pending)
+            self._pending.clear()
+            self._retry_at = float("-inf")
+            if self.trouble:
+                self.trouble = ""
+                self._remind_at = float("-inf")
+                _log.warning("state file '%s' is written again; nothing is missing", self.path)
+
+    def _put(self, connection: sqlite3.Connection) -> None:
+        patience = 0.0 if self.trouble else _PATIENCE
+        try:
+            connection.execute(f"PRAGMA busy_timeout = {int(1000 * patience)}")
+            _put(connection, self._pending)
+        except sqlite3.Error as error:
+            if isinstance(error, _MISUSE) or _trouble(error):
+                raise
+            connection.close()  # damaged while it was open
+            self._connection = None
+            _put(self._reopen(), self._pending)
+
+    def _reject(self, entries: list[dict[str, str]]) -> None:
+        """Move meaningless entries to a file beside this one."""
+        what = "; ".join(f"{each['table']} '{each['key']}': {each['cause']}" for each in entries)
+        aside = _free_name(self.path, ".json")
+        try:
+            with open(aside, "w") as file:
+                json.dump(entries, file, indent=1)
+        except OSError as error:  # they stay where they are until there is room for them
+            self._complain(f"entries cannot be used, nor set aside ({error}): {what}")
+            return
+        self._complain(f"entries cannot be used and were set aside as '{aside}': {what}")
+        self.write({(each["table"], each["key"]): None for each in entries})
+
+    # Trouble
+
+    def _note_trouble(self, error: Exception) -> None:
+        now = self._clock()
+        self._retry_at = now + _RETRY
+        damaged = (
+            f"it is damaged ({self._damage}) and cannot be replaced: " if self._damage else ""
+        )
+        self.trouble = f"state file '{self.path}': {damaged}{self._meaning(error)}"
+        if now >= self._remind_at:
+            self._remind_at = now + _REMINDER
+            _log.error(
+                "%s. The manager goes on; until the file can be written, what changes is kept in "
+                "memory, and lost if the manager is killed",
+                self.trouble,
+            )
+
+    def _meaning(self, error: Exception) -> str:
+        """Explain an error, with the remedy."""
+        words = _trouble(error)
+        if words == "unable to open" and not os.access(os.path.dirname(self.path) or ".", os.W_OK):
+            words = _READ_ONLY
+        return f"{_TROUBLES[words]} ({error})" if words else str(error)
 
 
-def _body(record: Record) -> str:
-    body = {each.name: getattr(record, each.name) for each in dataclasses.fields(record)}
-    for name in ("name", "ports", "awaited"):  # the key, and observations of each life
-        del body[name]
-    if not record.heard.ways:
-        del body["heard"]  # earlier versions do not read it
-    body["transformation"] = pack(record.transformation) if record.transformation else None
-    body.update(topics=dict(record.topics), state=int(record.state), kind=record.kind.value)
-    return json.dumps(body, sort_keys=True)
+def _trouble(error: BaseException) -> str:
+    """Return sqlite's words for a file that cannot be used now; empty for other errors."""
+    if isinstance(error, sqlite3.OperationalError):
+        for words in _TROUBLES:
+            if words in str(error):
+                return words
+    return ""
 
 
-def _record(name: str, text: str) -> Record:
-    body = json.loads(text)
-    made_from = body.pop("transformation")
-    transformation = unpack(made_from) if made_from else None
-    if "is_fixed" not in body:  # its name in earlier versions, which did not write the kind
-        body["is_fixed"] = body.pop("rewired_by_reload")
-    plain = NodeletKind.CPP if body["is_fixed"] else NodeletKind.PYTHON
-    connections, ways = body.pop("heard", ((), ()))
-    given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
-    record = Record(
-        name=name,
-        transformation=transformation,
-        state=State(body.pop("state")),
-        parameters=given,
-        kind=NodeletKind(body.pop("kind", plain)),
-        heard=Heard(
-            tuple((port, tuple(topics)) for port, topics in connections),
-            tuple(tuple((variable, value) for variable, value in way) for way in ways),
-        ),
-        **body,
+# Files of sqlite
+
+
+def _open(path: str, patience: float) -> tuple[sqlite3.Connection, Rows]:
+    """Open a file that is sound and can be written; its tables are made if they are not there.
+
+    Only its owner may read or write a file that is made. One of format 1 gets checksums.
+
+    Args:
+        path: the file.
+        patience: seconds to wait for another program's lock.
+
+    Raises:
+        sqlite3.Error: the file cannot be used now.
+        _Damaged: the contents differ from the last write.
+    """
+    _make_private(path)
+    connection = sqlite3.connect(
+        path, timeout=patience, check_same_thread=False, isolation_level=None
     )
-    check_types(record)
-    if names.check(name, "nodelet name") != name or name[:1] != "/":
-        raise ValueError("its name is not global")
-    if transformation is not None:
-        set_on_load(transformation, given)
-    return record
+    try:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = NORMAL")
+        rows = _rows(connection)
+        if _format(connection) != FORMAT:
+            with _transaction(connection):
+                for table, (key, text) in TABLES.items():
+                    connection.execute(f"DROP TABLE IF EXISTS {table}")
+                    connection.execute(
+                        f"CREATE TABLE {table} ({key} TEXT PRIMARY KEY, {text} TEXT NOT NULL, "
+                        "checksum INTEGER NOT NULL) WITHOUT ROWID"
+                    )
+                connection.execute(f"PRAGMA user_version = {FORMAT}")
+                _replace_rows(connection, rows)
+        connection.execute(f"PRAGMA user_version = {FORMAT}")  # shows whether it can be written
+    except BaseException:
+        connection.close()
+        raise
+    return connection, rows
 
 
-def check_types(value: Any) -> None:
-    """Raise TypeError if a field of a dataclass or named tuple has not its declared type."""
-    for name, hint in _fields(value.__class__).items():
-        if not _fits(getattr(value, name), hint):
-            raise TypeError(f"{name} is {getattr(value, name)!r}, expected {_written(hint)}")
+def _format(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
-@functools.lru_cache(maxsize=None)
-def _fields(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind)
+def _rows(connection: sqlite3.Connection) -> Rows:
+    """Read all rows of a file, and check it; _Damaged if it is not as it was written."""
+    rows: Rows = {}
+    (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if verdict != "ok":
+        raise _Damaged(" ".join(verdict.split()))
+    found = _format(connection)
+    if found == 0:
+        if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() != (0,):
+            raise _Damaged("it has tables without a format")
+        return rows
+    if found not in (_WITHOUT_CHECKSUMS, FORMAT):
+        raise _Damaged(f"it has format {found}, this program writes format {FORMAT}")
+    for table in TABLES:
+        # Files of format 1 have no third column.
+        for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):
+            if not isinstance(key, str) or not isinstance(text, str):
+                raise _Damaged(f"a row of {table} is no text")
+            if checksum not in ([], [_checksum(table, key, text)]):
+                raise _Damaged(f"{table} '{key}' is not what was written")
+            rows[table, key] = text
+    return rows
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    if hint is str:
-        return isinstance(value, str)
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Union:
-        return any(_fits(value, each) for each in arguments)
-    if origin is tuple:
-        return isinstance(value, tuple) and _fits_tuple(value, arguments)
-    if origin is collections.abc.Mapping:
-        return isinstance(value, collections.abc.Mapping) and all(
-            _fits(key, arguments[0]) and _fits(each, arguments[1]) for key, each in value.items()
-        )
-    if hint in (int, float):
-        kinds = (int, float) if hint is float else (int,)
-        return (
-            isinstance(value, kinds)
-            and not isinstance(value, (bool, enum.Enum))
-            and value == value
-        )
-    if not isinstance(value, hint):
-        return False
-    if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
-        check_types(value)
-    return True
+def _put(connection: sqlite3.Connection, changes: Changes) -> None:
+    """Write rows, all or none."""
+    with _transaction(connection):
+        _replace_rows(connection, changes)
 
 
-def _fits_tuple(values: tuple[Any, ...], hints: tuple[Any, ...]) -> bool:
-    if len(hints) == 2 and hints[1] is Ellipsis:
-        return all(_fits(each, hints[0]) for each in values)
-    return len(values) == len(hints) and all(map(_fits, values, hints))
+def _replace_rows(connection: sqlite3.Connection, changes: Changes) -> None:
+    for (table, key), text in changes.items():
+        if text is None:
+            connection.execute(f"DELETE FROM {table} WHERE {TABLES[table][0]} = ?", (key,))
+        else:
+            row = (key, text, _checksum(table, key, text))
+            connection.execute(f"REPLACE INTO {table} VALUES (?, ?, ?)", row)
 
 
-def _written(hint: Any) -> str:
-    return getattr(hint, "__name__", None) or str(hint).replace("typing.", "")
+def _checksum(table: str, key: str, text: str) -> int:
+    return zlib.crc32("\0".join((table, key, text)).encode())
+
+
+@contextlib.contextmanager
+def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        # After some errors, such as a full disk, sqlite has rolled back by itself.
+        if connection.in_transaction:
+            with contextlib.suppress(sqlite3.Error):
+                connection.execute("ROLLBACK")
+        raise
+
+
+def _read_only(path: str, how: str = "immutable=1") -> Rows:
+    uri = f"{Path(os.path.abspath(path)).as_uri()}?{how}"
+    with contextlib.closing(sqlite3.connect(uri, uri=True)) as connection:
+        return _rows(connection)
+
+
+def _read_aside(path: str) -> Rows:
+    """Read a file that could not be opened: a private copy, which no other program has locked.
+
+    The file is damaged if its copy is. No connection of this process may have it open: reading it
+    would release its locks.
+
+    Raises:
+        _Damaged: it has to be replaced.
+        StoreError: it cannot be read at all.
+    """
+    memory = "/dev/shm"  # no disk has to have room for the copy
+    scratch = memory if os.access(memory, os.W_OK) else None
+    cause: Exception
+    try:
+        with tempfile.TemporaryDirectory(prefix="dyknow-", dir=scratch) as folder:
+            copy = os.path.join(folder, "state")
+            for suffix in ("", "-wal"):
+                if os.path.exists(path + suffix):
+                    shutil.copyfile(path + suffix, copy + suffix)
+            connection, rows = _open(copy, 0.0)
+            connection.close()
+            return rows
+    except OSError as error:
+        cause = error
+    except _FAULTS as error:
+        if _trouble(error) != _FULL:
+            raise _Damaged(str(error)) from error
+        cause = error
+    # No copy can be made; a sound file can be read in place.
+    has_log = os.path.exists(path + "-wal") and os.path.getsize(path + "-wal") > 0
+    try:
+        return _read_only(path, "mode=ro" if has_log else "immutable=1")
+    except _FAULTS as error:
+        raise StoreError(path, f"it cannot be read: {cause}") from error
+
+
+def _replace(path: str, rows: Rows) -> str:
+    """Write a new file with these rows; the old one is set aside, to the path that is returned."""
+    new = path + ".new"
+    _remove(new)
+    connection, _ = _open(new, 0.0)
+    with contextlib.closing(connection):
+        _put(connection, rows)
+    aside = _free_name(path)
+    for suffix in reversed(_SUFFIXES):
+        if os.path.exists(path + suffix):
+            os.replace(path + suffix, aside + suffix)
+    os.replace(new, path)
+    return aside
+
+
+def _back_up(path: str) -> None:
+    """Make a backup of a file, as it is at one moment; the one before it is kept."""
+    new = path + ".backup.new"
+    _remove(new)
+    _make_private(new)
+    with contextlib.closing(sqlite3.connect(path)) as source, contextlib.closing(
+        sqlite3.connect(new)
+    ) as copy:
+        source.backup(copy)
+    _read_only(new)
+    newest, older = (path + ending for ending in _BACKUPS)
+    if os.path.exists(newest):
+        os.replace(newest, older)
+    os.replace(new, newest)
+
+
+def _newest_backup(path: str) -> tuple[Rows, str]:
+    """Return the rows of the newest good backup, and what takes the place of the file."""
+    for ending in _BACKUPS:
+        backup = path + ending
+        with contextlib.suppress(OSError, *_FAULTS):
+            rows = _read_only(backup)
+            when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(os.path.getmtime(backup)))
+            return rows, f"the backup '{backup}' of {when} took its place"
+    return {}, "there is no good backup of it: a new file was begun"
+
+
+def _free_name(path: str, ending: str = "") -> str:
+    """Name a file, beside ``path``, that does not exist."""
+    base = f"{path}.broken-{time.strftime('%Y%m%d-%H%M%S')}"
+    name, count = base + ending, 1
+    while os.path.exists(name):
+        count += 1
+        name = f"{base}-{count}{ending}"
+    return name
+
+
+def _make_private(path: str) -> None:
+    """Make a file if need be, and let only its owner use it and its companions."""
+    with contextlib.suppress(OSError):
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
+    for suffix in _SUFFIXES:
+        with contextlib.suppress(OSError):
+            os.chmod(path + suffix, 0o600)
+
+
+def _remove(path: str) -> None:
+    for suffix in _SUFFIXES:
+        with contextlib.suppress(FileNotFoundError):
+            os.remove(path + suffix)

@@ -55,30 +55,29 @@ class Suspects:
             else:
                 self._labels.pop(mark, None)
 
-    def label(self, mark: int) -> str:
-        """Return the transformation of a claim's nodelet; empty for other nodelets."""
-        with self._state_lock:
-            return self._labels.get(mark, "")
+    def accuse(self, crash: Crash, hosted: Iterable[str]) -> set[str]:
+        """Accuse the nodelets whose code ran or, if unknown, those that the process ``hosted``.
 
-    def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
-        """Accuse the nodelets whose code ran or, if unknown, those that the process ``hosted``."""
-        marks = crash.running
-        if marks is None:
-            marks = frozenset(names.mark(name) for name in hosted)
+        Returns the transformations of accused nodelets of claims that it hosts no more.
+        """
+        here = frozenset(names.mark(name) for name in hosted)
+        marks = here if crash.running is None else crash.running
         now = self._clock()
         with self._state_lock:
             recent = {k: each for k, each in self._accounts.items() if now - each.last <= MEMORY}
-            self._accounts = recent
             for mark in {self._accused(mark) for mark in marks}:
-                past = self._recent(mark, now)
-                count = past.accusations if past is not None else 0
-                self._accounts[mark] = _Account(count + 1, now, crash.cause)
+                count = recent[mark].accusations if mark in recent else 0
+                recent[mark] = _Account(count + 1, now, crash.cause)
+            self._accounts = recent
+            return {self._labels[mark] for mark in marks - here if mark in self._labels}
 
     def verdict(self, name: str) -> str:
         """Return why a nodelet needs a process of its own; empty if it needs none."""
         with self._state_lock:
-            account = self._recent(self._accused(names.mark(name)), self._clock())
+            account = self._accounts.get(self._accused(names.mark(name)))
         if account is None or account.accusations < ENOUGH:
+            return ""
+        if self._clock() - account.last > MEMORY:
             return ""
         return (
             f"alone in its process: {account.accusations} crashes while its code ran, "
@@ -99,13 +98,6 @@ class Suspects:
         """Return the account of a nodelet: its own, or that of its transformation."""
         label = self._labels.get(mark, "")
         return _mark_of_label(label) if label else mark
-
-    def _recent(self, mark: int, now: float) -> _Account | None:
-        account = self._accounts.get(mark)
-        if account is not None and now - account.last > MEMORY:
-            del self._accounts[mark]
-            return None
-        return account
 
 
 def _mark_of_label(label: str) -> int:

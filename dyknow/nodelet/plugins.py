@@ -21,7 +21,7 @@ import sys
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Callable, Iterable, Mapping
+from typing import Callable, Iterable, Iterator, Mapping
 
 from lxml import etree
 
@@ -44,6 +44,35 @@ class PluginFile:
     package: str
     directory: Path
     file: Path
+
+
+def plugin_files() -> Iterator[PluginFile]:
+    """List every ``<export><dyknow plugin="…"/>`` of the packages on ROS_PACKAGE_PATH."""
+    return exported_files("dyknow")
+
+
+def exported_files(tag: str) -> Iterator[PluginFile]:
+    """List the files that packages name in ``<export><TAG plugin="…"/>``."""
+    import rospkg  # here: what is declared is known without ROS's packages too
+
+    rospack = rospkg.RosPack()
+    for package in rospack.list():
+        directory = Path(rospack.get_path(package))
+        try:
+            manifest = (directory / "package.xml").read_bytes()
+        except OSError:
+            continue
+        if b"<" + tag.encode() not in manifest:  # most packages: no need to parse them
+            continue
+        parser = etree.XMLParser(resolve_entities=False, no_network=True, recover=True)
+        root = etree.fromstring(manifest, parser)
+        if root is None:
+            continue
+        for export in root.iterfind(f"export/{tag}"):
+            plugin = export.get("plugin")
+            if plugin:
+                file = Path(plugin.replace("${prefix}", str(directory)))
+                yield PluginFile(package, directory, directory / file)
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,11 @@ class Publisher(_Handle):
         """Count the subscribers: one for each node outside, one for this process."""
         return len(self.publication.peers()[1])
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether a listener is told of its subscribers."""
+        return self._events is not None
+
     def unregister(self) -> None:
         """Withdraw it; publishing raises ``rospy.ROSException`` afterwards."""
         refusal = self.publication.refusal

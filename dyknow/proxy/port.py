@@ -45,6 +45,11 @@ class ProxyPort:
         """Direction and type, for errors."""
         return f"{self.direction}-port of type {self.datatype._type}"
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether the nodelet is told of its subscribers."""
+        return False
+
     def endpoints(self) -> Sequence[Endpoint]:
         """The endpoints that move when the port is connected elsewhere."""
         raise NotImplementedError
@@ -86,6 +91,10 @@ class OutPort(ProxyPort):
         #: Held while handles come and go: a new one must not share a publication that the last
         #: one is about to withdraw.
         self.lock = state_lock("port")
+
+    @property
+    def is_watched(self) -> bool:
+        return any(handle.is_watched for handle in self.handles)
 
     def endpoints(self) -> Sequence[Endpoint]:
         return () if self.publication is None else (self.publication,)

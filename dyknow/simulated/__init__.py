@@ -92,7 +92,7 @@ class SimulatedManagerClient(BaseManagerClient):
         core: the manager itself.
         reconciler: keeps its claims.
         is_up: whether the manager answers.
-        delay: seconds that every answer takes.
+        answers: cleared while every call waits for its answer.
         calls: requests in order: name of the method and its subject.
         rates: messages and lost messages a second of ports, by nodelet and port. In-ports that
             are not named receive all messages of their topic.
@@ -117,7 +117,8 @@ class SimulatedManagerClient(BaseManagerClient):
         self.manager = "/dyknow_manager"
         self.host = host or SimulatedHost()
         self.is_up = True
-        self.delay = 0.0
+        self.answers = threading.Event()
+        self.answers.set()
         self.calls: list[tuple[str, str]] = []
         self._clock = clock
         self.rates: dict[tuple[str, str], tuple[float, float]] = {}
@@ -283,8 +284,7 @@ class SimulatedManagerClient(BaseManagerClient):
 
     def _note(self, method: str, subject: str) -> None:
         self.calls.append((method, subject))
-        if self.delay:
-            time.sleep(self.delay)
+        self.answers.wait()
         if not self.is_up:
             raise HostError(f"service {self.manager}/{method} is not there")
 

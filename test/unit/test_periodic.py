@@ -9,7 +9,7 @@ import threading
 from typing import Callable, Iterator, List, Optional
 
 import pytest
-from clocks import PATIENCE, HandClock, SteppedClock
+from clocks import PATIENCE, HandClock, SteppedClock, join, wait_for
 
 from dyknow.errors import DyKnowError
 from dyknow.periodic import (
@@ -133,7 +133,7 @@ class Gate:
 
     def __call__(self) -> None:
         self.begun.set()
-        assert self.go_on.wait(PATIENCE)
+        wait_for(self.go_on)
 
     def open(self) -> None:
         self.go_on.set()
@@ -154,7 +154,7 @@ def test_slow_rounds_hold_up_no_other_key(gate: Gate) -> None:
     for number in range(3):
         loop.once(f"restoring {number}", gate)
     loop.add("late", done.set, 0.0)  # type: ignore[arg-type]
-    assert done.wait(PATIENCE)
+    wait_for(done)
     loop.close()
 
 
@@ -188,14 +188,14 @@ def test_a_round_that_runs_at_the_close_is_waited_for(gate: Gate) -> None:
     worker = PeriodicWorker("testing", gate, pause=0.0)
     worker.start()
     number = worker.wake()
-    assert gate.begun.wait(PATIENCE)
+    wait_for(gate.begun)
     later = worker.wake()
     worker.close(0.01)
     answers: List[bool] = []
     waiter = in_background("waiting", lambda: answers.append(worker.wait_for(number, PATIENCE)))
     waiter.join(0.1)
     gate.open()
-    waiter.join(PATIENCE)
+    join(waiter)
     assert answers == [True]
     assert not worker.wait_for(later, PATIENCE), "no round begins after the close"
 
@@ -205,7 +205,7 @@ def test_a_close_ends_the_wait_for_a_round_that_will_not_come() -> None:
     waiter = in_background("waiting", lambda: worker.wait_for(7, PATIENCE))
     worker.close()
     worker.start()
-    waiter.join(PATIENCE / 2)
+    waiter.join(PATIENCE / 2)  # sooner than it would give up
     assert not waiter.is_alive()
 
 
@@ -216,7 +216,7 @@ def test_one_worker_of_a_pool_keeps_the_order() -> None:
     for number in range(100):
         workers.run(lambda number=number: done.append(number))
     workers.run(over.set)
-    assert over.wait(PATIENCE)
+    wait_for(over)
     workers.close(PATIENCE)
     assert done == list(range(100))
 
@@ -237,7 +237,7 @@ def test_a_pool_that_is_closed_begins_nothing_more_and_ends_running_work(gate: G
     done: List[str] = []
     workers.run(lambda: (gate(), done.append("begun")))
     workers.run(lambda: done.append("not begun"))
-    assert gate.begun.wait(PATIENCE)
+    wait_for(gate.begun)
     workers.close(0.01)
     assert done == []
     gate.open()

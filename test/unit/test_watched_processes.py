@@ -8,7 +8,13 @@ from __future__ import annotations
 import sys
 
 import pytest
+from ros import processes
 from ros.processes import Running, eventually
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    monkeypatch.setattr(processes, "LEAST", 0.01)
 
 
 def test_a_failure_shows_what_is_there_by_then():
@@ -18,7 +24,7 @@ def test_a_failure_shows_what_is_there_by_then():
 
 
 def test_a_process_that_says_something_else_and_runs_on():
-    script = "import time; print('something else'); time.sleep(60)"
+    script = "import time; print('something else'); time.sleep(1000)"
     with Running(sys.executable, "-c", script) as process:
         process.wait_for("something else")
         with pytest.raises(AssertionError, match=r"(?s)runs on; it said:\nsomething else"):

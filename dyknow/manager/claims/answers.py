@@ -125,7 +125,7 @@ class CheaperPlans:
         Each call compares one claim again, if there is a new offer.
         """
         offers, now = self._planner.offers(), self._clock()
-        claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
+        claims = [each for each in self._table.living if each.state is ClaimState.ACTIVE]
         for claim in claims:
             known = self._compared.get(claim.claim_id)
             if known is None or known.nodelets != claim.nodelets:
@@ -142,7 +142,7 @@ class CheaperPlans:
                 self._table.report(claim_id, known.way)
                 reported = known.reported | {known.way}
                 self._compared[claim_id] = replace(known, reported=reported)
-        living = {claim.claim_id for claim in self._table.living()}
+        living = {claim.claim_id for claim in self._table.living}
         self._compared = {key: each for key, each in self._compared.items() if key in living}
 
     def _way(self, claim: Claim) -> str:

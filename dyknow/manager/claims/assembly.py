@@ -21,16 +21,13 @@ from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import DyKnowError, HostTimeout, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_planner import STAMPED
-from dyknow.manager.claims.connector import Transaction
 from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.ends import relay
-from dyknow.manager.claims.supplies import Instance, instance_of, with_upstream
-from dyknow.manager.claims.topology import wanted_type
+from dyknow.manager.claims.ends import Producer, relay
 from dyknow.manager.host import Count
-from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
+from dyknow.manager.planning.problem import Instance, Live, New, Plan, PlanStep, Source
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import filling
-from dyknow.manager.specifications.tags import Term, read_tags
+from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import IN, OUT, Parameter, Transformation
@@ -106,15 +103,15 @@ class Assembly:
         self._own = own
         self._movable = movable
         self._ordinary = ordinary
-        self._datatype = wanted_type(claim)
-        unresponsive = context.monitor.unresponsive
-        self._transaction = Transaction(context.manager, context.connector, unresponsive)
+        self._transaction = context.transaction()
         self._spawned = self._transaction.spawned
-        #: Nodelets for the steps of the plan; grows, as do the next ones.
+        #: Out-ports that the plan uses of its new nodelets.
+        self._used: dict[Instance, set[str]] = {}
+        for source in plan.sources:
+            if isinstance(source, New):
+                self._used.setdefault(source.instance, set()).add(source.port)
+        #: Nodelets for the steps of the plan; grows, as do the remarks.
         self._made: dict[Instance, str] = {}
-        self._wiring: dict[str, dict[str, str]] = {}
-        self._sources: set[str] = set()
-        self._reused: set[str] = set()
         self._remarks: list[str] = []
         #: When the replacements of the plan have to have delivered.
         self._deadline: float | None = None
@@ -127,52 +124,56 @@ class Assembly:
         Raises StreamTypeMismatch if a new nodelet has a port of another type than is needed.
         """
         try:
-            self._reserve()
+            # Nothing that the plan counts on is to be destroyed meanwhile.
+            self._lock.reserve([*self._movable, *self._upstream()[0]])
             for step in self._plan.steps:
                 self._take(step)
-            claim = self._publish(self._plan.goal)
+            goal, present = self._plan.goal, self._topic_of(self._plan.goal)
+            claim = self._publish(goal, present)
         except BaseException:
             self._transaction.undo(self._context.world().needed)
             raise
-        reused = self._reused & self._wiring.keys()
-        fed, sources = with_upstream(self._world.records, self._ordinary, reused)
-        for name, topics in fed.items():
-            self._wiring.setdefault(name, {}).update(topics)
+        name, source = claim.goal[0], self._name_of(goal)
+        wiring, sources = self._upstream(name, *self._made.values())
+        if source:
+            wiring[source][goal.port] = present
+        if name != source:
+            wiring[name]["in"] = present  # of the relay
+        if name:
+            wiring[name][claim.goal[1]] = claim.topic
+        if not name or present in self._ordinary:
+            sources.add(present)
         claim = replace(
             claim,
-            wiring=self._wiring,
-            sources=tuple(sorted(self._sources | sources)),
+            wiring=wiring,
+            sources=tuple(sorted(sources)),
             bindings=self._plan.bindings,
             state=ClaimState.ACTIVE,
         )
-        reused = (self._reused | fed.keys()) - set(self._spawned)
-        return Acquired(
-            claim, self._plan, tuple(self._spawned), tuple(sorted(reused)), tuple(self._remarks)
-        )
+        spawned, reused = tuple(self._spawned), sorted(wiring.keys() - {*self._spawned})
+        return Acquired(claim, self._plan, spawned, tuple(reused), tuple(self._remarks))
 
-    def _reserve(self) -> None:
-        """Keep the nodelets that the plan counts on, and their feeders, from being destroyed."""
-        used = {live.nodelet for live in self._plan.live if live.nodelet}
-        fed, _ = with_upstream(self._world.records, self._ordinary, used)
-        self._lock.reserve([*self._movable, *fed])
+    def _upstream(self, *made: str) -> tuple[dict[str, dict[str, str]], set[str]]:
+        """Find the nodelets and topics of the plan."""
+        used = {*made, *[live.nodelet for live in self._plan.live]}
+        return self._world.upstream(used - {""}, self._ordinary)
 
     # Steps
 
     def _take(self, step: PlanStep) -> None:
-        instance = instance_of(step)
+        instance = step.instance
         inputs = self._inputs(step)
         name = self._own.get(instance, "")
         if name:
-            self._reused.add(name)
             self._check_types(self._world.get(name), step)
             for port, source in step.inputs:
                 self._await(source, self._world.get(name).topics.get(port, ""), inputs[port])
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
-            types = {port: self._type_of(source) for port, source in step.inputs}
+            types = {port: self._sent(source).datatype for port, source in step.inputs}
             typed = {port: (topic, types[port]) for port, topic in inputs.items()}
-            name = self._spawn(transformation, typed, self._outputs(instance), given)
+            name = self._spawn(transformation, typed, self._used[instance], given)
             self._check_types(self._world.get(name), step)
         self._made[instance] = name
         self._connect(name, self._inputs(step))
@@ -181,19 +182,12 @@ class Assembly:
         """Topics of a step's suppliers, as they are now."""
         return {port: self._topic_of(source) for port, source in step.inputs}
 
-    def _outputs(self, instance: Instance) -> list[str]:
-        """Out-ports that the plan uses of an instance."""
-        inputs = [source for step in self._plan.steps for _, source in step.inputs]
-        found = [each for each in (*inputs, self._plan.goal) if isinstance(each, New)]
-        return sorted({each.port for each in found if instance_of(each) == instance})
-
-    def _publish(self, goal: Source) -> Claim:
-        """Let the goal be published where the client listens; returns the claim."""
+    def _publish(self, goal: Source, present: str) -> Claim:
+        """Let the goal, which is on a topic, be published where the client listens."""
         claim = self._claim
-        present = self._topic_of(goal)
-        datatype = self._type_of(goal)
-        if not types_fit(self._datatype, datatype):
-            raise StreamTypeMismatch(claim.request.tag, self._datatype, datatype, goal.label)
+        datatype = self._sent(goal).datatype
+        if not types_fit(claim.wanted_type, datatype):
+            raise StreamTypeMismatch(claim.request.tag, claim.wanted_type, datatype, goal.label)
         is_stamped = datatype in ANY or self._manager.host.is_stamped(datatype)
         if claim.request.max_age > 0 and is_stamped is False:
             raise StreamTypeMismatch(claim.request.tag, STAMPED, datatype, goal.label)
@@ -212,13 +206,14 @@ class Assembly:
                 self._connect(name, {port: topic})
             self._clear(topic, name)
         place = (name, port) if name else ("", "")
-        return replace(claim, topic=topic, datatype=datatype or self._datatype, goal=place)
+        datatype = claim.wanted_type if datatype in ANY else datatype
+        return replace(claim, topic=topic, datatype=datatype, goal=place)
 
     def _relay(self, goal: Source, present: str, topic: str = "") -> str:
         """Relay a stream that stays on its topic to ``topic``, or a new one; name the relay."""
         # The tags that hold for all messages there.
-        tags = self._world.topology.common_tags(present, self._tags_of(goal))
-        datatype = self._type_of(goal)
+        tags = self._world.common_tags(present, self._sent(goal).tags)
+        datatype = self._sent(goal).datatype
         made = relay(present, datatype, tuple(map(str, tags)))
         name = self._spawn(made, {"in": (present, datatype)}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
@@ -231,19 +226,16 @@ class Assembly:
 
         Else it goes afterwards, without a gap.
         """
-        tags, producers = set(self._tags_of(goal)), self._world.topology.producers(topic)
+        tags, producers = set(self._sent(goal).tags), self._world.producers(topic)
         if any(set(each.tags) != tags for each in producers):
             self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Disconnect every other publisher of the client's topic: it was replaced."""
-        for record in self._world.records.values():
-            if record.name == publisher or record.transformation is None:
-                continue
-            ports = dict.fromkeys(ports_on(record, OUT, topic), "")
-            stays = record.is_fixed or record.name in self._monitor.unresponsive
-            if ports and record.state is State.RUNNING and not stays:
-                self._transaction.connect(record.name, ports)
+        for record, ports in self._world.publishers(topic):
+            is_other = record.name != publisher and record.transformation is not None
+            if is_other and self._monitor.is_reachable(record):
+                self._transaction.connect(record.name, dict.fromkeys(ports, ""))
         self._world = self._context.world()
 
     # Parts of a step
@@ -251,7 +243,6 @@ class Assembly:
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self._transaction.connect(name, config)
         self._world = self._context.world()
-        self._wiring.setdefault(name, {}).update(config)
 
     def _spawn(
         self,
@@ -281,7 +272,7 @@ class Assembly:
             except DyKnowError:
                 self.failed_label = transformation.label
                 raise
-            own = {port: names.topic_after(name, port) for port in outputs}
+            own = {port: names.topic_after(name, port) for port in sorted(outputs)}
             config = {**(certain if kind.is_written_for_dyknow else topics), **own}
             request = SpawnRequest(transformation.label, name, config, parameters=given)
             cut = self._transaction.make_way_for(transformation, request)
@@ -296,7 +287,7 @@ class Assembly:
                     self.failed_label = transformation.label
                 raise
             self._transaction.connect_again(cut)
-            self._connect(name, config)
+            self._world = self._context.world()
             return name
         raise SpawnFailed(transformation.label, "all names for it are taken")
 
@@ -336,11 +327,8 @@ class Assembly:
 
     def _flows(self, topic: str) -> bool:
         """Whether a healthy nodelet publishes on a topic."""
-        return any(
-            ports_on(record, OUT, topic)
-            for record in self._world.records.values()
-            if record.state is State.RUNNING and record.name not in self._monitor.unhealthy
-        )
+        unhealthy = self._monitor.unhealthy
+        return any(record.name not in unhealthy for record, _ in self._world.publishers(topic))
 
     def _may_move(self, name: str, topic: str) -> bool:
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
@@ -359,19 +347,14 @@ class Assembly:
 
     def _name_of(self, source: Source) -> str:
         """Name of a supplier's nodelet; empty for a topic of ordinary nodes."""
-        return source.nodelet if isinstance(source, Live) else self._made[instance_of(source)]
+        return source.nodelet if isinstance(source, Live) else self._made[source.instance]
 
     def _topic_of(self, source: Source) -> str:
         """Return the topic of a supplier; an out-port that has none is connected to one."""
         name = self._name_of(source)
-        if isinstance(source, Live):
-            if not name:
-                self._sources.add(source.topic)
-                return source.topic
-            self._reused.add(name)
+        if isinstance(source, Live) and not name:
+            return source.topic
         topic = self._world.get(name).topics.get(source.port, "")
-        if topic in self._ordinary:
-            self._sources.add(topic)
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
             topic = self._free_topic(name, source.port)
         self._connect(name, {source.port: topic})
@@ -379,39 +362,22 @@ class Assembly:
 
     def _is_mixed(self, source: New, topic: str) -> bool:
         """Whether something else may be sent on a supplier's topic as well."""
-        tags = self._tags_of(source)
-        return self._world.topology.common_tags(topic, tags) != tags
+        tags = self._sent(source).tags
+        return self._world.common_tags(topic, tags) != tags
 
-    def _type_of(self, source: Source) -> str:
-        """ROS type of a supplier's messages; empty while it is not known."""
+    def _sent(self, source: Source) -> Producer:
+        """Tags and type of a supplier's messages, as far as they are certain."""
         name = self._name_of(source)
-        if isinstance(source, Live) and not name:
-            return source.datatype
-        record = self._world.get(name)
-        known = [(port.name, port.datatype) for port in record.ports]
-        if record.transformation is not None:
-            known += [(port.name, port.datatype) for port in record.transformation.ports]
-        return next((each for name, each in known if name == source.port and each not in ANY), "")
-
-    def _tags_of(self, source: Source) -> tuple[Term, ...]:
-        """Tags of a supplier's stream, without those whose variables are not bound."""
-        name = self._name_of(source)
-        if name:
-            transformation = self._world.get(name).transformation
-        else:
-            transformation = self._manager.library.get(source.label)
-        ports = transformation.ports if transformation is not None else ()
-        tags = next((port.tags for port in ports if port.name == source.port or not name), ())
-        possible = self._world.topology.dependent.supplies().get((name, source.port))
-        if possible is None:
-            return tuple(term for term in read_tags(tags) if term.is_ground)
-        return next(iter(possible)).tags if len(possible) == 1 else ()
+        if name or isinstance(source, New):
+            return self._world.sent(name, source.port)
+        port = self._manager.library.get(source.label).ports[0]
+        return Producer("", "", read_tags(port.tags), source.datatype)
 
     def _check_types(self, record: Record, step: PlanStep) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers."""
         types = {port.name: port.datatype for port in record.ports}
         for port, source in step.inputs:
-            wanted, found = types.get(port, ""), self._type_of(source)
+            wanted, found = types.get(port, ""), self._sent(source).datatype
             if not types_fit(wanted, found):
                 what = f"for port '{port}' of transformation '{step.action.label}'"
                 raise StreamTypeMismatch(what, wanted, found, source.label)

@@ -14,25 +14,17 @@ from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTupl
 
 from dyknow.datatypes import ANY
 from dyknow.errors import HostError, StreamTypeMismatch
-from dyknow.manager.claim import Claim
+from dyknow.manager.claim import Claim, demand_of
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import RELAY_COST
-from dyknow.manager.claims.supplies import (
-    Instance,
-    OwnNodelet,
-    assigned,
-    instance_of,
-    is_current,
-    live_streams,
-    with_upstream,
-)
-from dyknow.manager.claims.topology import demand_of, may_share
+from dyknow.manager.claims.own_nodelets import OwnNodelet, assigned, is_current
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
     NO_LABELS,
     NO_WISHES,
     Answer,
     Demand,
+    Instance,
     Live,
     NoPlan,
     Plan,
@@ -90,10 +82,11 @@ class Situation(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """An answer, and the situation that it was found for."""
+    """An answer, the situation that it was found for, and the moment of that, if known."""
 
     situation: Situation
     answer: Answer
+    moment: Hashable = None
 
 
 class ClaimPlanner:
@@ -122,7 +115,7 @@ class ClaimPlanner:
             return
         self._looked = now
         wanted = set(self._world().described)
-        wanted.update(topic for claim in self._table.living() for topic in claim.sources)
+        wanted.update(topic for claim in self._table.living for topic in claim.sources)
         with contextlib.suppress(HostError):  # the ROS master is away: no stream is interrupted
             self.published = self._manager.host.published(sorted(wanted))
 
@@ -151,7 +144,7 @@ class ClaimPlanner:
 
     def common_topic(self, claim: Claim) -> str:
         """Return where another client listens whose stream will do for a claim; empty for none."""
-        sharing = [each for each in self._table.living() if each.topic and may_share(claim, each)]
+        sharing = [each for each in self._table.living if each.topic and claim.may_share(each)]
         return sharing[0].topic if sharing else ""
 
     # Plans
@@ -169,6 +162,7 @@ class ClaimPlanner:
         then. ``lenient`` allows transformations that failed lately if nothing else will do; labels
         of ``avoid`` and nodelets of ``without`` have no part in it.
         """
+        moment = self._moment()
         situation = self.situation(claim, avoid, without)
         answer = self._solved(situation)
         if isinstance(answer, NoPlan) and lenient and situation.paused:
@@ -177,10 +171,15 @@ class ClaimPlanner:
             stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
             if isinstance(stamped.answer, Plan):
                 return stamped
-        return Proposal(situation, answer)
+        return Proposal(situation, answer, moment)
+
+    def _moment(self) -> Hashable:
+        return self.signature(), self._table.living
 
     def still_fits(self, claim: Claim, proposal: Proposal) -> bool:
         """Whether every part that a plan uses is still there, unchanged."""
+        if proposal.moment == self._moment():
+            return True
         before, now = proposal.situation, self.situation(claim)
         if isinstance(proposal.answer, NoPlan):
             return before == now
@@ -265,7 +264,7 @@ class ClaimPlanner:
             exclude,
             self._monitor.paused | quality.paused(claims),
             self._world().described_nodes - {each.label for each in own},
-            wishes_of(first),
+            first.wishes,
             self._upstream(first, streams),
             max(claim.request.budget for claim in claims) or BUDGET,
             self.transformations(),
@@ -292,7 +291,7 @@ class ClaimPlanner:
         claims exclude other labels or have other wishes.
         """
         known, world = self.transformations(), self._world()
-        sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        sharing = [each for each in self._table.living if each.claim_id != claim.claim_id]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
         unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
@@ -309,7 +308,7 @@ class ClaimPlanner:
             ):
                 continue
             exposed = exposed_variables(known[record.label])
-            ways = world.topology.dependent.ways(name) if exposed else None
+            ways = world.ways(name) if exposed else None
             present = {
                 tuple(sorted((each, way[each]) for each in exposed if each in way))
                 for way in ways or ()
@@ -347,23 +346,22 @@ class ClaimPlanner:
             and record.label not in exclude
             and (not record.claimed or is_current(library, record))
         ]
-        return live_streams(records, published, world.topology, self._ontology)
+        return world.live(records, published)
 
     def _without_relays(self, streams: Iterable[TaggedStream]) -> tuple[TaggedStream, ...]:
         """Leave out the streams of relays: a plan uses the stream that they forward."""
         relays = self._world().relays
-        return tuple(each for each in streams if each[0].nodelet not in relays)
+        return tuple([each for each in streams if each[0].nodelet not in relays])
 
     def _upstream(
         self, claim: Claim, streams: Iterable[TaggedStream]
     ) -> dict[str, frozenset[str]]:
         """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
-        if wishes_of(claim) == NO_WISHES:
+        if claim.wishes == NO_WISHES:
             return {}
-        records, ordinary = self._world().records, self.ordinary
-        found = {}
+        world, found = self._world(), {}
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
-            wiring, topics = with_upstream(records, ordinary, [name])
+            wiring, topics = world.upstream([name], self.ordinary)
             found[name] = frozenset(self._labels(wiring.keys() - {name}, topics))
         return found
 
@@ -423,7 +421,7 @@ class ClaimPlanner:
         if isinstance(answer, NoPlan):
             return NO_LABELS
         used = self.assigned(answer, situation.own)
-        new = {step.action.label for step in answer.steps if instance_of(step) not in used}
+        new = {step.action.label for step in answer.steps if step.instance not in used}
         known = situation.known
         return frozenset(label for label in new if label in known and known[label].node)
 
@@ -451,7 +449,7 @@ class ClaimPlanner:
         for step in plan.steps:
             found = known.get(step.action.label)  # None if the library has changed meanwhile
             price = step.action.cost if found is None else found.cost
-            action = step.action._replace(cost=0 if instance_of(step) in used else price)
+            action = step.action._replace(cost=0 if step.instance in used else price)
             steps.append(step._replace(action=action))
         plan = plan._replace(steps=tuple(steps))
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
@@ -460,7 +458,7 @@ class ClaimPlanner:
         """Return the cost that ends with a claim's stream; ``saved`` labels serve nothing else."""
         known = self.transformations()
         price = sum(known[label].cost for label in saved)
-        wishes = wishes_of(claim)
+        wishes = claim.wishes
         if wishes == NO_WISHES:
             return price
         exclude = frozenset(claim.request.exclude)
@@ -473,7 +471,7 @@ class ClaimPlanner:
     def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> dict[str, str]:
         """Those of its own that nothing would need if these clients needed no stream: labels."""
         together = {each.claim_id for each in self._table.together(claim)}
-        claims = [each for each in self._table.living() if each.claim_id not in together]
+        claims = [each for each in self._table.living if each.claim_id not in together]
         kept = {name for each in claims for name in each.nodelets}
         records, known = self._world().records, self.transformations()
         kept.update(each.name for each in records.values() if each.is_protected)
@@ -497,12 +495,6 @@ class ClaimPlanner:
         return datatype if lacks else ""
 
 
-def wishes_of(claim: Claim) -> Wishes:
-    """Return the preferences of a claim's client."""
-    request = claim.request
-    return Wishes(tuple(sorted(set(request.prefer))), tuple(sorted(set(request.avoid))))
-
-
 def _is_connectable(record: Record, transformations: Mapping[str, Transformation]) -> bool:
     """Whether a nodelet runs, is one that plans may connect, and is as today's library says."""
     return (
@@ -516,4 +508,4 @@ def _is_connectable(record: Record, transformations: Mapping[str, Transformation
 def _may_lend(user: Claim, claim: Claim) -> bool:
     """Whether a claim may connect elsewhere what another one uses."""
     excluded = set(user.request.exclude)
-    return excluded <= set(claim.request.exclude) and wishes_of(user) == wishes_of(claim)
+    return excluded <= set(claim.request.exclude) and user.wishes == claim.wishes

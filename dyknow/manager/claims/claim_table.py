@@ -10,12 +10,13 @@ a lease that was renewed meanwhile stays renewed. Events come in the order of th
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Callable
 
 from dyknow.errors import UnknownClaim
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.claim import Claim, ClaimEvent, Moment
-from dyknow.manager.store import MEANINGLESS, Store
+from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import EventQueue
 
@@ -49,8 +50,10 @@ class ClaimTable:
         self._clock = clock
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
-        self._claims: dict[str, Claim] = self._stored()
-        self._living: tuple[Claim, ...] = ()
+        read = partial(Claim.from_body, now=Moment.now(clock))
+        self._claims: dict[str, Claim] = store.read("claims", read)
+        #: The claims that have not ended, by id; replaced as a whole by every change.
+        self.living: tuple[Claim, ...] = ()
         self._sort()
         self.events: EventQueue[ClaimEvent] = EventQueue(on_event)
 
@@ -59,13 +62,9 @@ class ClaimTable:
         with self._state_lock:
             return [self._claims[claim_id] for claim_id in sorted(self._claims)]
 
-    def living(self) -> tuple[Claim, ...]:
-        """Return the claims that have not ended, by id: the same tuple until one changes."""
-        return self._living
-
     def together(self, claim: Claim) -> list[Claim]:
         """Return the claims whose clients listen where this one's does; this one first."""
-        others = [each for each in self.living() if each.claim_id != claim.claim_id]
+        others = [each for each in self.living if each.claim_id != claim.claim_id]
         return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
 
     def find(self, claim_id: str) -> Claim | None:
@@ -87,7 +86,7 @@ class ClaimTable:
         if not request.request_id:
             return None
         wanted = (request.client_id, request.request_id)
-        for claim in self.living():
+        for claim in self.living:
             if (claim.request.client_id, claim.request.request_id) == wanted:
                 return claim
         return None
@@ -138,7 +137,7 @@ class ClaimTable:
             if before is None:
                 return
             after = replace(before, state=state, detail=reason)
-            self._store.remove_claim(claim_id)
+            self._store.write({("claims", claim_id): None})
             with self._state_lock:
                 self._claims.pop(claim_id)
                 self._claims[claim_id] = after  # now the last one to be forgotten
@@ -158,29 +157,14 @@ class ClaimTable:
         self._paused = paused
         if running < self._pardon_until:
             return
-        for claim in self.living():
+        for claim in self.living:
             present = self.find(claim.claim_id)  # a renewal may have come meanwhile
             if present is not None and present.deadline is not None and now >= present.deadline:
                 self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended")
 
-    def _stored(self) -> dict[str, Claim]:
-        now = Moment.now(self._clock)
-        claims: dict[str, Claim] = {}
-        causes: dict[str, str] = {}
-        for claim_id, body in self._store.claims().items():
-            try:
-                claim = Claim.from_body(body, now)
-                if claim.claim_id != claim_id:
-                    raise ValueError(f"it says that it is '{claim.claim_id}'")
-                claims[claim_id] = claim
-            except MEANINGLESS as error:
-                causes[claim_id] = f"{type(error).__name__}: {error}"
-        if causes:
-            self._store.reject_claims(causes)
-        return claims
-
     def _write(self, claim: Claim) -> None:
-        self._store.put_claim(claim.claim_id, claim.body(Moment.now(self._clock)))
+        body = claim.body(Moment.now(self._clock))
+        self._store.write({("claims", claim.claim_id): body})
         with self._state_lock:
             self._claims[claim.claim_id] = claim
             self._sort()
@@ -188,4 +172,4 @@ class ClaimTable:
     def _sort(self) -> None:
         """Find the claims that have not ended; with the lock of the state held."""
         claims = (self._claims[claim_id] for claim_id in sorted(self._claims))
-        self._living = tuple(claim for claim in claims if not claim.state.ended)
+        self.living = tuple(claim for claim in claims if not claim.state.ended)

@@ -19,7 +19,7 @@ from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
 from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.world import Config, WorldReader
 from dyknow.manager.manager import Manager
-from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of, with_ports
+from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports
 from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.transformation import Transformation
@@ -57,7 +57,7 @@ class Connector:
     def remember(self) -> None:
         """Store the bindings of nodelets with variables."""
         world = self.world()
-        for name, heard in world.topology.heard.items():
+        for name, heard in world.heard.items():
             known = world.records.get(name)
             if known is None or known.heard == heard or known.state is not State.RUNNING:
                 continue
@@ -101,7 +101,7 @@ class Connector:
             ):
                 self._unknown[name] = now + _PAUSE
                 try:
-                    self._ask(name)
+                    self._manager.show_ports(name)
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
@@ -122,13 +122,6 @@ class Connector:
                 after = replace(after, heard=NOTHING_HEARD)
             self._graph.put(after)
 
-    def _ask(self, name: str) -> None:
-        ports = self._manager.host.ports(name)
-        with self._graph.changing(name) as record:
-            if record is not None and record.state is State.RUNNING:
-                record = with_ports(record, ports)
-                self._graph.put(replace(record, topics=topics_of(record)))
-
     def _settle(self, name: str, now: float = float("inf")) -> None:
         """Forget connections that cannot arrive any more; without any, a nodelet is known."""
         late = {
@@ -147,11 +140,11 @@ class Transaction:
     """Spawns and connects nodelets; everything that it did can be undone."""
 
     def __init__(
-        self, manager: Manager, connector: Connector, unresponsive: AbstractSet[str]
+        self, manager: Manager, connector: Connector, is_reachable: Callable[[Record], bool]
     ) -> None:
         self._manager = manager
         self._connector = connector
-        self._unresponsive = unresponsive
+        self._is_reachable = is_reachable
         #: Names of the nodelets that were made.
         self.spawned: list[str] = []
         self._done: list[ReversibleStep] = []
@@ -187,7 +180,7 @@ class Transaction:
 
         Consumers whose demand would not be met are disconnected first.
         """
-        record = self._connector.world().get(name)
+        record = self._manager.graph.get(name)
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and name not in self._connector.unknown:
             return
@@ -225,10 +218,13 @@ class Transaction:
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
         """Disconnect the consumers that would mismatch a connection; returns their topics."""
+        graph = self._manager.graph
         cut: dict[str, dict[str, str]] = {}
         is_forgetful = False
         while True:
-            found = self._connector.world().in_the_way(record, config, is_forgetful)
+            world = self._connector.world()
+            world = world.forgetful if is_forgetful else world
+            found = world.in_the_way(record, config)
             more = {
                 name: ports
                 for name, ports in found.items()
@@ -236,23 +232,20 @@ class Transaction:
             }
             if not more:
                 return dict(sorted(cut.items()))
-            reached = {name: ports for name, ports in more.items() if self._is_reachable(name)}
+            reached = {
+                name: ports for name, ports in more.items() if self._is_reachable(graph.get(name))
+            }
             if not reached:
-                if is_forgetful or self._connector.world().in_the_way(record, config, True):
-                    first = self._manager.graph.get(min(more))
+                if is_forgetful or world.forgetful.in_the_way(record, config):
+                    first = graph.get(min(more))
                     why = "has fixed topics" if first.is_fixed else "does not answer"
                     raise HostError(f"{first.name} has to be disconnected first, and {why}")
                 is_forgetful = True  # they are reconfigured as soon as they answer
             for name, ports in sorted(reached.items()):
-                topics = self._manager.graph.get(name).topics
+                topics = graph.get(name).topics
                 self.connect(name, ports)
                 before = {port: topics.get(port, "") for port in ports}
                 cut.setdefault(name, {}).update(before)
-
-    def _is_reachable(self, name: str) -> bool:
-        record = self._manager.graph.get(name)
-        is_movable = record.state is State.RUNNING and not record.is_fixed
-        return is_movable and name not in self._unresponsive
 
     def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
         fits = self._connector.world().fitting(replace(record, topics={**record.topics, **ports}))

@@ -11,7 +11,7 @@ from typing import Callable, Iterable, Iterator
 
 from dyknow.locks import turn_lock
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
+from dyknow.manager.claims.connector import Connector, Transaction
 from dyknow.manager.claims.monitors import StreamMonitor
 from dyknow.manager.claims.world import World
 from dyknow.manager.manager import Manager
@@ -99,7 +99,9 @@ class ClaimContext:
     monitor: StreamMonitor
     clock: Callable[[], float]
     sleep: Callable[[float], None]
+    #: Returns the world of this moment.
+    world: Callable[[], World]
 
-    def world(self) -> World:
-        """Return the world of this moment."""
-        return self.connector.world()
+    def transaction(self) -> Transaction:
+        """Begin to change nodelets for claims."""
+        return Transaction(self.manager, self.connector, self.monitor.is_reachable)

@@ -119,6 +119,7 @@ class Producer(NamedTuple):
         tags: the tags of its messages.
         datatype: ROS type of its messages.
         is_unbound: whether it sends nothing, since a variable of its tags is bound to nothing.
+        key: of the ends that it belongs to.
     """
 
     nodelet: str
@@ -126,6 +127,7 @@ class Producer(NamedTuple):
     tags: tuple[Term, ...] = ()
     datatype: str = ""
     is_unbound: bool = False
+    key: str = ""
 
 
 class Consumer(NamedTuple):
@@ -135,30 +137,40 @@ class Consumer(NamedTuple):
         nodelet: its name; empty for a client.
         port: its in-port, or the id of the claim.
         demand: the only messages that it may receive.
-        ends: number of its nodelet among those whose in-ports depend on each other; else -1.
+        key: of the ends that it belongs to.
     """
 
     nodelet: str
     port: str
     demand: Demand
-    ends: int = -1
+    key: str
 
     @property
     def variables(self) -> frozenset[str]:
         """Variables of its demand, which the stream binds."""
-        return frozenset(name for tag in self.demand.tags for name in tag.variables)
+        return frozenset([name for tag in self.demand.tags for name in tag.variables])
 
 
-class NodeletEnds(NamedTuple):
-    """The ends of streams at a nodelet, each with the topics on which it is.
+Where = Tuple[str, ...]
+"""The topics on which a port may be."""
+Late = Mapping[Tuple[str, str], Where]
+"""Topics on which late connections may put ports, by nodelet and port."""
+NOWHERE: Late = {}
+"""No connection is late."""
 
-    The tags are those that the nodelet was made with, even if the library has changed.
+
+class Ends(NamedTuple):
+    """The ends of streams at a nodelet, a topic of ordinary nodes, or a client.
+
+    A port is on each topic on which it may be: where it was seen last, where it should be, and
+    where a connection without an answer may have put it. The tags are those that the nodelet was
+    made with, even if the library has changed.
 
     Attributes:
-        name: of the nodelet.
+        key: name of the nodelet, unless it is as it would be then; else a text that is no name.
+        producers: the out-ports.
+        consumers: the tagged in-ports.
         is_relay: whether it forwards messages.
-        producers: its out-ports.
-        consumers: its tagged in-ports.
         given: names that its variables stand for in any case.
         listening: its in-ports with variables, and their topics.
         heard: names that its variables stood for in the messages received there, in each way.
@@ -166,12 +178,12 @@ class NodeletEnds(NamedTuple):
         is_by_hand: whether it was not made for claims: people may have connected it to anything.
     """
 
-    name: str
-    is_relay: bool
-    producers: tuple[tuple[Producer, tuple[str, ...]], ...]
-    consumers: tuple[tuple[Consumer, tuple[str, ...]], ...]
+    key: str
+    producers: tuple[tuple[Producer, Where], ...] = ()
+    consumers: tuple[tuple[Consumer, Where], ...] = ()
+    is_relay: bool = False
     given: Way = NO_BINDINGS
-    listening: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    listening: tuple[tuple[str, Where], ...] = ()
     heard: tuple[Way, ...] = ()
     has_variables: bool = False
     is_by_hand: bool = False
@@ -182,34 +194,50 @@ class NodeletEnds(NamedTuple):
         return self.heard or (self.given,)
 
 
-def ends_of(record: Record) -> NodeletEnds:
-    """Read the ends of a nodelet."""
-    producers: list[tuple[Producer, tuple[str, ...]]] = []
-    consumers: list[tuple[Consumer, tuple[str, ...]]] = []
-    seen = {port.name: port for port in record.ports}
+NO_ENDS = Ends("")
+"""Nothing sends, and nothing receives."""
+
+
+def ends_of_topic(topic: str, described: Iterable[Transformation]) -> Ends:
+    """Return the ordinary nodes that the library describes, as one producer."""
+    key = f"topic {topic}"
+    ports = [each.ports[0] for each in described]
+    tags = tuple([term for port in ports for term in read_tags(port.tags)])
+    datatype = next((port.datatype for port in ports if port.datatype), "")
+    return Ends(key, ((Producer("", "", tags, datatype, key=key), (topic,)),))
+
+
+def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
+    """Read the ends of a nodelet, by default under its name."""
+    name, key = record.name, key or record.name
+    producers: list[tuple[Producer, Where]] = []
+    consumers: list[tuple[Consumer, Where]] = []
+    listening: list[tuple[str, Where]] = []
+    has_variables = bool(record.given)
+    seen = {port.name: port.topic for port in record.ports}
     for port in _ports(record):
         tags = read_tags(port.tags)
-        topics = {record.topics.get(port.name, "")}
-        if port.name in seen:
-            topics.add(seen[port.name].topic)
-        where = tuple(sorted(topics - {""}))
+        topics = {record.topics.get(port.name, ""), seen.get(port.name, "")} - {""}
+        where = tuple(sorted(topics.union(late.get((name, port.name), ())) - {""}))
+        is_open = "?" in "".join(port.tags)
         if port.direction == OUT:
-            producers.append((Producer(record.name, port.name, tags, port.datatype), where))
+            producers.append((Producer(name, port.name, tags, port.datatype, key=key), where))
         elif tags:
             demand = Demand(frozenset(tags), port.datatype)
-            consumers.append((Consumer(record.name, port.name, demand), where))
-    listening = tuple((each.port, where) for each, where in consumers if each.variables)
-    is_as_then = record.heard.topics == listening
-    return NodeletEnds(
-        record.name,
-        is_relay(record.transformation),
+            consumers.append((Consumer(name, port.name, demand, key), where))
+            if is_open:
+                listening.append((port.name, tuple(sorted(topics))))
+        has_variables = has_variables or is_open
+    is_as_then = record.heard.topics == tuple(listening)
+    return Ends(
+        key,
         tuple(producers),
         tuple(consumers),
+        is_relay(record.transformation),
         record.given,
-        listening,
+        tuple(listening),
         tuple(map(dict, record.heard.ways)) if is_as_then else (),
-        bool(record.given or listening)
-        or any(not tag.is_ground for producer, _ in producers for tag in producer.tags),
+        has_variables,
         not record.claimed,
     )
 
@@ -220,8 +248,8 @@ def _ports(record: Record) -> list[Port]:
     declared = record.transformation.ports if record.transformation is not None else ()
     names = {port.name for port in declared}
     found = [
-        port._replace(datatype=seen[port.name].datatype or port.datatype)
-        if port.name in seen
+        port._replace(datatype=seen[port.name].datatype)
+        if port.name in seen and seen[port.name].datatype not in ANY
         else port
         for port in declared
     ]

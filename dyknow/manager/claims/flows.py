@@ -171,7 +171,7 @@ class FlowMeter:
 
         Returns the places where messages have come.
         """
-        records = {record.name: record for record in self._graph.all()}
+        records = self._graph.records
         running = {name for name, each in records.items() if each.state is State.RUNNING}
         self._unresponsive = {
             name: places for name, places in self._unresponsive.items() if name in running

@@ -12,13 +12,12 @@ from typing import AbstractSet, Callable, Iterable, Tuple
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.connector import Transaction
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import Consumer, Producer
 from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
-from dyknow.model.transformation import IN, OUT
+from dyknow.model.transformation import IN
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -41,6 +40,7 @@ class GarbageCollector:
         self._lock = context.lock
         self._world = context.world
         self._monitor = context.monitor
+        self._is_reachable = context.monitor.is_reachable
         self._idle_since: dict[str, float] = {}
         # No failure is tolerated: a nodelet that hangs is not called twice in one round.
         self._failures = Backoff(context.clock, _FIRST_PAUSE, tolerated=0)
@@ -75,16 +75,14 @@ class GarbageCollector:
             self._disconnect(record, ports)
         for name, topics in sorted(self._world().stale().items()):
             self._reconfigure(name, topics)
-        for topic, producer, consumer in self._world().topology.mismatches():
+        for topic, producer, consumer in self._world().all_mismatches:
             self._separate(topic, producer, consumer, wires)
 
     def _reconfigure(self, name: str, topics: dict[str, str]) -> None:
         """Reconfigure a nodelet where people have put another individual on a topic."""
-        record, context = self._graph.find(name), self._context
+        record = self._graph.find(name)
         if record is not None and self._is_reachable(record):
-            unresponsive = self._monitor.unresponsive
-            transaction = Transaction(context.manager, context.connector, unresponsive)
-            self._try(record, partial(transaction.reconfigure, name, topics))
+            self._try(record, partial(self._context.transaction().reconfigure, name, topics))
 
     def _separate(
         self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]
@@ -110,7 +108,7 @@ class GarbageCollector:
         Returns whether none of it can send any more; a nodelet that hangs sends nothing.
         """
         done = True
-        wires = _wires(each for each in self._table.living() if each.topic != claim.topic)
+        wires = _wires(each for each in self._table.living if each.topic != claim.topic)
         for name, topics in sorted(claim.wiring.items()):
             record = self._graph.find(name)
             if record is not None and record.claimed and name not in self._lock.reserved:
@@ -125,7 +123,7 @@ class GarbageCollector:
 
     def clear_topics(self) -> None:
         """Leave one publisher on the topic of each claim that is made, and none on the others."""
-        claims = self._table.living()
+        claims = self._table.living
         goals = {claim.topic: "" for claim in claims if claim.topic and not claim.is_made}
         goals.update(
             (claim.topic, claim.goal[0])
@@ -133,19 +131,14 @@ class GarbageCollector:
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
         )
         self._replaced = {each for each in self._replaced if each[2] in goals}
-        for record in self._world().records.values():
-            ports = [
-                port.name
-                for port in record.ports
-                if port.direction == OUT
-                and goals.get(port.topic, record.name) != record.name
-                and (
-                    record.claimed
-                    or (record.is_described and goals[port.topic])
-                    or (record.name, port.name, port.topic) in self._replaced
-                )
-            ]
-            self._disconnect(record, ports)
+        for topic, goal in sorted(goals.items()):
+            for record, ports in self._world().publishers(topic):
+                is_ours = record.claimed or (record.is_described and goal)
+                wires = self._replaced & {(record.name, port, topic) for port in ports}
+                if record.name != goal:
+                    self._disconnect(
+                        record, ports if is_ours else [port for _, port, _ in sorted(wires)]
+                    )
 
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
@@ -171,10 +164,6 @@ class GarbageCollector:
             return True
         action = partial(self._context.connector.connect, record.name, config)
         return self._is_reachable(record) and self._try(record, action)
-
-    def _is_reachable(self, record: Record) -> bool:
-        is_movable = record.state is State.RUNNING and not record.is_fixed
-        return is_movable and record.name not in self._monitor.unresponsive
 
     def _try(self, record: Record, action: Callable[[], None]) -> bool:
         """Do something with a nodelet, unless its pause is not over; whether it was done."""

@@ -17,6 +17,7 @@ from dyknow.manager.claims.judges import AgeJudge, Judge, Judgement, RateJudge
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.record import Record
+from dyknow.model.graph import State
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
 from dyknow.model.transformation import Transformation
 
@@ -227,6 +228,11 @@ class StreamMonitor:
         """Nodelets that do not answer."""
         return self._meter.unresponsive
 
+    def is_reachable(self, record: Record) -> bool:
+        """Whether the ports of a nodelet can be connected elsewhere now."""
+        is_movable = record.state is State.RUNNING and not record.is_fixed
+        return is_movable and record.name not in self.unresponsive
+
     @property
     def unhealthy(self) -> frozenset[str]:
         """Silent and unresponsive parts."""
@@ -234,7 +240,7 @@ class StreamMonitor:
 
     def read(self) -> None:
         """Count messages, and judge the streams by them."""
-        claims = self._table.living()
+        claims = self._table.living
         watched = [each for each in claims if each.request.max_silence > 0 and each.topic]
         windows = self.quality.windows(claims)
         steady = dict.fromkeys(windows, _PERIOD)
@@ -272,7 +278,7 @@ class StreamMonitor:
 
     def report(self) -> None:
         """Change the claims whose first message has come, or whose messages' age is unknown."""
-        claims, now = self._table.living(), self._clock()
+        claims, now = self._table.living, self._clock()
         self._changed = {each.claim_id: self._changed.get(each.claim_id, now) for each in claims}
         for claim in claims:
             is_active = claim.state is ClaimState.ACTIVE

@@ -32,8 +32,6 @@ from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.monitors import StreamMonitor
 from dyknow.manager.claims.repair import Repair
-from dyknow.manager.claims.supplies import instance_of
-from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.claims.world import WorldReader
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
@@ -93,7 +91,7 @@ class StreamReconciler:
         """
         check_request(request)
         claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
-        demand_of([claim])
+        parse_tag(request.tag)
         if request.max_age and self.manager.host.is_stamped(request.datatype) is False:
             raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
@@ -173,7 +171,7 @@ class StreamReconciler:
 
     def report(self, news: str) -> None:
         """Send an event about each claim that has not ended, which changes none."""
-        for claim in self._table.living():
+        for claim in self._table.living:
             self._table.report(claim.claim_id, news)
 
     def find_bindings(self, tag: str, datatype: str = "") -> tuple[list[Bindings], bool]:
@@ -218,7 +216,7 @@ class StreamReconciler:
         with self._lock.reading():
             own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
-        new = [step.action.label for step in plan.steps if instance_of(step) not in own]
+        new = [step.action.label for step in plan.steps if step.instance not in own]
         claim = replace(claim, bindings=plan.bindings)
         return Acquired(claim, plan, tuple(new), tuple(sorted({*used, *own.values()})))
 
@@ -240,11 +238,11 @@ class StreamReconciler:
             self.reconcile()
         if not self._has_work():
             return None
-        silences = (claim.request.max_silence for claim in self._table.living())
+        silences = (claim.request.max_silence for claim in self._table.living)
         return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences if each)]))
 
     def _has_work(self) -> bool:
-        return bool(self._table.living()) or any(
+        return bool(self._table.living) or any(
             record.claimed for record in self.manager.graph.all()
         )
 
@@ -259,8 +257,8 @@ class StreamReconciler:
             self._context.connector.remember()
             self._collector.disconnect()
             self._monitor.read()
-            self._repair.keep(self._table.living())
-            for claim in sorted(self._table.living(), key=_small_streams_first):
+            self._repair.keep(self._table.living)
+            for claim in sorted(self._table.living, key=_small_streams_first):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
                 try:
@@ -277,7 +275,7 @@ class StreamReconciler:
         """End every claim, since the manager is stopped on purpose; nothing is repaired later."""
         with self._lock.round():
             self._ended = True
-        for claim in self._table.living():
+        for claim in self._table.living:
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
 
 
@@ -318,7 +316,7 @@ def open_reconciler(
     keeper = StreamKeeper(worlds.fitting, monitor.fell, monitor.failed)
     manager = Manager(host, store, library, guards, options, run, clock, graph, keeper)
     connector = Connector(manager, worlds, now)
-    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep)
+    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep, worlds.now)
     return StreamReconciler(context)
 
 

@@ -15,8 +15,8 @@ from dyknow.manager.claims.assembly import Acquired, Assembly, timed_out
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.supplies import OwnNodelet, is_current
-from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.claims.own_nodelets import OwnNodelet, is_current
+from dyknow.manager.planning.problem import NoPlan, Plan, ways_to_meet
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Bindings, written_bindings
 from dyknow.model.graph import State
@@ -85,16 +85,16 @@ class Repair:
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as the claim needs it."""
-        topology = self._context.world().topology
+        world = self._context.world()
         consumers = [
             consumer
-            for consumer in topology.consumers(topic)
+            for consumer in world.consumers(topic)
             if claim.wiring.get(consumer.nodelet, {}).get(consumer.port) == topic
             or consumer.port == claim.claim_id
         ]
-        return topology.is_described(topic) and all(
-            topology.fits(producer, consumer)
-            for producer in topology.producers(topic)
+        return topic in world.described and all(
+            world.fits(producer, consumer)
+            for producer in world.producers(topic)
             for consumer in consumers
         )
 
@@ -213,13 +213,13 @@ class Repair:
 
     def follow_bindings(self) -> None:
         """Report the bindings of claims, if they were changed from elsewhere."""
-        for claim in self._table.living():
+        for claim in self._table.living:
             is_made_now = claim.claim_id == self._context.lock.claim_id
             if not claim.bindings or claim.state is not ClaimState.ACTIVE or is_made_now:
                 continue
-            topology = self._context.world().topology
-            for producer in topology.producers(claim.topic):
-                found = topology.ways_to_serve(producer, claim)
+            world, ontology = self._context.world(), self._context.manager.library.ontology
+            for producer in world.producers(claim.topic):
+                found = ways_to_meet(producer.tags, producer.datatype, claim.demand, ontology)
                 ways = [tuple(sorted(way.items())) for way in found]
                 if ways and claim.bindings not in ways:
                     reason = _changed_bindings(ways[0])

@@ -1,55 +1,188 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The world at one moment, and the consequences of a connection.
+"""The world at one moment: who sends what to whom, and what a change would do.
+
+A world does not change: a changed record makes another world, which shares the rest with this
+one. So a connection is judged in the world as it would be, before it is made.
 
 Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.
 A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
 does not answer counts on each topic on which it may be.
 
-A nodelet may remember messages. Before it receives the same variable from another
-individual, all its in-ports that share the variable are disconnected, and connected again as one.
+The tags that a nodelet with variables sends follow from those that it receives. Where these are
+not certain, each possibility counts. Messages since its last connection bind its variables, even
+if nothing sends there any more: it may remember them. So before it receives the same variable from
+another individual, all its in-ports that share the variable are disconnected, and connected again
+as one. As long as a variable of an out-port is unbound, the nodelet has received nothing and sends
+nothing there. What people connect to a topic of which nothing is known may receive anything there.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import replace
 from functools import cached_property
-from typing import Collection, Hashable, Iterable, Iterator, Mapping
+from math import inf
+from typing import (
+    AbstractSet,
+    Collection,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from dyknow import names
 from dyknow.errors import UnknownNodelet, WrongStream
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of, is_relay
-from dyknow.manager.claims.topology import Topology
+from dyknow.manager.claims.ends import (
+    NO_ENDS,
+    NOWHERE,
+    Consumer,
+    Ends,
+    Inlet,
+    Late,
+    Producer,
+    Sent,
+    Way,
+    Where,
+    ends_of,
+    ends_of_topic,
+    supplied,
+    ways_to_bind,
+)
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.record import Record
+from dyknow.manager.planning.problem import Demand, Live, TaggedStream, meets, ways_to_meet
+from dyknow.manager.record import NOTHING_HEARD, Heard, Record, ports_on
+from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import OUT, Transformation
 
 Config = Mapping[str, str]
 """Topics by port; an empty topic disconnects."""
+Mismatch = Tuple[str, Producer, Consumer]
+"""A topic, and two that may meet there and do not fit."""
+Place = Tuple[str, str]
+"""A nodelet, or the key of ends, and a port."""
+_End = TypeVar("_End", bound=Union[Producer, Consumer])
+_Outputs = Dict[Place, Tuple[Producer, ...]]
+"""Each possibility of the out-ports whose streams depend on what their nodelets receive."""
+
+#: Possibilities that are distinguished; beyond, no supply is certain.
+_MOST_POSSIBILITIES = 16
+#: A stream about which nothing is known.
+_UNKNOWN: tuple[Sent, ...] = (((), ""),)
+#: An in-port whose demand is not met.
+_CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), _UNKNOWN)
 
 
 class World:
-    """Nodelets, claims and descriptions of ordinary topics, at one moment."""
+    """Nodelets, claims and descriptions of ordinary topics, at one moment.
+
+    Attributes:
+        records: the nodelets by name.
+        claims: those that have not ended.
+        described: transformations of type topic, by topic.
+    """
 
     def __init__(
         self,
+        ontology: Subsumption,
+        described: Mapping[str, tuple[Transformation, ...]],
+        late: Late = NOWHERE,
+    ) -> None:
+        """Begin without nodelets and clients; ports may be on ``late`` topics, too."""
+        self.records: Mapping[str, Record] = {}
+        self.claims: tuple[Claim, ...] = ()
+        self.described = described
+        self._ontology = ontology
+        self._late = late
+        self._ends: dict[str, Ends] = {}
+        self._producers: dict[str, tuple[Producer, ...]] = {}
+        self._consumers: dict[str, tuple[Consumer, ...]] = {}
+        self._beside: dict[Place, list[list[Way]]] = {}
+        self._enter([ends_of_topic(topic, each) for topic, each in described.items()])
+
+    # Other worlds, which differ a little from this one
+
+    def updated(
+        self,
         records: Mapping[str, Record],
         claims: tuple[Claim, ...],
-        described: Mapping[str, tuple[Transformation, ...]],
-        ends: Mapping[str, NodeletEnds],
-        topology: Topology,
-    ) -> None:
-        self.records = records
-        self.claims = claims
-        self.described = described
-        self.topology = topology
-        self.ends = ends
+        new: Iterable[Ends],
+        gone: Iterable[str] = (),
+    ) -> World:
+        """Return the world with other records and claims: with ``new`` ends, and some ``gone``."""
+        found = World(self._ontology, {}, self._late)
+        found.records, found.claims, found.described = records, claims, self.described
+        found._ends = dict(self._ends)
+        found._producers, found._consumers = dict(self._producers), dict(self._consumers)
+        found._enter(new, gone)
+        return found
+
+    def read(
+        self, records: Mapping[str, Record], claims: tuple[Claim, ...], acting: AbstractSet[str]
+    ) -> World:
+        """Return the world with other records and claims; what is unchanged is not read again.
+
+        Nodelets that are not ``acting`` neither send nor receive.
+        """
+        ends = {
+            name: self._ends[name]
+            if record is self.records.get(name) and name in self._ends
+            else ends_of(record, self._late)
+            for name, record in records.items()
+            if name in acting
+        }
+        ends.update({claim.claim_id: _client(claim) for claim in claims if claim.topic})
+        before = {*self.records, *[claim.claim_id for claim in self.claims]}
+        new = [each for key, each in ends.items() if self._ends.get(key) != each]
+        return self.updated(records, claims, new, before - ends.keys())
+
+    def with_records(self, records: Iterable[Record]) -> World:
+        """Return the world in which nodelets are as these records say."""
+        new = {record.name: record for record in records}
+        ends = [ends_of(record, self._late) for record in new.values()]
+        return self.updated({**self.records, **new}, self.claims, ends)
+
+    def _with(self, record: Record, is_replaced: bool = False) -> World:
+        """Return the world if a nodelet were as a record says, besides its present or instead."""
+        ports = [
+            replace(port, topic=record.topics.get(port.name, port.topic)) for port in record.ports
+        ]
+        record = replace(record, ports=tuple(ports))
+        if is_replaced:
+            return self.with_records([record])
+        ends = ends_of(record, self._late, f"{record.name} then")
+        return self.updated(self.records, self.claims, [ends])
+
+    @cached_property
+    def forgetful(self) -> World:
+        """The world if nodelets remembered nothing."""
+        heard = [self.records[each.key] for each in self._dependent if each.heard]
+        return self.with_records([replace(each, heard=NOTHING_HEARD) for each in heard])
+
+    def _enter(self, new: Iterable[Ends], gone: Iterable[str] = ()) -> None:
+        """Put ``new`` ends in the place of those of the same keys, and take out some others."""
+        changes = {**dict.fromkeys(gone, NO_ENDS), **{each.key: each for each in new}}
+        for key, ends in changes.items():
+            old = self._ends.pop(key, NO_ENDS)
+            _replace(self._producers, old.producers, ends.producers)
+            _replace(self._consumers, old.consumers, ends.consumers)
+            if ends is not NO_ENDS:
+                self._ends[key] = ends
+
+    # Nodelets
 
     def get(self, name: str) -> Record:
         """Return the record of a nodelet; raises UnknownNodelet."""
@@ -61,126 +194,393 @@ class World:
     @cached_property
     def needed(self) -> frozenset[str]:
         """Nodelets that claims are made of."""
-        return frozenset(name for claim in self.claims for name in claim.wiring)
-
-    @cached_property
-    def relays(self) -> frozenset[str]:
-        """Nodelets that are relays."""
-        return frozenset(
-            name for name, each in self.records.items() if is_relay(each.transformation)
-        )
+        return frozenset([name for claim in self.claims for name in claim.wiring])
 
     @cached_property
     def described_nodes(self) -> frozenset[str]:
         """Labels of the external nodes that run and that the library describes."""
-        return frozenset(
-            each.label
-            for each in self.records.values()
-            if each.is_described and each.state is State.RUNNING
-        )
+        running = [each for each in self.records.values() if each.state is State.RUNNING]
+        return frozenset([each.label for each in running if each.is_described])
+
+    @cached_property
+    def relays(self) -> frozenset[str]:
+        """Nodelets that are relays."""
+        return frozenset([key for key, each in self._ends.items() if each.is_relay])
 
     @property
     def descriptions(self) -> list[Transformation]:
         """Transformations of type topic, with global topics."""
         return [each for found in self.described.values() for each in found]
 
-    @cached_property
-    def _made(self) -> frozenset[str]:
-        """Nodelets that were made for claims."""
-        return frozenset(name for name, each in self.records.items() if each.claimed)
-
     def taken_topics(self, but: str = "") -> set[str]:
         """Topics on which clients of claims, ``but`` one, listen."""
         return {each.topic for each in self.claims if each.topic and each.claim_id != but}
 
-    # The world as it would be
+    def publishers(self, topic: str) -> list[tuple[Record, list[str]]]:
+        """Return the nodelets that run and publish on a topic, each with its ports there."""
+        on_topic = {each.nodelet for each in self._producers.get(topic, ())}
+        records = [self.records[name] for name in sorted(on_topic - {""})]
+        running = [each for each in records if each.state is State.RUNNING]
+        found = [(each, ports_on(each, OUT, topic)) for each in running]
+        return [each for each in found if each[1]]
 
-    def with_nodelet(
-        self, record: Record, is_replaced: bool = False, is_forgetful: bool = False
-    ) -> Topology:
-        """Return the topology if a nodelet were as a record says, besides its present or instead.
+    def upstream(
+        self, nodelets: Iterable[str], ordinary: AbstractSet[str]
+    ) -> tuple[dict[str, dict[str, str]], set[str]]:
+        """Find everything that feeds nodelets.
 
-        With ``is_forgetful``, nodelets count as if they remembered nothing.
+        Returns these nodelets and all upstream of them, with the topics of the ports between
+        them, and the topics of ordinary nodes (``ordinary`` ones even beside nodelets).
         """
-        ports = (
-            replace(port, topic=record.topics.get(port.name, port.topic)) for port in record.ports
+        wiring: dict[str, dict[str, str]] = {name: {} for name in sorted(nodelets)}
+        sources: set[str] = set()
+        waiting = list(wiring)
+        while waiting:
+            name = waiting.pop()
+            for port, topic in self._inputs(name):
+                if not topic:
+                    continue
+                wiring[name][port.port] = topic
+                publishers = [each for each in self.publishers(topic) if each[0].transformation]
+                if not publishers or topic in ordinary:
+                    sources.add(topic)
+                for publisher, ports in publishers:
+                    if publisher.name not in wiring:
+                        wiring[publisher.name] = {}
+                        waiting.append(publisher.name)
+                    wiring[publisher.name].update(dict.fromkeys(ports, topic))
+        return wiring, sources
+
+    def _inputs(self, name: str) -> list[tuple[Consumer, str]]:
+        """Tagged in-ports of a nodelet, each with the topic where it should be."""
+        if name not in self._ends:
+            return []
+        topics = self.records[name].topics
+        return [(each, topics.get(each.port, "")) for each, _ in self._ends[name].consumers]
+
+    # Streams
+
+    def producers(self, topic: str, outputs: _Outputs | None = None) -> list[Producer]:
+        """Return the producers of a topic; its description stands for nodelets without tags."""
+        outputs = self._outputs if outputs is None else outputs
+        here = self._producers.get(topic, ())
+        if topic in self.described:
+            here = tuple([each for each in here if each.tags or not each.nodelet])
+        found: list[Producer] = []
+        for each in here:
+            found += outputs.get((each.key, each.port), (each,))
+        return found
+
+    def consumers(self, topic: str) -> tuple[Consumer, ...]:
+        """Return the consumers of a topic."""
+        return self._consumers.get(topic, ())
+
+    def serves(self, producer: Producer, demand: Demand) -> bool:
+        """Whether a producer meets a demand with all that it sends."""
+        return producer.is_unbound or meets(
+            producer.tags, producer.datatype, demand, self._ontology
         )
-        new = ends_of(replace(record, ports=tuple(ports)))
-        present = self.ends.get(record.name)
-        gone = [present] if is_replaced and present is not None else []
-        if is_forgetful:
-            new = new._replace(heard=())
-            gone = [each._replace(heard=()) for each in gone]
-        base = self.forgetful if is_forgetful else self.topology
-        return base.changed(gone, [new])
+
+    def fits(self, producer: Producer, consumer: Consumer) -> bool:
+        """Whether a producer meets a consumer's demand, beside the other inputs of its nodelet."""
+        ends, place = self._ends[consumer.key], (consumer.key, consumer.port)
+        if producer.is_unbound or not ends.has_variables:
+            return self.serves(producer, consumer.demand)
+        if place not in self._beside:
+            others = self._inlets(ends, self._outputs, consumer.port)
+            self._beside[place] = [self._ways(ends, each) or [*ends.known] for each in others]
+        tags, datatype, demand = producer.tags, producer.datatype, consumer.demand
+        return all(
+            any(
+                next(ways_to_meet(tags, datatype, demand, self._ontology, way), None) is not None
+                for way in ways
+            )
+            for ways in self._beside[place]
+        )
+
+    def mismatches(self, topics: Collection[str]) -> list[Mismatch]:
+        """Return each producer and consumer that may meet on topics and do not fit."""
+        return [
+            (topic, producer, consumer)
+            for topic in sorted(topics)
+            for consumer in self.consumers(topic)
+            for producer in self.producers(topic)
+            if not self.fits(producer, consumer)
+        ]
 
     @cached_property
-    def forgetful(self) -> Topology:
-        """The topology if nodelets remembered nothing."""
-        remembering = [each for each in self.ends.values() if each.heard]
-        return self.topology.changed(
-            remembering,
-            [each._replace(heard=()) for each in remembering],
-            [each._replace(heard=()) for each in self.ends.values()],
-        )
+    def all_mismatches(self) -> list[Mismatch]:
+        return self.mismatches(self._consumers.keys() & self._producers.keys())
+
+    def common_tags(self, topic: str, tags: tuple[Term, ...]) -> tuple[Term, ...]:
+        """Return those of a stream's tags that hold for everything that is sent on its topic."""
+        demands = [(tag, Demand(frozenset((tag,)))) for tag in tags]
+        for each in self.producers(topic):
+            demands = [pair for pair in demands if self.serves(each, pair[1])]
+        return tuple([tag for tag, _ in demands])
+
+    def sent(self, nodelet: str, port: str) -> Producer:
+        """Return what an out-port sends; without tags if these are not certain."""
+        ends = self._ends.get(nodelet, NO_ENDS)  # it may have gone meanwhile
+        ports = [each for each, _ in ends.producers if each.port == port]
+        possible = self._outputs.get((nodelet, port), ports)
+        first = possible[0] if possible else Producer(nodelet, port)
+        return first if len(possible) == 1 else first._replace(tags=())
+
+    def live(
+        self, records: Iterable[Record], published: Iterable[Transformation]
+    ) -> list[TaggedStream]:
+        """List the streams of nodelets and ordinary topics that a plan can use as they are.
+
+        A nodelet's out-ports supply their tags only while each of its tagged in-ports is connected
+        to a stream of these that satisfies it. The stated latency of a stream adds to that of the
+        latest one that feeds its nodelet; one that states no rate is as fast as the slowest one.
+        Only tags that hold for all publishers of a topic count.
+        """
+        streams: list[TaggedStream] = []
+        latencies: dict[str, float] = {}
+        rates: dict[str, float] = {}  # infinite if none is stated
+
+        def supply(stream: Live, tags: tuple[Term, ...]) -> None:
+            topic = stream.topic
+            if topic:
+                tags = self.common_tags(topic, tags)
+                latencies[topic] = max(stream.latency, latencies.get(topic, 0.0))
+                rates[topic] = max(stream.rate or inf, rates.get(topic, 0.0))
+            streams.append((stream, tags))
+
+        for each in published:
+            port = each.ports[0]
+            stream = Live(each.source, "", "", each.label, port.datatype, port.rate, port.latency)
+            supply(stream, read_tags(port.tags))
+        waiting = [each for each in records if each.state is State.RUNNING and each.transformation]
+        count = -1
+        while len(waiting) != count:
+            count = len(waiting)
+            for record in list(waiting):
+                inputs = self._inputs(record.name)
+                if not all(topic in rates and self._is_fed(each, topic) for each, topic in inputs):
+                    continue
+                waiting.remove(record)
+                begun = max([latencies[topic] for _, topic in inputs], default=0.0)
+                slowest = min([rates[topic] for _, topic in inputs], default=inf)
+                for stream in _live(record):
+                    latency = round(begun + stream.latency, 6)
+                    rate = stream.rate or (slowest if slowest < inf else 0.0)
+                    tags = self.sent(record.name, stream.port).tags
+                    supply(stream._replace(latency=latency, rate=rate), tags)
+        return streams
+
+    def _is_fed(self, consumer: Consumer, topic: str) -> bool:
+        return all(self.fits(producer, consumer) for producer in self.producers(topic))
+
+    # Streams that depend on what their nodelets receive
+
+    @cached_property
+    def _outputs(self) -> _Outputs:
+        """Bind the variables of nodelets, from the sources on."""
+        if not self._dependent and not self.relays:
+            return {}
+        relays = [self._ends[name] for name in sorted(self.relays)]
+        unknown: _Outputs = {
+            (each.key, each.port): (each._replace(tags=()),)
+            for ends in self._dependent
+            for each, _ in ends.producers
+            if not all(tag.is_ground for tag in each.tags)
+        }
+        found: _Outputs = {
+            place: (each._replace(is_unbound=True),) for place, (each, *_) in unknown.items()
+        }
+        if not self._settle([*self._dependent, *relays], found):  # something feeds itself
+            found = unknown
+            self._settle(relays, found)
+        return found
+
+    @cached_property
+    def _dependent(self) -> list[Ends]:
+        """Nodelets with variables."""
+        return [each for each in self._ends.values() if each.has_variables]
+
+    def _settle(self, nodelets: Collection[Ends], outputs: _Outputs) -> bool:
+        """Follow the streams of nodelets until nothing changes; whether it comes to that."""
+        rounds = range(len(nodelets) + 1)
+        return any(not [e for e in nodelets if self._send(e, outputs)] for _ in rounds)
+
+    def _send(self, ends: Ends, outputs: _Outputs) -> bool:
+        """Find all that a nodelet may send by what it may receive; whether that is new.
+
+        A relay that may receive anything else than its tags say is not believed.
+        """
+        found: _Outputs = {}
+        if ends.is_relay:
+            is_true = all(
+                self.serves(producer, consumer.demand)
+                for consumer, topics in ends.consumers
+                for topic in topics
+                for producer in self.producers(topic, outputs)
+            )
+            for each, _ in ends.producers:
+                found[each.key, each.port] = (each if is_true else each._replace(tags=()),)
+        else:
+            possible = [self._ways(ends, inlets) for inlets in self._inlets(ends, outputs)]
+            for each, _ in ends.producers:
+                if (each.key, each.port) in outputs:
+                    streams = dict.fromkeys([_bound(each, ways) for ways in possible])
+                    found[each.key, each.port] = tuple(streams)
+        is_new = any(outputs.get(place) != streams for place, streams in found.items())
+        outputs.update(found)
+        return is_new
+
+    def _ways(self, ends: Ends, inlets: Iterable[Inlet]) -> list[Way]:
+        return ways_to_bind(ends.known, inlets, self._ontology)
+
+    def _inlets(self, ends: Ends, outputs: _Outputs, but: str = "") -> list[tuple[Inlet, ...]]:
+        """List the streams that the in-ports of a nodelet, ``but`` one, may receive together."""
+        choices: list[list[Inlet | None]] = []
+        for consumer, topics in ends.consumers:
+            if consumer.port == but or not consumer.variables:
+                continue
+            found: dict[tuple[Sent, ...], None] = {}
+            for topic in topics:
+                producers = self.producers(topic, outputs)
+                is_unknown = ends.is_by_hand and not producers
+                found.update(dict.fromkeys([_UNKNOWN] if is_unknown else _together(producers)))
+            choices.append([Inlet(consumer.demand, sent) if sent else None for sent in found])
+        if math.prod(len(each) or 1 for each in choices) > _MOST_POSSIBILITIES:
+            return [(_CONFUSED,)]
+        return [
+            tuple([inlet for inlet in combination if inlet is not None])
+            for combination in itertools.product(*(each or [None] for each in choices))
+        ]
+
+    def ways(self, nodelet: str) -> list[Way] | None:
+        """Return the ways in which a nodelet's variables are bound; None if that is unknown."""
+        possible = self._inlets(self._ends[nodelet], self._outputs)
+        return self._ways(self._ends[nodelet], possible[0]) if len(possible) == 1 else None
+
+    @cached_property
+    def heard(self) -> dict[str, Heard]:
+        """What each nodelet with variables has received by now, where that is certain."""
+        found: dict[str, Heard] = {}
+        for ends in self._dependent:
+            ways = self.ways(ends.key) if ends.listening else None
+            if ways:
+                bound = tuple([tuple(sorted(way.items())) for way in ways])
+                is_more = ways != [ends.given]
+                found[ends.key] = Heard(ends.listening, bound) if is_more else NOTHING_HEARD
+        return found
+
+    def ports_of(self, consumer: Consumer) -> list[str]:
+        """Return the in-ports that are connected together with one: they share variables."""
+        variables, size = consumer.variables, -1
+        inputs = [each for each, topics in self._ends[consumer.key].consumers if topics]
+        while len(variables) > size:
+            size = len(variables)
+            for each in inputs:
+                if each.variables & variables:
+                    variables |= each.variables
+        return [each.port for each in inputs if each.variables & variables] or [consumer.port]
 
     # Consequences of a connection
 
     def fitting(self, record: Record) -> dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
         topics = dict(record.topics)
-        topology = self.with_nodelet(record)
-        for topic, producer, consumer in topology.mismatches(set(topics.values()) - {""}):
+        then = self._with(record)
+        for topic, producer, consumer in then.mismatches({*topics.values()} - {""}):
             for end, other in ((producer, consumer), (consumer, producer)):
                 # What people spawned and connected with each other is their own affair.
                 is_client = other is consumer and not consumer.nodelet
-                concerns_claims = record.claimed or is_client or other.nodelet in self._made
+                concerns_claims = record.claimed or is_client or self._is_made(other)
                 if concerns_claims and _is_at(end, record.name, record.topics, topic):
                     topics[end.port] = ""
-        if topology.dependent and self._misleads(replace(record, topics=topics)):
-            topics.update(dict.fromkeys(topology.listened_to(topics), ""))
+        if then._dependent and self._misleads(replace(record, topics=topics)):
+            for port, topic in topics.items():
+                if any(then._ends[each.key].has_variables for each in then.consumers(topic)):
+                    topics[port] = ""
         return topics
+
+    def _is_made(self, end: Producer | Consumer) -> bool:
+        """Whether a nodelet was made for claims."""
+        return end.nodelet in self.records and self.records[end.nodelet].claimed
 
     def _misleads(self, record: Record) -> bool:
         """Whether nodelets of claims would send wrong streams because of a nodelet."""
         absent = replace(record, topics={}, ports=())
-        before = set(self.with_nodelet(absent, is_replaced=True).mismatches())
+        before = {*self._with(absent, is_replaced=True).all_mismatches}
         return any(
             record.name not in (producer.nodelet, consumer.nodelet)
-            and (not consumer.nodelet or {producer.nodelet, consumer.nodelet} & self._made)
-            for topic, producer, consumer in self.with_nodelet(record, True).mismatches()
+            and (not consumer.nodelet or self._is_made(producer) or self._is_made(consumer))
+            for topic, producer, consumer in self._with(record, is_replaced=True).all_mismatches
             if (topic, producer, consumer) not in before
         )
 
-    def in_the_way(
-        self, record: Record, config: Config, is_forgetful: bool = False
-    ) -> dict[str, dict[str, str]]:
+    def in_the_way(self, record: Record, config: Config) -> dict[str, dict[str, str]]:
         """List the ports to disconnect, by nodelet, before a nodelet's ports may be connected so.
 
         Once that is done there may be more: it depends on the rest. Raises WrongStream if it must
         not be connected so in any case.
         """
+        record = self.records.get(record.name, record)
         changed = replace(record, topics={**record.topics, **config})
         cut: dict[str, dict[str, str]] = {}
-        topics = set(config.values()) - {""}
-        topology = self.with_nodelet(changed, is_forgetful=is_forgetful)
-        for topic, producer, consumer in topology.mismatches(topics):
+        then = self._with(changed)
+        for topic, producer, consumer in then.mismatches({*config.values()} - {""}):
+            is_sender = _is_at(producer, record.name, config, topic)
             if _is_at(consumer, record.name, config, topic) or (
-                not consumer.nodelet and _is_at(producer, record.name, config, topic)
+                is_sender and not consumer.nodelet
             ):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
-            if _is_at(producer, record.name, config, topic):
-                ports = dict.fromkeys(topology.ports_of(consumer), "")
+            if is_sender:
+                ports = dict.fromkeys(then.ports_of(consumer), "")
                 cut.setdefault(consumer.nodelet, {}).update(ports)
-        if cut:
+        if cut or not then._dependent:
             return cut
-        feeding = self._first(changed, is_forgetful) if topology.dependent else ()
-        for topic, producer, consumer in feeding:
+        after = self._with(changed, is_replaced=True)
+        misled = list(self._misled(after, changed.name))
+        # The first along each stream; all of a circle.
+        fed = {other.nodelet for _, one, other in misled if one.nodelet != other.nodelet}
+        first = [each for each in misled if each[1].nodelet not in fed]
+        for topic, producer, consumer in first or misled:
             if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
-            ports = dict.fromkeys(topology.ports_of(consumer), "")
+            ports = dict.fromkeys(after.ports_of(consumer), "")
             cut.setdefault(consumer.nodelet, {}).update(ports)
         return cut
+
+    def _misled(self, after: World, name: str) -> Iterator[Mismatch]:
+        """Yield each consumer of another nodelet whose stream would change after a change of one.
+
+        Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
+        """
+        before = self._supplies
+        for place, possible in sorted(after._supplies.items()):
+            known = before.get(place, possible)
+            if possible == known or all(each.is_unbound for each in possible):
+                continue
+            was_silent = all(each.is_unbound for each in known)
+            stays = self._topics_of(place) & after._topics_of(place)
+            for topic in sorted(stays):
+                for consumer in after.consumers(topic):
+                    may_stay = was_silent or consumer.nodelet in ("", name)
+                    for producer in sorted(possible):
+                        if not may_stay or not after.fits(producer, consumer):
+                            yield topic, producer, consumer
+
+    @property
+    def _supplies(self) -> dict[Place, frozenset[Producer]]:
+        """What out-ports with variables may send."""
+        return {
+            place: frozenset(possible)
+            for place, possible in self._outputs.items()
+            if self._ends[place[0]].has_variables
+        }
+
+    def _topics_of(self, place: Place) -> set[str]:
+        """The topics on which an out-port may be."""
+        name, port = place
+        places = self._ends[name].producers if name in self._ends else ()
+        return {topic for each, topics in places if each.port == port for topic in topics}
 
     def stale(self) -> dict[str, dict[str, str]]:
         """List the nodelets that receive another individual than they remember.
@@ -188,45 +588,16 @@ class World:
         Returns for each its ports that share the variables, with their topics.
         """
         found: dict[str, dict[str, str]] = {}
-        wrong = [each for each in self.topology.mismatches() if each[2].ends >= 0]
+        wrong = [each for each in self.all_mismatches if self._ends[each[2].key].has_variables]
         if not wrong:
             return found
-        lasting = {(topic, *consumer[:2]) for topic, _, consumer in self.forgetful.mismatches()}
+        lasting = {(topic, *consumer[:2]) for topic, _, consumer in self.forgetful.all_mismatches}
         for topic, _, consumer in wrong:
             if (topic, *consumer[:2]) not in lasting:
                 topics = self.records[consumer.nodelet].topics
-                ports = {each: topics.get(each, "") for each in self.topology.ports_of(consumer)}
+                ports = {each: topics.get(each, "") for each in self.ports_of(consumer)}
                 found.setdefault(consumer.nodelet, {}).update(ports)
         return found
-
-    def _first(self, changed: Record, is_forgetful: bool) -> list[tuple[str, Producer, Consumer]]:
-        """Return the first of the ``_changed`` consumers along each stream; all of a circle."""
-        found = list(self._changed(changed, is_forgetful))
-        fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
-        return [each for each in found if each[1].nodelet not in fed] or found
-
-    def _changed(
-        self, changed: Record, is_forgetful: bool
-    ) -> Iterator[tuple[str, Producer, Consumer]]:
-        """Yield each consumer of a nodelet whose stream would change.
-
-        Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
-        """
-        before = self.forgetful if is_forgetful else self.topology
-        after = self.with_nodelet(changed, True, is_forgetful)
-        elsewhere = before.dependent.supplies()
-        for place, possible in sorted(after.dependent.supplies().items()):
-            known = elsewhere.get(place, possible)
-            if possible == known or all(each.is_unbound for each in possible):
-                continue
-            was_silent = all(each.is_unbound for each in known)
-            stays = {*before.dependent.topics_of(place)} & {*after.dependent.topics_of(place)}
-            for topic in sorted(stays):
-                for consumer in after.consumers(topic):
-                    may_stay = was_silent or consumer.nodelet in ("", changed.name)
-                    for producer in sorted(possible):
-                        if not may_stay or not after.fits(producer, consumer):
-                            yield topic, producer, consumer
 
 
 class WorldReader:
@@ -240,64 +611,40 @@ class WorldReader:
         self._library = library
         self._host = host
         self._namespace = namespace
-        self._world = World({}, (), {}, {}, Topology((), {}, (), {}, library.ontology))
+        self._late: Late = NOWHERE
+        self._basis: Hashable = None
         self._world_at: Hashable = None
-        self._basis: object = None
-        self._described: Mapping[str, tuple[Transformation, ...]] = {}
-        self._described_at: int | None = None
-        self._perhaps: dict[tuple[str, str], tuple[str, ...]] = {}
+        self._world = World(library.ontology, {})
 
     def now(self) -> World:
         """Return the world of this moment."""
         # The revisions come first: a change meanwhile is read the next time.
-        at = (self._library.revision, self._graph.revision, self._table.living(), self._perhaps)
+        at = (self._library.revision, self._graph.revision, self._table.living, self._late)
         if self._world_at == at:
             return self._world
-        revision, _, claims, perhaps = at
-        if self._described_at != revision:
-            self._described, self._described_at = self._descriptions(), revision
-        described, last = self._described, self._world
-        records = {record.name: record for record in self._graph.all()}
-        acting, is_certain = self._acting(records.values())
-        ends = {
-            name: (record is last.records.get(name) and last.ends.get(name)) or ends_of(record)
-            for name, record in records.items()
-            if name in acting
-        }
-        clients = [claim for claim in claims if claim.topic]
-        listening = [(each.claim_id, each.topic, each.datatype, each.request) for each in clients]
-        basis = (listening, described, perhaps)
-        gone = [each for name, each in last.ends.items() if ends.get(name) != each]
-        new = [each for name, each in ends.items() if last.ends.get(name) != each]
-        topology = last.topology
-        if self._basis != basis:
-            ontology = self._library.ontology
-            topology = Topology(ends.values(), described, clients, perhaps, ontology)
-        elif gone or new:
-            topology = topology.changed(gone, new, ends.values())
-        self._basis = basis
-        self._world = World(records, claims, described, ends, topology)
-        self._world_at = at if is_certain else None
+        revision, _, claims, late = at
+        if self._basis != (revision, late):
+            self._basis = revision, late
+            self._world = World(self._library.ontology, self._descriptions(), late)
+        records = self._graph.records
+        acting = {name for name, each in records.items() if each.state is not State.FAILED}
+        lost = [each for each in records.values() if each.state is State.LOST]
+        states = self._host.states() if lost else {}
+        for each in lost:  # it may run on while its process does
+            state = states.get(each.manager)
+            if state is None or state.incarnation != each.incarnation:
+                acting.discard(each.name)
+        self._world = self._world.read(records, claims, acting)
+        self._world_at = None if lost else at
         return self._world
 
     def fitting(self, record: Record) -> dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
         return self.now().fitting(record)
 
-    def expect(self, perhaps: Mapping[tuple[str, str], Iterable[str]]) -> None:
+    def expect(self, late: Mapping[Place, Iterable[str]]) -> None:
         """Count ports on further topics: where late connections may put them."""
-        self._perhaps = {place: tuple(topics) for place, topics in perhaps.items()}
-
-    def _acting(self, records: Collection[Record]) -> tuple[set[str], bool]:
-        """Nodelets that may run, and whether that is certain as long as no record changes."""
-        names_ = {each.name for each in records if each.state is not State.FAILED}
-        lost = [each for each in records if each.state is State.LOST]
-        states = self._host.states() if lost else {}
-        for each in lost:
-            state = states.get(each.manager)
-            if state is None or state.incarnation != each.incarnation:
-                names_.discard(each.name)
-        return names_, not lost
+        self._late = {place: tuple(topics) for place, topics in late.items()}
 
     def _descriptions(self) -> dict[str, tuple[Transformation, ...]]:
         found: dict[str, tuple[Transformation, ...]] = {}
@@ -306,6 +653,64 @@ class WorldReader:
             topic = each.source if each.source[:1] == "/" else topic
             found[topic] = (*found.get(topic, ()), each._replace(source=topic))
         return found
+
+
+def _client(claim: Claim) -> Ends:
+    """Return the client of a claim."""
+    client = Consumer("", claim.claim_id, claim.demand, claim.claim_id)
+    return Ends(claim.claim_id, consumers=((client, (claim.topic,)),))
+
+
+def _replace(
+    by_topic: dict[str, tuple[_End, ...]],
+    old: Iterable[tuple[_End, Where]],
+    new: Iterable[tuple[_End, Where]],
+) -> None:
+    for end, topics in old:
+        for topic in topics:
+            left = tuple([each for each in by_topic.pop(topic) if each is not end])
+            if left:
+                by_topic[topic] = left
+    for end, topics in new:
+        for topic in topics:
+            by_topic[topic] = (*by_topic.get(topic, ()), end)
+
+
+def _together(producers: Iterable[Producer]) -> list[tuple[Sent, ...]]:
+    """List the streams that may be on a topic together."""
+    by_source: dict[Place, dict[Producer, None]] = {}
+    for each in producers:
+        by_source.setdefault((each.nodelet, each.port), {})[each] = None
+    if math.prod(map(len, by_source.values())) > _MOST_POSSIBILITIES:
+        return [_UNKNOWN]
+    return [
+        tuple([(each.tags, each.datatype) for each in combination if not each.is_unbound])
+        for combination in itertools.product(*by_source.values())
+    ]
+
+
+def _bound(pattern: Producer, ways: Sequence[Way]) -> Producer:
+    is_open = any(not tag.substitute(way).is_ground for way in ways[:1] for tag in pattern.tags)
+    return pattern._replace(tags=supplied(pattern.tags, ways), is_unbound=is_open)
+
+
+def _live(record: Record) -> list[Live]:
+    """List the tagged out-ports of a nodelet; an external node may not have made each."""
+    assert record.transformation is not None
+    seen = {port.name: port.datatype for port in record.ports}
+    return [
+        Live(
+            record.topics.get(port.name, ""),
+            port.name,
+            record.name,
+            record.label,
+            seen.get(port.name) or port.datatype,
+            port.rate,
+            port.latency,
+        )
+        for port in record.transformation.ports
+        if port.direction == OUT and port.tags and (port.name in seen or not record.is_described)
+    ]
 
 
 def _is_at(end: Producer | Consumer, name: str, config: Config, topic: str) -> bool:

@@ -75,12 +75,20 @@ TaggedStream = Tuple[Live, Tuple[Term, ...]]
 """A stream and what it is about."""
 
 
+Instance = Tuple[str, Bindings]
+"""The label of a transformation and what its variables stand for: what a plan needs once."""
+
+
 class New(NamedTuple):
     """An out-port of a nodelet to make; bindings of all variables distinguish its nodelets."""
 
     label: str
     port: str
     bindings: Bindings = ()
+
+    @property
+    def instance(self) -> Instance:
+        return self.label, self.bindings
 
 
 Source = Union[Live, New]
@@ -111,6 +119,10 @@ class PlanStep(NamedTuple):
     action: Action
     inputs: tuple[tuple[str, Source], ...]
     bindings: Bindings = ()
+
+    @property
+    def instance(self) -> Instance:
+        return self.action.label, self.bindings
 
 
 class Plan(NamedTuple):
@@ -144,11 +156,14 @@ class Plan(NamedTuple):
         return steps + sum([charge for _, charge in self.charges])
 
     @property
+    def sources(self) -> set[Source]:
+        """Everything that is used of nodelets that exist, and of new ones."""
+        return {self.goal, *[source for step in self.steps for _, source in step.inputs]}
+
+    @property
     def live(self) -> tuple[Live, ...]:
         """Streams that are used as they are."""
-        used = {source for step in self.steps for _, source in step.inputs}
-        used.add(self.goal)
-        return tuple(sorted(source for source in used if isinstance(source, Live)))
+        return tuple(sorted([each for each in self.sources if isinstance(each, Live)]))
 
 
 class Obstacle(NamedTuple):

@@ -5,39 +5,37 @@
 
 from __future__ import annotations
 
-import builtins
 import signal
 import sys
 import threading
+from dataclasses import replace
 
 import rosgraph.network
 
-from dyknow.errors import HostError
+from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.manager.host import ProcessState
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.peer import ListClient, NodeletPeer, host_errors
+from dyknow.ros.hosting.peer import ListClient, Peer, Presence
 from dyknow.ros.process.os_process import LogTail, ProcessId, boot
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
 #: Seconds that a child has to end after a signal.
 PATIENCE = 3.0
+NOT_UP = "it is not up"
 
 
-class Child(NodeletPeer):
-    """One nodelet manager or node that we start; its own thread (in `Children`) alone writes.
+class Child(Peer):
+    """One nodelet manager or node that we start; its loop (in `Children`) alone writes.
 
     Attributes:
         record: its record on disk.
         adopted: whether an earlier manager started its process.
-        up: whether it offers its services.
         wanted: whether it is to be started again when it dies.
         gone: set when its name is free again.
-        trouble: why it did not come up; empty if it did.
         stale: address of a dead predecessor at the master; empty if there is none.
         log: its output.
-        rewirable: whether its nodelets have live ports.
         command: program and arguments of a node; empty for a nodelet manager.
         start_timeout: seconds that it may take to offer its services.
     """
@@ -50,59 +48,40 @@ class Child(NodeletPeer):
         command: tuple[str, ...] = (),
         start_timeout: float = START_TIMEOUT,
     ) -> None:
-        super().__init__(context, record.name)
+        here = rosgraph.network.get_host_name()
+        self._down = ProcessState(
+            record.name, record.kind, isolated_for=record.isolated_for, host=here
+        )
+        presence = Presence(self._down, NOT_UP)
+        super().__init__(context, record.name, record.kind.is_node, presence)
         self.record = record
         self.adopted = adopted
-        self.up = False
         self.wanted = True
         self.gone = threading.Event()
-        self.trouble = ""
         self.stale = ""
         self.log: LogTail | None = None
-        self.rewirable = True
         self.command = command
         self.start_timeout = start_timeout
-        self._lists: tuple[str, ListClient | None] = ("", None)  # of one incarnation
 
     @property
-    def title(self) -> str:
-        """Its sort and name."""
-        return f"{'node' if self.record.kind.is_node else 'nodelet manager'} {self.name}"
+    def up(self) -> bool:
+        """Whether it offers its services."""
+        return self.state.alive
 
-    @property
-    def incarnation(self) -> str:
-        """Differs for each process, also of other boots; empty while none is up."""
-        found = self.record.process
-        return incarnation_of(found) if found is not None and self.up else ""
-
-    @property
-    def state(self) -> ProcessState:
-        incarnation = self.incarnation
-        asked, client = self._lists
-        return ProcessState(
-            self.name,
-            self.record.kind,
-            incarnation,
-            self.record.isolated_for,
-            responsive=client is None or asked != incarnation or client.answers,
-            rewirable=self.rewirable,
-            host=rosgraph.network.get_host_name(),
-            cure=self._cure,
+    def came_up(self, process: ProcessId, rewirable: bool) -> None:
+        """Note that a process of its own offers its services."""
+        again = "" if self.is_node else ", and it is started again with its nodelets"
+        cure = (
+            f"if its process is stopped, kill -CONT {process.pid}; if it hangs, "
+            f"kill -9 {process.pid}{again}"
         )
+        self._down = replace(self._down, rewirable=rewirable)
+        up = replace(self._down, incarnation=incarnation_of(process), cure=cure)
+        self._found(Presence(up))
 
-    def list(self, incarnation: str = "") -> builtins.list[str]:
-        """Ask for its nodelets, over a connection that is kept for as long as its process runs."""
-        current = self.incarnation
-        if not current:
-            raise HostError(f"nodelet manager '{self.name}' is not running")
-        asked, client = self._lists
-        if client is None or asked != current:
-            if client is not None:
-                client.close()
-            client = ListClient(self.context.master, self.name, is_node=self.record.kind.is_node)
-            self._lists = current, client
-        with host_errors(self.name):
-            return client.list()
+    def went_down(self, trouble: str = "") -> None:
+        """Note that it offers no services, as it has ended or is to end."""
+        self._found(Presence(self._down, trouble or self.presence.trouble or NOT_UP))
 
     def echo(self) -> None:
         """Print its output since the last call."""
@@ -111,28 +90,17 @@ class Child(NodeletPeer):
 
     def end(self) -> None:
         """End its process; nodes take leave of the master on SIGINT, as roslaunch sends it."""
-        is_node = self.record.kind.is_node
-        signals = (signal.SIGINT, signal.SIGTERM) if is_node else (signal.SIGTERM,)
+        signals = (signal.SIGINT, signal.SIGTERM) if self.is_node else (signal.SIGTERM,)
         if self.record.process is not None:
             self.record.process.end(PATIENCE, signals)
 
-    def close(self) -> None:
-        super().close()
-        client = self._lists[1]
-        if client is not None:
-            client.close()
-
-    @property
-    def _cure(self) -> str:
-        """Advice for users if it does not answer."""
-        process = self.record.process
-        if process is None:
-            return ""
-        again = "" if self.record.kind.is_node else ", and it is started again with its nodelets"
-        return (
-            f"if its process is stopped, kill -CONT {process.pid}; if it hangs, "
-            f"kill -9 {process.pid}{again}"
-        )
+    def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
+        is_late = isinstance(error, PeerTimeout)
+        with self._state_lock:
+            if client is self._client and is_late:
+                state = replace(self.presence.state, responsive=False)
+                self.presence = replace(self.presence, state=state)
+        raise (HostTimeout if is_late else HostError)(f"{self.name}: {error}") from error
 
 
 def incarnation_of(process: ProcessId) -> str:

@@ -5,9 +5,9 @@
 
 They are nodelet managers, and nodes, each of which hosts itself alone.
 
-Ownership: ``Children`` owns a table of names and a thread for each child. That thread alone
-starts the process and waits for its end. A child has a session of its own, so it outlives a
-manager that is killed; the next one finds it in a file (``child_records``), else by its
+Ownership: ``Children`` owns a table of names. A round of a child's loop is one life of its
+process: it alone starts the process and waits for its end. A child has a session of its own, so it
+outlives a manager that is killed; the next one finds it in a file (``child_records``), else by its
 environment.
 """
 
@@ -28,7 +28,7 @@ from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
-from dyknow.ros.hosting.child import PATIENCE, START_TIMEOUT, Child, incarnation_of
+from dyknow.ros.hosting.child import NOT_UP, PATIENCE, START_TIMEOUT, Child, incarnation_of
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
@@ -41,6 +41,7 @@ _ADOPTION_TIMEOUT = 5.0
 #: Seconds before a nodelet manager that died twice is started again.
 _FIRST_PAUSE = 0.25
 _STEP = 0.02
+_TAKEN = "another node has that name"
 _BASES = {
     NodeletKind.PYTHON: "dyknow_nodelet_manager",
     NodeletKind.CPP: "dyknow_cpp_nodelet_manager",
@@ -65,6 +66,7 @@ class Children:
         self._writing_turn = turn_lock("records of children")
         self._children: dict[str, Child] = {}
         self._crashes: collections.deque[Crash] = collections.deque(maxlen=_CRASHES)
+        self._deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
         self._ending = False
         self._unwritten = False  # the disk did not take the records
 
@@ -135,7 +137,7 @@ class Children:
         elif child is not None:
             raise NameTaken(node)
         if self._launcher.living(node) is not None:
-            raise NameTaken(node)
+            raise NameTaken(node, "running", "another node")
 
     def start_node(
         self, kind: NodeletKind, name: str, command: tuple[str, ...], timeout: float
@@ -170,7 +172,7 @@ class Children:
         child = self.find(name)
         if child is not None:
             with self._changed:
-                self._changed.wait_for(lambda: child.incarnation != incarnation, timeout)
+                self._changed.wait_for(lambda: child.state.incarnation != incarnation, timeout)
 
     def end(self, name: str) -> None:
         """End a child for good, by force if need be."""
@@ -206,7 +208,7 @@ class Children:
             if present is not None:
                 return present
             self._children[name] = child
-        in_background(f"child {name}", partial(self._run, child))
+        child.follow(partial(self._run, child))
         return child
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
@@ -225,16 +227,21 @@ class Children:
     def _wait_up(self, child: Child, deadline: float) -> str:
         with self._changed:
             left = deadline - time.monotonic()
-            self._changed.wait_for(lambda: child.up or child.gone.is_set(), left)
+            self._changed.wait_for(
+                lambda: child.up or child.gone.is_set() or child.presence.trouble == _TAKEN, left
+            )
             if child.up:
                 return child.name
-        raise HostError(f"{child.title}: {child.trouble or 'it does not come up'}")
+        raise HostError(f"{child.title}: {child.presence.trouble}")
 
     def _end(self, children: list[Child]) -> None:
         with self._changed:
             for child in children:
-                child.wanted, child.up = False, False
+                child.wanted = False
+                child.wake()
             self._changed.notify_all()
+        for child in children:
+            child.went_down()
         enders = [in_background(f"ending {each.name}", each.end) for each in children]
         for ender in enders:
             ender.join(2 * PATIENCE)
@@ -254,40 +261,39 @@ class Children:
             else:
                 self._unwritten = False
 
-    # The life of a child, on a thread of its own
+    # In the loop of a child
 
-    def _run(self, child: Child) -> None:
+    def _run(self, child: Child) -> float | None:
+        """Run a child until its process ends; returns the pause before it is started again."""
+        began = time.monotonic()
+        if child.wanted:
+            try:
+                self._live(child)
+            except (OSError, HostError, PeerTimeout, LookupError) as error:
+                child.went_down(str(error))
+                _log.error("%s: %s", child.title, error)
+            except Exception as error:  # the boundary of the thread: the next start may succeed
+                child.went_down(str(error))
+                _log.exception("%s", child.title)
+        if child.wanted:
+            self._deaths.served(child.name, time.monotonic() - began)
+            self._deaths.failed(child.name)
+            return self._deaths.remaining(child.name)
+        self._drop(child)
+        return None
+
+    def _drop(self, child: Child) -> None:
         try:
-            self._keep(child)
             self._launcher.clean_up(child.record)
         finally:
+            self._deaths.forgive(child.name)
+            child.close()
             with self._changed:
                 self._children.pop(child.name, None)
                 child.gone.set()
                 self._changed.notify_all()
-        child.close()
         self._write()
         self._context.on_change()
-
-    def _keep(self, child: Child) -> None:
-        """Run a child, and start it again when it dies, until it is not wanted any more."""
-        deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
-        while child.wanted:
-            begin = time.monotonic()
-            try:
-                self._live(child)
-            except (OSError, HostError, PeerTimeout, LookupError) as error:
-                child.trouble = str(error)
-                _log.error("%s: %s", child.title, error)
-            except Exception as error:  # the boundary of the thread: the next start may succeed
-                child.trouble = str(error)
-                _log.exception("%s", child.title)
-            if child.wanted:
-                deaths.served(child.name, time.monotonic() - begin)
-                deaths.failed(child.name)
-                pause = deaths.remaining(child.name)
-                with self._changed:
-                    self._changed.wait_for(lambda: not child.wanted, pause)
 
     def _live(self, child: Child) -> None:
         try:
@@ -306,8 +312,9 @@ class Children:
                     with self._changed:
                         self._crashes.append(replace(crash, incarnation=incarnation_of(found)))
         finally:
+            child.went_down()
             with self._changed:
-                child.up, child.adopted = False, False
+                child.adopted = False
                 child.wanted &= not child.record.isolated_for  # that one is not started again
                 child.record = replace(child.record, process=None)
                 self._changed.notify_all()
@@ -315,8 +322,12 @@ class Children:
         self._context.on_change()
 
     def _launch(self, child: Child) -> None:
-        if self._launcher.living(child.name) is not None:
-            raise HostError("another node has that name")
+        is_taken = self._launcher.living(child.name) is not None
+        child.went_down(_TAKEN if is_taken else NOT_UP)
+        with self._changed:
+            self._changed.notify_all()
+        if is_taken:
+            raise HostError(_TAKEN)
         child.stale = self._launcher.registered(child.name)
         self._write()  # on disk before it is there: nothing of it is left if we are killed
         found, child.log = self._launcher.launch(child.record, child.command)
@@ -332,7 +343,7 @@ class Children:
         kind = child.record.kind
         while not self._launcher.is_up(kind, child.name, child.stale):
             if not found.alive or not child.wanted:
-                child.trouble = "it ended at its start"
+                child.went_down("it ended at its start")
                 return
             if time.monotonic() > deadline and self._is_lost(child):
                 child.end()
@@ -340,9 +351,10 @@ class Children:
                 raise HostError(f"it has {what} within {child.start_timeout:g} s")
             time.sleep(_STEP)
         rewirable = self._launcher.is_rewirable(kind, child.name)
+        child.came_up(found, rewirable)
+        if not child.wanted:  # it was ended meanwhile
+            child.went_down()
         with self._changed:
-            child.rewirable = rewirable
-            child.up = child.wanted
             self._changed.notify_all()
         self._context.on_change()
 

@@ -3,8 +3,8 @@
 
 """Counts of messages: of nodelets, from their processes, and on topics, by subscribing.
 
-Ownership: a ``CountClient`` owns a kept connection, and a thread that alone uses it, started
-with the first request. Registering with the ROS master may take its time, so one thread does that
+Ownership: a ``CountClient`` owns a kept connection, which a key of its peer's loop alone uses from
+the first request on. Registering with the ROS master may take its time, so one thread does that
 for all topics. rospy has one connection to each publisher, however many subscribe.
 """
 
@@ -19,12 +19,10 @@ from dyknow_msgs.msg import Port
 from dyknow_msgs.srv import GetCounts
 
 from dyknow import names
-from dyknow.errors import HostError, PeerTimeout
+from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, Listening
-from dyknow.model.transformation import OUT
-from dyknow.periodic import PeriodicWorker, Workers
-from dyknow.ros.client import ProxyClient
+from dyknow.periodic import ControlLoop, Workers
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.ages import age_of_serialised
 from dyknow.ros.wire.master import Master
@@ -38,8 +36,6 @@ PATIENCE = 0.5
 _TIMEOUT = 2.0
 #: Nodelets whose counts are requested by name; there is a limit to the size of a request.
 _MOST_NAMED = 500
-#: Seconds without a reply after which a connection may be one to a process that is gone.
-_STALE = 10.0
 #: Seconds without a request after which a connection is closed until the next.
 _IDLE = 10.0
 #: Seconds to wait, at the end, for a registration that is going on.
@@ -66,49 +62,49 @@ def counts_of(asked: Iterable[tuple[CountClient, Collection[str]]]) -> Counts:
 class CountClient:
     """Asks one process for counts, one request after the other."""
 
-    def __init__(self, master: Master, name: str) -> None:
-        self._proxies = ProxyClient(master)
+    def __init__(self, master: Master, name: str, loop: ControlLoop) -> None:
+        """Prepare; the ``loop`` is started."""
+        self._loop = loop
+        self._key = f"counting the messages of {name}"
         self._client = ServiceClient(master, names.join(name, SERVICE), GetCounts, True)
         self._state_lock = state_lock("counts")
         self._wanted: set[str] = set()
         self._fresh: Counts = {}
-        self._asked = self._answered = time.monotonic()
+        self._asked = time.monotonic()
         self._in_time = True
-        self._worker = PeriodicWorker(f"message counts of {name}", self._round, _IDLE, pause=0.0)
 
     def ask(self, nodelets: Collection[str]) -> int:
         """Send a request after the previous reply has arrived; returns its sequence number."""
         with self._state_lock:
             self._wanted.update(nodelets)
-        self._worker.start()
-        return self._worker.wake()
+        self._loop.add(self._key, self._round, pause=0.0)
+        return self._loop.wake(self._key)
 
     def replies(self, number: int, nodelets: Collection[str], deadline: float) -> Counts:
         """Wait for a reply, unless that may take long; returns new counts."""
         if self._in_time:
             left = max(0.0, deadline - time.monotonic())
-            self._in_time = self._worker.wait_for(number, left)
+            self._in_time = self._loop.wait_for(self._key, number, left)
         with self._state_lock:
             return {name: self._fresh.pop(name) for name in nodelets if name in self._fresh}
 
     def close(self) -> None:
-        """Ask no more."""
-        self._worker.close()
         self._client.close()
 
-    def _round(self) -> None:
+    def _round(self) -> float:
         with self._state_lock:
             nodelets, self._wanted = sorted(self._wanted), set()
         began = time.monotonic()
         if not nodelets:
             if began - self._asked >= _IDLE:
                 self._client.close()
-            return
+            return _IDLE
         self._asked = began
         found = self._request(nodelets)
         with self._state_lock:
             self._fresh.update(found)
         self._in_time = time.monotonic() - began <= PATIENCE
+        return _IDLE
 
     def _request(self, nodelets: list[str]) -> Counts:
         asked = time.monotonic()
@@ -116,13 +112,10 @@ class CountClient:
         try:
             answer = self._client.call(_TIMEOUT, named)
         except PeerTimeout:
-            if time.monotonic() - self._answered >= _STALE:
-                self._client.close()
-                self._answered = time.monotonic()
             return {}
-        except (ServiceLost, ServiceFailed):  # it may be one without this service
-            return self._one_by_one(nodelets)
-        answered = self._answered = time.monotonic()
+        except (ServiceLost, ServiceFailed):
+            return dict.fromkeys(nodelets)
+        answered = time.monotonic()
 
         def count(port: Any) -> Count:
             age = None if math.isnan(port.age) else port.age
@@ -133,26 +126,6 @@ class CountClient:
             if each.nodelet in found:
                 out_ports = (port for port in each.ports if port.direction == Port.OUT)
                 found[each.nodelet] = {port.port: count(port) for port in out_ports}
-        return found
-
-    def _one_by_one(self, nodelets: list[str]) -> Counts:
-        """Ask each nodelet's proxy, without latches and ages."""
-        found: Counts = {}
-        for name in nodelets:
-            asked = time.monotonic()
-            try:
-                ports = self._proxies.get_statistics(name, _TIMEOUT).ports
-            except PeerTimeout:
-                break  # each further one would take that long
-            except HostError:
-                found[name] = None
-                continue
-            answered = time.monotonic()
-            found[name] = {
-                port.port: Count(port.messages or 0, asked, answered)
-                for port in ports
-                if port.direction == OUT
-            }
         return found
 
 

@@ -6,22 +6,21 @@
 Nodelet managers are named by the settings. Each re-wirable node announces its name to each new
 subscriber of one topic, so either side can start first.
 
-Ownership: an ``External`` owns the presence of one process, and a thread that updates it.
+Ownership: an ``External`` owns the presence of one process, which a key of its loop updates.
 While the process answers, each caller asks it directly over a kept connection. The first caller
 without an answer marks it as unresponsive; from then on every call fails at once and only the
-thread goes on asking, so no call waits for a host that is away.
+loop goes on asking, so no call waits for a host that is away.
 
 The ROS master decides which process bears a name. When another process registers under the name
-while the host of the first is away, the master cannot end the first. The thread does so as
+while the host of the first is away, the master cannot end the first. The loop does so as
 soon as it can be reached.
 """
 
 from __future__ import annotations
 
-import builtins
 import logging
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Callable, Iterable
 
 import rospy
@@ -30,15 +29,14 @@ from dyknow_msgs.srv import GetCounts
 
 from dyknow import names
 from dyknow.backoff import Backoff
-from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
-from dyknow.periodic import PeriodicWorker
 from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.peer import LIST_TIMEOUT, ListClient, NodeletPeer
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.hosting.peer import LIST_TIMEOUT, ListClient, Peer, Presence
+from dyknow.ros.nodelets.announcements import NODES_TOPIC, changes_in
 from dyknow.ros.wire.addresses import host_of
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
@@ -56,27 +54,11 @@ _NODE_PATIENCE = 10.0
 _log = logging.getLogger("rosout.dyknow")
 
 
-@dataclass(frozen=True)
-class Presence:
-    """Knowledge of the process behind a name.
-
-    Attributes:
-        state: the last that answered; without an incarnation if it has ended, or none has
-            answered yet.
-        trouble: why it cannot be queried; empty if it can.
-        nodelets: its last list of nodelets.
-    """
-
-    state: ProcessState
-    trouble: str = ""
-    nodelets: frozenset[str] = frozenset()
-
-
 class NotRunning(HostError):
     """The master has no node of that name, or it is another sort of node."""
 
 
-class External(NodeletPeer):
+class External(Peer):
     """One nodelet manager or re-wirable node of a third party; safe from any thread."""
 
     def __init__(
@@ -90,31 +72,17 @@ class External(NodeletPeer):
 
         ``on_gone`` is called when a node has been gone for so long that it is not looked for.
         """
-        super().__init__(context, name)
-        self.is_node = is_node
+        self._gone = ProcessState(name, own=False, responsive=False)
+        unseen = replace(self._gone, away=True, unseen=True)
+        super().__init__(context, name, is_node, Presence(unseen, "it has not answered yet"))
         self._on_gone = on_gone
         self._master = context.master
-        self._state_lock = state_lock("external process")
-        self._client = ListClient(self._master, name, is_node=is_node)
-        self._gone = ProcessState(name, own=False, responsive=False)
-        #: Present knowledge of its process, and that which was logged.
-        self.presence = self._reported = Presence(
-            replace(self._gone, away=True, unseen=True), "it has not answered yet"
-        )
+        #: What was known when it was logged last.
+        self._reported = self.presence
         #: Incarnations that bore the name before and do not know yet that they lost it.
         self.displaced: list[str] = []
         self._expected_until = time.monotonic() + _NODE_PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
-        self._period: float | None = 0.0
-        self._title = f"{'node' if is_node else 'nodelet manager'} '{name}'"
-        self._worker = PeriodicWorker(
-            f"looking for {self._title}", self._round, lambda: self._period, pause=0.0
-        )
-        self.start = self._worker.start
-
-    @property
-    def state(self) -> ProcessState:
-        return self.presence.state
 
     @property
     def may_publish(self) -> bool:
@@ -122,41 +90,22 @@ class External(NodeletPeer):
         state = self.state
         return (state.responsive or state.away) and super().may_publish
 
-    def check(self) -> None:
-        """Raise ``HostTimeout`` if it did not answer the last time, ``HostError`` if it ended."""
-        self._refuse_if_missed(self.presence)
-
-    def list(self, incarnation: str = "") -> builtins.list[str]:
-        """Ask for its nodelets, if it answers at all."""
-        while True:
-            with self._state_lock:
-                client, known = self._client, self.presence
-            self._refuse_if_missed(known)
-            if incarnation not in ("", known.state.incarnation):
-                raise HostError(f"{self._title} is another process by now")
-            try:
-                nodelets = client.list()
-            except (HostError, PeerTimeout) as error:
-                # A lost connection does not prove that it has ended: the thread finds out.
-                self._miss(client, error, away=self.is_node or may_be_there(error))
-                self._worker.wake()
-                continue  # now there is a new connection, or trouble
-            with self._state_lock:
-                if client is self._client:
-                    self.presence = replace(self.presence, nodelets=frozenset(nodelets))
-            return nodelets
+    def start(self) -> None:
+        """Look for it from now on."""
+        self.follow(self._round)
 
     def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
         """Probe it once more if it was not found the last time, and wait for the outcome."""
         state = self.state
         if state.unseen or not (state.responsive or state.away):
-            self._worker.wait_for(self._worker.wake(), timeout)
+            self.start()
+            self.loop.wait_for(self._key, self.wake(), timeout)
 
     def expect(self) -> None:
         """Look for a node for some more time: its name was announced."""
         self._expected_until = time.monotonic() + _NODE_PATIENCE
-        self._worker.start()
-        self._worker.wake()
+        self.start()
+        self.wake()
 
     def forget(self, nodelet: str) -> None:
         """Note that a nodelet which it ran is loaded elsewhere now."""
@@ -171,26 +120,24 @@ class External(NodeletPeer):
         if not self.presence.trouble:
             self.displaced = [each for each in self.displaced if not self._end(each)]
 
-    def close(self) -> None:
-        """Look for it no more."""
-        super().close()
-        self._worker.close()
-        self._client.close()
-
     # Inside
 
-    def _round(self) -> None:
+    def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
+        # A lost connection does not prove that it has ended: the next look finds out.
+        self._miss(client, error, away=self.is_node or may_be_there(error))
+        self.wake()
+
+    def _round(self) -> float | None:
         self.look()
         self._report()
         known = self.presence
-        if known.trouble or self.displaced:
-            self._backoff.failed(self.name)
-            self._period = self._backoff.remaining(self.name)
-        else:
-            self._backoff.forgive(self.name)
-            self._period = None if self.is_node else _PERIOD
         if self.is_node and not known.state.alive and time.monotonic() > self._expected_until:
             self._on_gone(self)
+        if known.trouble or self.displaced:
+            self._backoff.failed(self.name)
+            return self._backoff.remaining(self.name)
+        self._backoff.forgive(self.name)
+        return None if self.is_node else _PERIOD
 
     def _report(self) -> None:
         """Log a change, and report it."""
@@ -202,20 +149,14 @@ class External(NodeletPeer):
             now.away,
         ):
             return
-        title = self._title.replace("'", "")
         if now.responsive:
-            _log.info("%s is there (%s)", title, now.incarnation)
+            _log.info("%s is there (%s)", self.title, now.incarnation)
         elif not self.is_node or now.alive:
-            _log.warning("%s cannot be asked: %s", title, trouble)
+            _log.warning("%s cannot be asked: %s", self.title, trouble)
         elif before.alive:
-            _log.info("%s is gone", title)
+            _log.info("%s is gone", self.title)
             self.guarding.withdraw()
         self.context.on_change()
-
-    def _refuse_if_missed(self, known: Presence) -> None:
-        if known.trouble:
-            text = f"{self._title}: {known.trouble}"
-            raise HostTimeout(text) if known.state.away else HostError(text)
 
     def _miss(self, client: ListClient, trouble: Exception, away: bool) -> None:
         """Note that it cannot be queried, unless it was found again meanwhile."""
@@ -240,7 +181,7 @@ class External(NodeletPeer):
             return  # a master that is away says nothing of the process
         if uri and not known.trouble and _address_of(known.state) == uri:
             return
-        client = ListClient(self._master, self.name, reconnects=False, is_node=self.is_node)
+        client = ListClient(self._master, self.name, self.is_node, reconnects=False)
         try:
             if not uri:
                 raise NotRunning("it is not running")
@@ -251,10 +192,8 @@ class External(NodeletPeer):
             client.close()
             self._miss(self._client, error, may_be_there(error))
             return
-        with self._state_lock:
-            before, old, self._client = self.presence.state, self._client, client
-            self.presence = Presence(found, nodelets=nodelets)
-        old.close()
+        before = self.presence.state
+        self._found(Presence(found, nodelets=nodelets), client)
         if before.alive and _address_of(before) != uri:
             self.displaced.append(before.incarnation)
 
@@ -317,11 +256,18 @@ class Externals:
         for each in list(self._externals.values()):
             each.start()
 
-    def listen(self) -> None:
-        """Listen for re-wirable nodes from now on."""
-        self._subscriber = rospy.Subscriber(
-            NODES_TOPIC, NodeletChanges, lambda message: self._expect(message.nodelets)
-        )
+    def listen(self, changed: Callable[[str, str, str], None]) -> None:
+        """Listen for re-wirable nodes from now on, and to them.
+
+        ``changed`` is that of ``Listener``, for which a node is its own nodelet manager.
+        """
+
+        def receive(message: NodeletChanges) -> None:
+            self._expect(message.nodelets)
+            for name, detail in changes_in(message):
+                changed(name, name, detail)
+
+        self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, receive)
 
     def look_for(self, nodes: Iterable[str]) -> None:
         """Find nodes that may run, before they announce their names; waits for the outcome."""

@@ -3,8 +3,8 @@
 
 """Grants to a process: the lease to publish on topics of claims, and the guards.
 
-Ownership: a ``Lease`` owns a kept connection, and a thread that alone uses it, started when
-the lease is granted.
+Ownership: a ``Lease`` owns a kept connection, which a key of its peer's loop alone uses from the
+first grant on.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import ProcessState
-from dyknow.periodic import PeriodicWorker
+from dyknow.periodic import ControlLoop
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.lease_service import SERVICE
 from dyknow.ros.wire.master import Master
@@ -79,9 +79,12 @@ class Lease:
     it supplies is replaced, although it does not answer: it has not certainly stopped publishing.
     """
 
-    def __init__(self, context: PeerContext, name: str, answers: Callable[[], bool]) -> None:
+    def __init__(
+        self, context: PeerContext, name: str, loop: ControlLoop, answers: Callable[[], bool]
+    ) -> None:
         """Grant none yet; nothing is renewed while the process does not answer otherwise."""
         self._context = context
+        self._loop = loop
         self._name = name
         self._answers = answers
         #: When it was answered last, or granted: an earlier life may have done that just before.
@@ -90,8 +93,7 @@ class Lease:
         #: Asks one process; another one that has the name later has another clock.
         self._client = self._new_client()
         self._confirmed = 0.0
-        self._began = time.monotonic()
-        self._worker = PeriodicWorker(f"lease of {name}", self._renew, self._pause, pause=0.0)
+        self._key = f"renewing the lease of {name}"
 
     @property
     def is_granted(self) -> bool:
@@ -109,12 +111,11 @@ class Lease:
         """Renew it now, and periodically from then on."""
         if self._answered is None:
             self._answered = self._context.running()
-        self._worker.start()
-        self._worker.wake()
+            self._loop.add(self._key, self._renew, pause=0.0)
+        self._loop.wake(self._key)
 
     def release(self) -> None:
-        """Renew it no more, and take it back, so that publishing goes on without it."""
-        self._worker.close()
+        """Take it back, so that publishing goes on without it; it must not be renewed any more."""
         if not self._answers():
             return
         try:
@@ -123,16 +124,10 @@ class Lease:
             _log.debug("the lease of %s is not taken back: %s", self._name, error)
 
     def close(self) -> None:
-        """Renew it no more."""
-        self._worker.close()
         self._client.close()
 
-    def _pause(self) -> float:
-        period = _PERIOD if self._confirmed else _UNCONFIRMED_PERIOD
-        return max(0.0, self._began + period - time.monotonic())
-
-    def _renew(self) -> None:
-        self._began = time.monotonic()
+    def _renew(self) -> float:
+        began = time.monotonic()
         try:
             if self._answers():
                 is_first = not self._confirmed
@@ -147,6 +142,8 @@ class Lease:
         was_out, self._is_out = self._is_out, not self.may_be_held
         if self._is_out and not was_out:
             self._context.on_change()
+        period = _PERIOD if self._confirmed else _UNCONFIRMED_PERIOD
+        return max(0.0, began + period - time.monotonic())
 
     def _call(self) -> None:
         request = self._request(self._confirmed, self._context.producers)

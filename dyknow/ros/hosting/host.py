@@ -37,7 +37,7 @@ from dyknow.ros.hosting.counts import MessageCounter, counts_of
 from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
-from dyknow.ros.hosting.peer import LoadFailure, NodeletPeer, host_errors
+from dyknow.ros.hosting.peer import LoadFailure, Peer, host_errors
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
@@ -76,7 +76,7 @@ class RosHost(Host):
         self._proxies = ProxyClient(context.master)
         self._children = children
         self._external = Externals(context, external, lambda name: children.find(name) is not None)
-        #: Look for the external nodelet managers, and listen for re-wirable nodes, from now on.
+        #: Look for the external nodelet managers, and listen to re-wirable nodes, from now on.
         self.start = self._external.start
         self.listen_for_nodes = self._external.listen
         #: Find re-wirable nodes of these names that run already.
@@ -276,32 +276,30 @@ class RosHost(Host):
         self._askers.shutdown(wait=False)
 
     def release(self) -> None:
-        """Remove our guards and leases from processes that outlive us."""
-        for peer in self._peers():
-            if peer.lease.is_granted:
-                peer.lease.release()
+        """Remove our guards and leases from the processes that outlive us."""
         for external in self._external.all():
+            external.release()
             external.guarding.withdraw()
 
     # Inside
 
-    def _peers(self) -> builtins.list[NodeletPeer]:
+    def _peers(self) -> builtins.list[Peer]:
         """Return every process, by name."""
-        found: dict[str, NodeletPeer] = {each.name: each for each in self._external.all()}
+        found: dict[str, Peer] = {each.name: each for each in self._external.all()}
         found.update((each.name, each) for each in self._children.all())
         return [found[name] for name in sorted(found)]
 
-    def _peer(self, name: str) -> NodeletPeer | None:
+    def _peer(self, name: str) -> Peer | None:
         return self._children.find(name) or self._external.find(name)
 
-    def _known(self, name: str) -> NodeletPeer:
+    def _known(self, name: str) -> Peer:
         """Return the process of a name; raises ``HostError`` if there is none."""
         found = self._peer(name)
         if found is None:
             raise HostError(f"nodelet manager '{name}' is not running")
         return found
 
-    def _guard(self, peer: NodeletPeer) -> None:
+    def _guard(self, peer: Peer) -> None:
         """Hand the guards over; raises ``HostError`` if that fails."""
         with self._grants_turn:
             peer.guarding.hand_over(peer.state)
@@ -315,7 +313,7 @@ class RosHost(Host):
                 _log.warning("nodelet manager %s: %s", state.name, error)
             return None
 
-    def _list(self, peer: NodeletPeer, incarnation: str = "") -> builtins.list[str]:
+    def _list(self, peer: Peer, incarnation: str = "") -> builtins.list[str]:
         """List the nodelets of a process; unload those whose load had been given up."""
         found = peer.list(incarnation)
         late = [

@@ -19,8 +19,7 @@ from lxml import etree
 from dyknow.errors import HostError, Problem
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
-from dyknow.nodelet.plugins import Plugins
-from dyknow.ros.nodelets.packages import exported_files, plugin_files
+from dyknow.nodelet.plugins import Plugins, exported_files, plugin_files
 from dyknow.ros.process import programs
 from dyknow.similar import did_you_mean
 

@@ -31,6 +31,7 @@ from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
 from dyknow.manager.manager import ManagerOptions
 from dyknow.manager.observer import PERIOD
+from dyknow.manager.record import Record
 from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
@@ -44,9 +45,8 @@ from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.manager.manager_settings import ManagerSettings
-from dyknow.ros.manager.services import ManagerServices
+from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
-from dyknow.ros.manager.topics import EventTopic, ModelTopic
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -166,7 +166,7 @@ class ManagerNode(Closable):
         self._loop.add(_OBSERVE, self._observe, PERIOD)
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
-        self._host.listen_for_nodes()
+        self._host.listen_for_nodes(self._hear)
 
     def close(self) -> None:
         """End on purpose, with all nodelets, claims and nodelet managers.
@@ -239,10 +239,11 @@ class ManagerNode(Closable):
 
     def _introduce(self) -> None:
         """Log the version, the master and the state that was found."""
+        stored = self._store.read("nodelets", Record.from_body).values()
         found = {
             "transformations": len(self.manager.library.all()),
-            "nodelets": len(self._store.nodelets()),
-            "claims": len(self._store.claims()),
+            "nodelets": sum(each.is_spawned for each in stored),
+            "claims": len(self._reconciler.claims()),
         }
         rospy.loginfo(
             "DyKnow manager %s, version %s, of the ROS master at %s; its state is in '%s': %s",
@@ -279,7 +280,7 @@ class ManagerNode(Closable):
         return [
             state.name
             for state in self._host.states().values()
-            if state.rewirable and (state.own or state.alive)
+            if state.rewirable and (state.own or state.alive) and not state.kind.is_node
         ]
 
     def _protected(self) -> dict[str, list[str]]:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The services of the DyKnow manager, over its methods and those of the reconciler."""
+"""The services and topics of the DyKnow manager, over its methods and the reconciler's."""
 
 from __future__ import annotations
 
@@ -9,27 +9,33 @@ import logging
 from typing import Any, Callable, Sequence
 
 import rospy
-from dyknow_msgs import srv
+from dyknow_msgs import msg, srv
 
 from dyknow.errors import BadParameter, DuplicatePort, DyKnowError, InvalidConfiguration
+from dyknow.locks import turn_lock
+from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.specifications.given import undeclared
 from dyknow.manager.specifications.tags import written_bindings
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import Model, SpawnRequest
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.nodelets.guard_parameters import caller_of
-from dyknow.ros.process.logs import for_log
+from dyknow.ros.nodelets.proxy_services import for_log
 from dyknow.ros.wire.messages import (
     acquire_from,
     acquisition_message,
     config_pairs,
+    event_message,
     parameters_from,
     refusal_message,
     replanned_message,
     stream_message,
 )
 from dyknow.ros.wire.model_messages import ModelMessages
+
+#: Events that may wait for a slow subscriber.
+_QUEUE_SIZE = 1000
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -89,7 +95,6 @@ class ManagerServices:
             self._connect,
             lambda r: f"connecting {', '.join(repr(each.nodelet) for each in r.nodelets)}",
         )
-        self._offer("get_model", srv.GetModel, self._get_model)
         self._offer(
             "acquire_stream",
             srv.AcquireStream,
@@ -112,6 +117,8 @@ class ManagerServices:
         )
         self._offer("list_streams", srv.ListStreams, self._list)
         self._offer("find_bindings", srv.FindBindings, self._find_bindings)
+        # Last, since clients take a manager that answers it for one that is up.
+        self._offer("get_model", srv.GetModel, self._get_model)
 
     def close(self) -> None:
         """Withdraw the services."""
@@ -270,3 +277,61 @@ def _mapping(name: str, pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
         doubled = sorted({port for port in ports if ports.count(port) > 1})
         raise InvalidConfiguration(name, [DuplicatePort(port) for port in doubled])
     return mapping
+
+
+class ModelTopic:
+    """The latched topic of the model; one message may show several changes."""
+
+    def __init__(
+        self, take: Callable[[], Model], messages: ModelMessages, before: Callable[[], None]
+    ) -> None:
+        """Advertise the topic.
+
+        Args:
+            take: returns the model of this moment.
+            messages: converts it.
+            before: called before each message.
+        """
+        self._take = take
+        self._messages = messages
+        self._before = before
+        self._shown: tuple[int, int] | None = None
+        self._publisher = rospy.Publisher("~model", msg.Model, latch=True, queue_size=1)
+        self._turn = turn_lock("model on its topic")
+        self.close = self._publisher.unregister
+
+    def publish(self) -> None:
+        """Publish the present model, unless it was published."""
+        with self._turn:
+            self._before()
+            model = self._take()
+            revisions = (model.revision, model.library_revision)
+            if revisions != self._shown:
+                self._publisher.publish(self._messages.topic(model))
+                self._shown = revisions
+
+
+class EventTopic:
+    """The topic of the events of claims, which are logged as well.
+
+    It is withdrawn with the node, once the last event is sent.
+    """
+
+    def __init__(self, answers: StreamAnswers, known: set[str]) -> None:
+        """Advertise the topic; the claims ``known`` are not new to clients."""
+        self._answers = answers
+        self._known = known
+        self._publisher = rospy.Publisher(
+            "~stream_events", msg.StreamEvent, queue_size=_QUEUE_SIZE
+        )
+
+    def publish(self, event: ClaimEvent) -> None:
+        """Publish an event."""
+        claim = event.after
+        is_new = claim.claim_id not in self._known
+        self._known.add(claim.claim_id)
+        if claim.state.ended:
+            self._known.discard(claim.claim_id)
+        tag, state = claim.request.tag, claim.state.name
+        rospy.loginfo("stream %s, %s: %s: %s", claim.claim_id, tag, state, event.reason)
+        self._publisher.publish(event_message(self._answers.event(event, is_new)))

@@ -7,14 +7,15 @@ A name says that the nodelet was loaded or unloaded, or that its ports or their 
 it does not say how they are now. Names that come in quick succession are announced once, in one
 message.
 
-A node with ports that is not a nodelet manager announces its own name on one latched topic that
-all of them share. So it is found without a question to the ROS master.
+A node with ports that is not a nodelet manager announces its own name, on one topic that all of
+them share. So it is found without a question to the ROS master, and listened to without a further
+subscription.
 """
 
 from __future__ import annotations
 
 import itertools
-from typing import Any, Callable, Iterable
+from typing import Any, Callable, Iterable, Iterator
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
@@ -36,25 +37,30 @@ class Announcer(rospy.SubscribeListener):
     Args:
         everything: names for new listeners, which may have missed some.
         detail: describes a fault of a nodelet; empty if it has none.
+        topic: where it announces them.
     """
 
     def __init__(
         self,
         everything: Callable[[], Iterable[str]],
         detail: Callable[[str], str] = lambda name: "",
+        topic: str = f"~{TOPIC}",
     ) -> None:
         super().__init__()
         self._everything = everything
         self._detail = detail
-        #: Global names of the topics that it publishes.
-        self.topics = (rospy.resolve_name(f"~{TOPIC}"), NODES_TOPIC)
+        #: Global name of the topic that it publishes.
+        self.topic = rospy.resolve_name(topic)
         self._lock = state_lock("announcer")
         self._names: set[str] = set()
-        self._publisher = rospy.Publisher(
-            self.topics[0], NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
-        )
-        self._node_publisher: rospy.Publisher | None = None
+        self._publisher: rospy.Publisher | None = None
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
+
+    def start(self) -> None:
+        """Announce from now on; new listeners query immediately."""
+        self._publisher = rospy.Publisher(
+            self.topic, NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
+        )
         self._worker.start()
 
     def announce(self, name: str) -> None:
@@ -62,13 +68,6 @@ class Announcer(rospy.SubscribeListener):
         with self._lock:
             self._names.add(name)
         self._worker.wake()
-
-    def announce_node(self) -> None:
-        """Announce this process as a node with ports, whose services are there."""
-        self._node_publisher = rospy.Publisher(
-            NODES_TOPIC, NodeletChanges, latch=True, queue_size=1
-        )
-        self._node_publisher.publish(NodeletChanges(nodelets=[rospy.get_name()]))
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to_peer: Any) -> None:
         """Announce every nodelet to a new listener; rospy calls it."""
@@ -78,9 +77,8 @@ class Announcer(rospy.SubscribeListener):
 
     def close(self) -> None:
         self._worker.close()
-        self._publisher.unregister()
-        if self._node_publisher is not None:
-            self._node_publisher.unregister()
+        if self._publisher is not None:
+            self._publisher.unregister()
 
     def _message(self, names: list[str]) -> NodeletChanges:
         return NodeletChanges(names, [self._detail(name) for name in names])
@@ -88,7 +86,7 @@ class Announcer(rospy.SubscribeListener):
     def _announce(self) -> None:
         with self._lock:
             names, self._names = self._names, set()
-        if not names:
+        if not names or self._publisher is None:
             return
         try:
             self._publisher.publish(self._message(sorted(names)))
@@ -130,9 +128,14 @@ class Listener:
                     )
 
     def _receive(self, message: NodeletChanges, manager: str) -> None:
-        for name, detail in itertools.zip_longest(message.nodelets, message.details):
-            self._changed(manager, name, detail or "")
+        for name, detail in changes_in(message):
+            self._changed(manager, name, detail)
 
     def close(self) -> None:
         self._closed = True
         self.follow(list)
+
+
+def changes_in(message: NodeletChanges) -> Iterator[tuple[str, str]]:
+    """Yield the nodelets that a message names, each with the description of its fault."""
+    return itertools.zip_longest(message.nodelets, message.details, fillvalue="")

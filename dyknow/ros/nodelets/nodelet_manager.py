@@ -36,13 +36,12 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.nodelets.announcements import Announcer
+from dyknow.ros.nodelets.announcements import NODES_TOPIC, Announcer
 from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
 from dyknow.ros.nodelets.lease_service import LeaseService, end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
-from dyknow.ros.nodelets.proxy_services import ProxyServices
+from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
 from dyknow.ros.process import descriptors, programs
-from dyknow.ros.process.logs import for_log
 from dyknow.ros.process.node_process import NodeProcess
 from dyknow.ros.transport.middleware import rospy_middleware
 from dyknow.ros.transport.registrar import guard_topics, hide_topics
@@ -135,7 +134,11 @@ class NodeletManager(Closable):
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
-        self._announcer = Announcer(self.loader.list, lambda name: self._stuck.detail(name))
+        self._announcer = Announcer(
+            self.loader.list,
+            lambda name: self._stuck.detail(name),
+            *([NODES_TOPIC] if find_class else []),
+        )
         self._stuck = StuckCallbacks(
             self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
@@ -148,6 +151,7 @@ class NodeletManager(Closable):
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~get_counts``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
+        self._announcer.start()
         self._lease_service = LeaseService(self._runtime.bus, self._guards)
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
@@ -160,12 +164,11 @@ class NodeletManager(Closable):
         """Host one thing under the name of the node, which is not a nodelet manager then."""
         self._kind = kind
         name = rospy.get_name()
-        hide_topics(self._announcer.topics)
+        hide_topics([self._announcer.topic])
         self.loader.load(name, kind.value, remappings)
-        self._announcer.announce(name)
         self._lease_service = LeaseService(self._runtime.bus, self._guards)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
-        self._announcer.announce_node()  # last: subscribers query immediately
+        self._announcer.start()  # last: subscribers query immediately
 
     def load(self, request: srv.NodeletLoadRequest, caller: str = "") -> None:
         """Load a nodelet; ``caller`` is the requesting node, empty when it is this one.
@@ -301,8 +304,7 @@ class NodeletManager(Closable):
 
 def _declared_classes() -> Callable[[str, Context], type[Nodelet]]:
     # Here: a script in a process of its own does not wait for the parser of XML.
-    from dyknow.nodelet.plugins import ClassImports, Plugins
-    from dyknow.ros.nodelets.packages import plugin_files
+    from dyknow.nodelet.plugins import ClassImports, Plugins, plugin_files
     from dyknow.ros.scripts.modules import importer_with_libraries
 
     plugins, imports = Plugins(plugin_files), ClassImports(importer_with_libraries)

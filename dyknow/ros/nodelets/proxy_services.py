@@ -16,8 +16,10 @@ from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.nodelets.guard_parameters import caller_of
-from dyknow.ros.process.logs import for_log
 from dyknow.ros.wire.messages import config_pairs, port_message, statistics_message
+
+#: Characters of one text in the log. A list of problems may have many lines.
+_LONGEST = 4096
 
 
 class Proxy(Protocol):
@@ -94,3 +96,11 @@ class ProxyServices(Closable):
 
     def _get_statistics(self, request: Any) -> srv.GetStatisticsResponse:
         return statistics_message(self._proxy.get_statistics())
+
+
+def for_log(text: object) -> str:
+    """Return a text for the log; of a long one its beginning and its length."""
+    words = str(text)
+    if len(words) <= _LONGEST:
+        return words
+    return f"{words[:_LONGEST]}… ({len(words)} characters)"

@@ -67,7 +67,7 @@ def _arguments(rospy_class: type[Any], *args: Any, **kwds: Any) -> dict[str, Any
 
 
 @dataclass(frozen=True)
-class Peer:
+class NodeletLink:
     """A nodelet of this process at the other end, as rospy's transports describe nodes."""
 
     endpoint_id: str
@@ -95,10 +95,10 @@ class _Impl:
         publishers, subscribers = self._context.runtime.bus.owners(end.name)
         if isinstance(end, pubsub.Subscriber):
             source = end.subscription.outside
-            return [*map(Peer, publishers), *(source.links() if source is not None else ())]
+            return [*map(NodeletLink, publishers), *(source.links() if source is not None else ())]
         outside = end.publication.outside
         peers = outside.peers() if outside is not None else ()
-        return [*map(Peer, subscribers), *(p for p in peers if hasattr(p, "endpoint_id"))]
+        return [*map(NodeletLink, subscribers), *(p for p in peers if hasattr(p, "endpoint_id"))]
 
     def has_connections(self) -> bool:
         return bool(self.connections)

@@ -53,19 +53,30 @@ class ScriptProxy(NodeletProxy):
     def _find(self, name: str) -> ProxyPort | None:
         """Find a port by its name, or by the global name that its topic has in the code."""
         found = super()._find(name)
-        if found is None:
-            same = [p for (label, _), p in self._by_label.items() if self._origin(label) == name]
-            found = same[0] if len(same) == 1 else None
-        if found is None:
-            space = names.parent(self.name)
-            label, before = self._label(name), names.join(space, "")
-            label = label[len(before) :] if label.startswith(before) else label
-            is_one_of_two = {(label, IN), (label, OUT)} & set(self._by_label)
-            is_named = names.complete(name, space, self.name) in self._context.remappings
-            if is_named and not is_one_of_two:  # by the load, so it is not a mistake
-                come = _PortToCome(label, _Unknown, self._start(label))
-                found = self._ports.setdefault(label, come)
-        return found
+        if found is not None:
+            return found
+        space = names.parent(self.name)
+        origin = names.complete(name, space, self.name)
+        same = [p for (label, _), p in self._by_label.items() if self._origin(label) == origin]
+        if same:
+            return same[0] if len(same) == 1 else None
+        label, before = self._label(name), names.join(space, "")
+        label = label[len(before) :] if label.startswith(before) else label
+        if origin not in self._context.remappings or self._is_misspelt(label):
+            return None
+        return self._ports.setdefault(label, _PortToCome(label, _Unknown, self._start(label)))
+
+    def _is_misspelt(self, label: str) -> bool:
+        """Whether a port to come is a port of another namespace that its load does not name.
+
+        Where the script watches who subscribes to ``~image``, it may subscribe to ``image`` then.
+        """
+        return any(
+            known.lstrip("~/") == label.lstrip("~/")
+            and self._origin(known) not in self._context.remappings
+            and not port.is_watched
+            for (known, _), port in self._by_label.items()
+        )
 
     def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
         check_message_class(name, datatype)

@@ -8,9 +8,9 @@ import random
 
 import pytest
 
-from dyknow_benchmark import arrival, results
-from dyknow_benchmark.arrival import ChainPlan, plan_of, spread, tell_chain
-from dyknow_benchmark.chains import Block, Order, blocks_of, select
+from dyknow_benchmark import arrival
+from dyknow_benchmark.arrival import ChainPlan, plan_of, tell_chain
+from dyknow_benchmark.chains import Block, Order, select
 from dyknow_benchmark.main import FAILED, OUT, main, parser, with_measurement
 from dyknow_benchmark.options import MEASUREMENTS
 from dyknow_benchmark.parts import SwitchedIn, SwitchedOut, payload_of
@@ -128,24 +128,6 @@ def test_the_warm_up_is_left_out_at_every_hop_alike():
     assert block == Block(2, {1: [12.0, 13.0], 2: [22.0, 23.0]})
 
 
-def test_the_blocks_of_a_plan_add_up():
-    orders = blocks_of(1003, 5.0, 10)
-    assert sum(order.count for order in orders) == 1003
-    assert {order.count for order in orders} == {100, 101}
-    assert len(blocks_of(3, 5.0, 10)) == 3
-    assert [order.count for order in blocks_of(120, 5.0)] == [40, 40, 40]
-
-
-def test_numbers_stand_to_the_right_in_a_table():
-    assert results.render(("kind", "us"), [("a", 1.0), ("bcdef", 1234.5)]).splitlines() == [
-        "kind       us",
-        "-----  ------",
-        "a       1.000",
-        "bcdef  1234.5",
-    ]
-    assert results.render(("kind",), []).splitlines() == ["kind", "----"]
-
-
 def test_without_options_the_setting_is_the_papers():
     plan = plan_of(parser().parse_args(["chain"]))
     assert plan == arrival.PAPER
@@ -191,13 +173,6 @@ def test_a_wrong_option_is_refused(wrong, capsys):
     assert wrong[0] in capsys.readouterr().err
 
 
-def test_subscribers_outside_are_spread_over_the_chain():
-    assert spread(50, 0) == []
-    assert spread(50, 1) == [50]
-    assert spread(10, 3) == [4, 7, 10]
-    assert spread(4, 4) == [1, 2, 3, 4]
-
-
 def test_a_payload_is_a_time_or_images_of_a_size():
     image = payload_of("4x3").make()
     assert (image.width, image.height, len(image.data)) == (4, 3, 36)
@@ -227,15 +202,6 @@ def test_a_summary_does_not_depend_on_the_order():
 )
 def test_the_interval_of_the_median_is_that_of_the_binomial_distribution(count, ranks):
     assert median_interval([float(each) for each in range(count, 0, -1)]) == ranks
-
-
-def test_the_interval_holds_the_true_median_as_often_as_it_says():
-    source = random.Random(2)
-    held = 0
-    for _ in range(1000):
-        low, high = median_interval([source.expovariate(1.0) for _ in range(20)])
-        held += low <= 0.6931 <= high
-    assert held >= 940
 
 
 # Messages by their numbers

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from clocks import PATIENCE
 from unit.cli.fake_client import FakeClient
 from unit.manager.world import TRACKER, World
 
@@ -43,7 +44,7 @@ def offered(client, text):
         os.environ.update(_ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)))
         os.environ["_ARGCOMPLETE_COMP_WORDBREAKS"] = " \t\n\"'><=;|&(:"
         completion.connect = cast(Any, lambda manager: client)
-        completion._LIMIT = 60.0  # of a user's patience, not of a busy machine's
+        completion._LIMIT = PATIENCE  # of a busy machine, not of a user
         try:
             completion.autocomplete(build_parser()[0])
         finally:
@@ -138,7 +139,7 @@ def bash(line, path, function="_python_argcomplete dyknow"):
         ["bash", "-c", script, "bash", line],
         capture_output=True,
         text=True,
-        timeout=20,
+        timeout=PATIENCE,
         check=True,
         env={
             **os.environ,

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 
 import pytest
+from clocks import PATIENCE
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
@@ -46,7 +47,7 @@ MODEL = Model(
 
 def layout(dot):
     done = subprocess.run(
-        ["dot", "-Tjson"], input=dot, capture_output=True, text=True, timeout=30, check=True
+        ["dot", "-Tjson"], input=dot, capture_output=True, text=True, timeout=PATIENCE, check=True
     )
     assert done.stderr == ""
     return json.loads(done.stdout)

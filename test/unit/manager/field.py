@@ -154,7 +154,6 @@ class Field:
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""
-        self.store.close()
         self.open()
 
     @property

@@ -12,18 +12,7 @@ from typing import Any, Optional, Tuple
 
 #: Methods of ``Host`` and of ``Store``.
 ON_HOST = ("ensure", "retire", "load", "unload", "forget", "connect")
-ON_DISK = (
-    "set_number",
-    "put_transformations",
-    "remove_transformation",
-    "put_nodelet",
-    "remove_nodelet",
-    "put_claim",
-    "remove_claim",
-    "reject_claims",
-    "end",
-    "write_pending",
-)
+ON_DISK = ("write", "write_later", "write_pending", "end")
 
 
 class Killed(BaseException):

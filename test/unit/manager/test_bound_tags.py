@@ -14,9 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from unit.manager.witness import Concepts, satisfies
 
-from dyknow.manager.claims.ends import Inlet, ends_of, supplied, ways_to_bind
-from dyknow.manager.claims.supplies import live_streams
-from dyknow.manager.claims.topology import Topology
+from dyknow.manager.claims.ends import Inlet, supplied, ways_to_bind
+from dyknow.manager.claims.world import World
 from dyknow.manager.planning.problem import Demand
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
@@ -137,17 +136,17 @@ def viewer(tag: str) -> Record:
     return nodelet("/viewer", {"in": (tag, "/ball")})
 
 
-def topology(*records: Record) -> Topology:
-    return Topology(map(ends_of, records), {}, (), {}, NO_ONTOLOGY)
+def world(*records: Record) -> World:
+    return World(NO_ONTOLOGY, {}).with_records(records)
 
 
 def mismatches(*records: Record) -> List[str]:
-    found = topology(*records).mismatches()
+    found = world(*records).all_mismatches
     return sorted(f"{producer.nodelet} {consumer.nodelet}" for _, producer, consumer in found)
 
 
 def live(*records: Record) -> List[str]:
-    streams = live_streams(records, (), topology(*records), NO_ONTOLOGY)
+    streams = world(*records).live(records, ())
     return sorted(f"{stream.nodelet} {tag}" for stream, tags in streams for tag in tags)
 
 
@@ -206,6 +205,6 @@ def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
         stating(POSES, 0.2),
         stating(RIGHT, 0.0),
     )
-    streams = live_streams(records, (), topology(*records), NO_ONTOLOGY)
+    streams = world(*records).live(records, ())
     found = {stream.nodelet: stream.latency for stream, _ in streams}
     assert found == {"/tracker": 0.3, "/left": 0.02, "/poses": 0.2, "/right": 0.0}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a request costs: calls to the host, topologies, writes, and calls within Python."""
+"""What a request costs: calls to the host, worlds, writes, and calls within Python."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any, Counter, List, Set
 import pytest
 
 from dyknow.locks import CheckedLock
-from dyknow.manager.claims.topology import Topology
-from dyknow.manager.state_file import StateFile
+from dyknow.manager.claims.world import World
+from dyknow.manager.store import Store
 from dyknow.model.streams import StreamRequest
 from dyknow.simulated import SimulatedManagerClient
 
@@ -61,14 +61,14 @@ def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]
 @pytest.mark.parametrize("length", [1, 2, 4, 8])
 def test_a_chain_is_spawned_connected(length: int, monkeypatch: pytest.MonkeyPatch) -> None:
     client = client_with_chain(length)
-    topologies = counted(monkeypatch, Topology, "__init__")
-    writes = counted(monkeypatch, StateFile, "write")
+    worlds = counted(monkeypatch, World, "updated")
+    writes = counted(monkeypatch, Store, "write")
     got = client.acquire_stream(StreamRequest(f"Step{length}(x)"))
     calls = collections.Counter(operation for operation, _ in client.host.calls)
     assert len(got.spawned) == calls["load"] == length
     assert calls["connect"] == 0
-    assert len(topologies) <= 2
-    assert len(writes) <= 2 * length + 1
+    assert len(worlds) <= 2 * length + 1
+    assert len(writes) <= length + 1
     for number in range(1, length):
         topics = {each.name: each.topic for each in client.get_config(f"/step_{number}_1")}
         assert topics["in"] == f"/step_{number - 1}_1/out"
@@ -90,10 +90,10 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 2_550
-    assert len(functions) <= 455
-    assert len(calls) <= 40
-    assert 0 < len(locks) <= 96
+    assert sum(calls.values()) <= 2_000
+    assert len(functions) <= 440
+    assert len(calls) <= 37
+    assert 0 < len(locks) <= 68
 
 
 def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,9 +101,9 @@ def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) ->
     client.acquire_stream(StreamRequest("Step4(x)"))
     for _ in range(3):
         client.settle()
-    topologies = counted(monkeypatch, Topology, "__init__")
-    searches = counted(monkeypatch, Topology, "fits")
-    writes = counted(monkeypatch, StateFile, "write")
+    worlds = counted(monkeypatch, World, "__init__")
+    searches = counted(monkeypatch, World, "fits")
+    writes = counted(monkeypatch, Store, "write")
     for _ in range(5):
         client.settle()
-    assert (topologies, searches, writes) == ([], [], [])
+    assert (worlds, searches, writes) == ([], [], [])

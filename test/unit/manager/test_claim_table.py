@@ -116,4 +116,4 @@ def test_a_lease_that_ended_while_the_manager_was_stopped_can_still_be_renewed()
         steady[0] += 1.0
         running[0] += 1.0
         claims.expire_late()
-    assert [each.claim_id for each in claims.living()] == ["renewed"]
+    assert [each.claim_id for each in claims.living] == ["renewed"]

@@ -12,6 +12,7 @@ import pytest
 from unit.manager.field import IMAGE, POINT, Field
 
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
+from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, SpawnRequest, State
 from dyknow.model.streams import ClaimState
 
@@ -95,7 +96,7 @@ def test_it_is_neither_spawned_nor_destroyed_nor_kept_on_disk(robot: Robot) -> N
         robot.manager.destroy("/robot/camera")
     with pytest.raises(HostError, match="was not spawned by this manager"):
         robot.manager.set_protection("/robot/camera", True)
-    assert robot.store.nodelets() == []
+    assert robot.store.read("nodelets", Record.from_body) == {}
     robot.manager.end()
     assert robot.host.running == ["/robot/camera"]
 

@@ -14,6 +14,7 @@ from faulty_disk import full, small_disk
 from unit.manager.world import World
 
 from dyknow.errors import HostError, NameTaken, SpawnFailed
+from dyknow.manager.record import Record
 
 
 @pytest.fixture
@@ -23,7 +24,8 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def stored(world: World) -> dict[str, str]:
-    return {record.name: record.state.name for record in world.store.nodelets()}
+    found = world.store.read("nodelets", Record.from_body)
+    return {name: record.state.name for name, record in found.items()}
 
 
 def written(world: World) -> dict[str, str]:

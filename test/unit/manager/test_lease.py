@@ -14,7 +14,7 @@ from faulty_disk import kept_aside
 from unit.manager.field import Field
 
 from dyknow.manager.claim import Claim, Moment
-from dyknow.manager.state_file import StateFile
+from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
 
 WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
@@ -23,8 +23,7 @@ WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
 def left(now: Moment) -> float:
     """Rest of a lease of ten seconds that was stored with eight left."""
     claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=WRITTEN.steady + 8.0)
-    body = json.loads(json.dumps(claim.body(WRITTEN)))
-    deadline = Claim.from_body(body, now).deadline
+    deadline = Claim.from_body("c", claim.body(WRITTEN), now).deadline
     assert deadline is not None
     return deadline - now.steady
 
@@ -47,9 +46,10 @@ def test_a_lease_goes_on_whatever_happened_to_the_clocks(now: Moment, expected: 
 
 
 def test_a_lease_that_was_written_without_its_moment_is_as_long_as_it_was() -> None:
-    body = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=1008.0).body(WRITTEN)
+    claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=1008.0)
+    body = json.loads(claim.body(WRITTEN))
     del body["written"]
-    assert Claim.from_body(body, Moment(5.0, 1.0, "later")).deadline == 13.0
+    assert Claim.from_body("c", json.dumps(body), Moment(5.0, 1.0, "later")).deadline == 13.0
 
 
 def test_a_lease_goes_on_while_the_manager_is_dead(tmp_path: Path) -> None:
@@ -100,8 +100,8 @@ def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
     field = Field(path)
     claim = field.acquire(lease=20.0).claim
     field.store.close()
-    body = json.dumps({**claim.body(WRITTEN), "claim_id": "bad", **change})
-    with closing(StateFile(path)) as file:
+    body = json.dumps({**json.loads(claim.body(WRITTEN)), "claim_id": "bad", **change})
+    with closing(Store(path)) as file:
         file.write({("claims", "bad"): body})
     field.open()
     assert [each.claim_id for each in field.reconciler.claims()] == [claim.claim_id]

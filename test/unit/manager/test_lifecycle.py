@@ -42,7 +42,7 @@ def nothing_left(world: World, name: str) -> bool:
         name not in world.host.running
         and name not in world.states()
         and not any(each.startswith(name + "/") for each in world.host.parameters)
-        and name not in [record.name for record in world.store.nodelets()]
+        and name not in world.store.read("nodelets", lambda key, text: text)
         and not world.manager.graph.is_busy(name)
         and not any(state.isolated_for == name for state in world.host.states().values())
     )

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Dict, Tuple
 
 import pytest
 from unit.manager.world import World
 
-from dyknow.errors import HostError
+from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.model.graph import NodeletKind, State
 
@@ -209,6 +210,86 @@ def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> 
     world.host.fail = lambda operation, argument: None
     world.manager.look()
     assert world.states() == {"/a": "RUNNING"}
+
+
+class Killed(BaseException):
+    """The manager is killed."""
+
+
+def test_whatever_is_starting_says_why(world: World) -> None:
+    """The cause is in the model for as long as a nodelet is not up, whoever asks, and when."""
+    told = []
+
+    def tell(operation: str, argument: str) -> None:
+        record = world.manager.graph.find("/a")
+        if record is not None and record.state is State.STARTING:
+            told.append((operation, record.detail))
+        if operation in troubles:
+            raise troubles[operation]
+
+    troubles: Dict[str, BaseException] = {}
+    world.host.fail = tell
+    world.spawn("camera", "a", config={"image": "/i"})
+    assert set(told) == {
+        (each, "it is being started in /fake_0") for each in ("load", "loaded", "ports", "connect")
+    }
+
+    told.clear()
+    troubles["ensure"] = HostError("another node has that name")
+    world.host.kill("/fake_0")
+    world.manager.look()
+    world.manager.look()
+    assert [why for operation, why in told if operation == "ensure"] == [
+        "its nodelet manager has died",
+        "another node has that name",
+    ]
+
+
+def test_what_cannot_come_back_since_its_name_is_taken_says_so(world: World) -> None:
+    world.spawn("camera", "a")
+
+    def take(operation: str, argument: str) -> None:
+        if operation == "load":
+            raise NameTaken("/a", "running", "another node")
+
+    world.host.fail = take
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert detail(world) == (State.STARTING, "another node named '/a' is running")
+
+
+def test_what_a_killed_manager_was_bringing_back_says_why_it_is_not_up(world: World) -> None:
+    world.spawn("camera", "a", config={"image": "/i"})
+
+    def die(operation: str, argument: str) -> None:
+        if operation == "loaded":
+            raise Killed
+
+    world.host.fail = die
+    world.host.kill("/fake_0")
+    with pytest.raises(Killed):
+        world.manager.look()
+
+    def refuse(operation: str, argument: str) -> None:
+        if operation == "connect":
+            raise HostError("the type differs")
+
+    world.host.fail = refuse
+    world.kill_manager()
+    assert detail(world) == (State.STARTING, "the type differs")
+    world.host.hang("/fake_0")
+    world.manager.look()
+    assert detail(world) == (State.STARTING, "nodelet manager /fake_0 does not answer")
+    world.host.wake("/fake_0")
+    world.host.fail = lambda operation, argument: None
+    world.manager.look()
+    assert detail(world) == (State.RUNNING, "")
+    assert world.host.nodelet("/a").ports["image"].topic == "/i"
+
+
+def detail(world: World) -> Tuple[State, str]:
+    record = world.manager.graph.get("/a")
+    return record.state, record.detail
 
 
 def test_a_manager_that_was_killed_adopts_what_runs_and_restores_what_does_not(

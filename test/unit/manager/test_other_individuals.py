@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import List
 
 import pytest
+from unit.manager.field import IMAGE
 from unit.manager.test_shared_variables import Lab, Ports
 
+from dyknow.manager.record import Record
+from dyknow.model.graph import NodeletKind
 from dyknow.model.streams import ClaimState
 
 
@@ -96,6 +99,52 @@ def test_what_is_lost_is_remembered_over_a_restart_of_the_manager(lab: Lab) -> N
     lab.settle()
     assert lab.field.claim(rect.claim_id).bindings == (("?c", "right"),)
     assert lab.field.state(rect.claim_id) is ClaimState.ACTIVE
+
+
+FOLLOWER = """<transformation type="node" node="/robot/follower"><label>follower</label>
+  <ports><port type="in">image</port><port type="out">out</port></ports>
+  <tags><tag port="image">Image(?c)</tag><tag port="out">Track(thing)</tag></tags>
+</transformation>"""
+
+
+@pytest.mark.parametrize("is_other", [False, True])
+def test_an_external_node_is_remembered_over_a_restart_until_it_ends(
+    lab: Lab, is_other: bool
+) -> None:
+    """The manager restarts between the loss of one camera and its replacement."""
+    host = lab.field.host
+    host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
+    lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(thing)",)}
+    lab.witness.given = lambda name: {}
+    lab.field.manager.add_transformation(FOLLOWER)
+
+    def run() -> None:
+        host.run_node("/robot/follower", "robot/follower", {}, NodeletKind.CPP_NODE)
+        lab.field.by_hand["/robot/follower"] = True
+
+    run()
+    lab.field.manager.look()
+    track = lab.field.acquire("Track(thing)").claim
+    lab.settle()
+    heard = lab.field.manager.graph.get("/robot/follower").heard
+    assert heard.ways == ((("?c", "left"),),)
+    lab.field.manager.remove_transformation("camera right")
+    lose(lab, "left")
+    lab.settle(20.0)
+    assert lab.field.state(track.claim_id) is ClaimState.PENDING
+    if is_other:  # another process of that name, which has received nothing
+        run()
+        lab.field.kill_manager()
+        assert lab.field.manager.graph.get("/robot/follower").heard.ways == ()
+        assert lab.field.store.read("nodelets", Record.from_body) == {}
+        return
+    lab.field.kill_manager()
+    assert lab.field.manager.graph.get("/robot/follower").heard == heard
+    told = host.nodelet("/robot/follower").reconfigurations
+    lab.add("camera right", camera("right"))
+    lab.settle()
+    assert lab.field.state(track.claim_id) is ClaimState.ACTIVE
+    assert host.nodelet("/robot/follower").reconfigurations > told
 
 
 @pytest.mark.parametrize("is_lost", [True, False])

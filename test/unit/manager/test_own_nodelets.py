@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from dyknow.manager.claims.supplies import Instance, OwnNodelet, assigned
-from dyknow.manager.planning.problem import Action, Demand, New, Plan, PlanStep
+from dyknow.manager.claims.own_nodelets import OwnNodelet, assigned
+from dyknow.manager.planning.problem import Action, Demand, Instance, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 
 LEFT: Bindings = (("?c", "left"),)

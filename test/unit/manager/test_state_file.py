@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import resource
@@ -26,9 +25,8 @@ from hypothesis import strategies as st
 from property_tests import examples
 
 from dyknow.errors import StoreError
-from dyknow.manager import state_file
-from dyknow.manager.state_file import StateFile
-from dyknow.manager.state_tables import TABLES
+from dyknow.manager import store as store_module
+from dyknow.manager.store import TABLES, Store
 
 #: Enough to fill several pages, some of them overflowing.
 ROWS = {("nodelets", f"/n{i:03}"): f"{i:03} " + "x" * (40 * i) for i in range(60)}
@@ -41,23 +39,23 @@ SOUND = {
 }
 
 
-def content(file: StateFile) -> Dict[tuple[str, str], str]:
+def content(file: Store) -> Dict[tuple[str, str], str]:
     return {
         (table, key): text
         for table in ("facts", "transformations", "nodelets", "claims")
-        for key, text in file.rows(table).items()
+        for key, text in file.read(table, lambda key, text: text).items()
     }
 
 
 def written(path: str, rows: Dict[tuple[str, str], str] = ROWS) -> str:
-    file = StateFile(path)
+    file = Store(path)
     file.write(rows)
     file.close()
     return path
 
 
 def reopened(path: str) -> Dict[tuple[str, str], str]:
-    file = StateFile(path)
+    file = Store(path)
     try:
         assert (file.trouble, file.complaint) == ("", "")
         return content(file)
@@ -74,7 +72,7 @@ def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later
     clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
-        file = StateFile(path, clock)
+        file = Store(path, clock)
         with full(disk):
             file.write({**CLAIM, ("nodelets", "/n000"): None, ("nodelets", "/big"): "y" * 50_000})
             assert "disk is full" in file.trouble and "free some space" in file.trouble
@@ -93,12 +91,24 @@ def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later
         assert kept_aside(path) == []
 
 
+def test_what_is_written_later_goes_with_the_next_change_or_look(tmp_path: Path) -> None:
+    path = str(tmp_path / "state")
+    file = Store(path)
+    for write in (lambda: file.write(CLAIM), file.write_pending):
+        file.write_later({("nodelets", "/n"): "body"})
+        assert ("nodelets", "/n") not in reopened(path)
+        write()
+        assert content(file) == reopened(path)
+        file.write({("nodelets", "/n"): None})
+    file.close()
+
+
 def test_a_trouble_that_goes_on_is_reported_from_time_to_time(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = HandClock()
     path = written(str(tmp_path / "state"))
-    file = StateFile(path, clock)
+    file = Store(path, clock)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         file.write(CLAIM)
@@ -131,7 +141,7 @@ def start_when_read_only(path: str) -> None:
 
 def assert_read_and_kept(path: str, cause: str) -> None:
     clock = HandClock()
-    file = StateFile(path, clock)
+    file = Store(path, clock)
     assert content(file) == ROWS
     assert cause in file.trouble and file.complaint == ""
     file.write(CLAIM)
@@ -142,7 +152,7 @@ def assert_read_and_kept(path: str, cause: str) -> None:
     FILES.append((file, clock))
 
 
-FILES: list[tuple[StateFile, HandClock]] = []
+FILES: list[tuple[Store, HandClock]] = []
 
 
 @pytest.mark.parametrize("start", [start_when_full, start_when_locked, start_when_read_only])
@@ -153,7 +163,7 @@ def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it
     start: Callable[[str], None],
     killed: bool,
 ) -> None:
-    monkeypatch.setattr(state_file, "_START_PATIENCE", 0.1)
+    monkeypatch.setattr(store_module, "_START_PATIENCE", 0.1)
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
         if killed:  # what was written last is still in the log beside the file
@@ -174,7 +184,7 @@ def leave_log(path: str) -> None:
     os.remove(path)
     code = (
         "import os, sys; from unit.manager.test_state_file import *;"
-        f"file = StateFile({path!r}); file.write(ROWS); os._exit(9)"
+        f"file = Store({path!r}); file.write(ROWS); os._exit(9)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, env=_environment())
     assert done.returncode == 9
@@ -189,7 +199,7 @@ def test_a_file_that_may_not_grow_is_read_and_kept(tmp_path: Path) -> None:
     code = (
         "import resource; from unit.manager.test_state_file import *;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0));"
-        f"file = StateFile({path!r});"
+        f"file = Store({path!r});"
         "assert content(file) == ROWS;"
         "file.write(CLAIM);"
         "assert content(file) == {**ROWS, **CLAIM};"
@@ -206,7 +216,7 @@ def test_what_cannot_be_read_at_all_is_an_error_and_stays(tmp_path: Path) -> Non
     path = tmp_path / "state"
     path.mkdir()
     with pytest.raises(StoreError, match="cannot be read"):
-        StateFile(str(path))
+        Store(str(path))
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -261,7 +271,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     path = str(folder / "state")
     shutil.copyfile(sound, path)
     broken = damaged(path, damage)
-    file = StateFile(path)
+    file = Store(path)
     found = content(file)
     assert file.trouble == ""
     assert found == ({} if file.complaint else SOUND)
@@ -326,7 +336,7 @@ def test_a_backup_takes_the_place_of_a_damaged_file(
 ) -> None:
     path = written(str(tmp_path / "state"), {**ROWS, **CLAIM})
     damage(path)
-    file = StateFile(path)
+    file = Store(path)
     assert content(file) == {**ROWS, **CLAIM}
     (aside,) = kept_aside(path)
     assert f"set aside as '{aside}'; the backup '{path}.backup' of 2" in file.complaint
@@ -340,7 +350,7 @@ def test_a_damaged_backup_is_left_out(tmp_path: Path) -> None:
     written(path, CLAIM)
     change_text(path + ".backup")
     change_text(path)
-    file = StateFile(path)
+    file = Store(path)
     assert content(file) == ROWS
     assert f"'{path}.backup-2'" in file.complaint
     file.close()
@@ -348,7 +358,7 @@ def test_a_damaged_backup_is_left_out(tmp_path: Path) -> None:
 
 def test_no_backup_is_made_of_what_is_damaged_nor_twice_of_the_same(tmp_path: Path) -> None:
     path = str(tmp_path / "state")
-    file = StateFile(path)
+    file = Store(path)
     file.write({**ROWS, **CLAIM})
     file.back_up()
     made = Path(path + ".backup").stat()
@@ -367,7 +377,7 @@ def test_no_backup_is_made_of_what_is_damaged_nor_twice_of_the_same(tmp_path: Pa
 
 def test_only_the_owner_may_read_or_hold_the_files(tmp_path: Path) -> None:
     path = str(tmp_path / "deep" / "state")
-    file = StateFile(path)
+    file = Store(path)
     file.write(CLAIM)
     file.back_up()
     assert stat.S_IMODE(os.stat(tmp_path / "deep").st_mode) == 0o700
@@ -409,7 +419,7 @@ def test_a_file_of_an_earlier_version_that_cannot_be_written_is_read(tmp_path: P
     with small_disk(tmp_path / "disk") as disk:
         path = without_checksums(str(disk / "state"), ROWS)
         with read_only(disk):
-            file = StateFile(path)
+            file = Store(path)
             assert content(file) == ROWS and "read-only" in file.trouble
 
 
@@ -422,7 +432,7 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
         broken = damaged(path, flip(18, 7))
         with full(disk):
             for _ in range(2):  # killed, and started again
-                file = StateFile(path, clock)
+                file = Store(path, clock)
                 assert content(file) == ROWS
                 assert "damaged" in file.trouble and "full" in file.trouble
                 assert Path(path).read_bytes()[100:] == broken[100:]
@@ -442,34 +452,10 @@ def test_a_replacement_that_was_interrupted_is_completed(tmp_path: Path) -> None
 
 def test_a_file_that_is_damaged_while_it_is_open_is_replaced(tmp_path: Path) -> None:
     path = written(str(tmp_path / "state"))
-    file = StateFile(path)
+    file = Store(path)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("DROP TABLE claims")
     file.write(CLAIM)
     assert file.trouble == ""
     file.close()
     assert reopened(path) == {**ROWS, **CLAIM}
-
-
-def test_rejected_rows_are_set_aside_with_the_cause(tmp_path: Path) -> None:
-    path = written(str(tmp_path / "state"), {**ROWS, ("claims", "bad"): "né"})
-    file = StateFile(path)
-    file.reject("claims", {"bad": "no claim"})
-    (aside,) = kept_aside(path)
-    entries = json.loads(aside.read_text())
-    assert entries == [{"table": "claims", "key": "bad", "text": "né", "cause": "no claim"}]
-    assert str(aside) in file.complaint and "claims 'bad': no claim" in file.complaint
-    file.close()
-    assert reopened(path) == ROWS
-
-
-def test_entries_without_a_meaning_leave_no_file_if_the_state_is_in_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    file = StateFile(":memory:")
-    file.write({("claims", "a"): "nonsense", ("claims", "b"): "{}"})
-    file.reject("claims", {"a": "it is nonsense"})
-    assert file.rows("claims") == {"b": "{}"}
-    assert "it is nonsense" in file.complaint
-    assert list(tmp_path.iterdir()) == []

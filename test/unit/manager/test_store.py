@@ -9,17 +9,18 @@ import contextlib
 import json
 import re
 import sqlite3
+from functools import partial
 from pathlib import Path
 
 import pytest
 from faulty_disk import kept_aside
 
 from dyknow.errors import StoreError
+from dyknow.manager.bodies import pack, unpack
 from dyknow.manager.claim import Claim, Moment
 from dyknow.manager.library import Library
 from dyknow.manager.record import Record
-from dyknow.manager.state_file import StateFile
-from dyknow.manager.store import Store, _body, pack, unpack
+from dyknow.manager.store import Store
 from dyknow.model.graph import State
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
@@ -32,6 +33,9 @@ TRANSFORMATION = Transformation(
     (Parameter("x", "yaml", "{a: [1, 2]}"),),
     (Port("in", "in", "std_msgs/Header", ("T(a)", "ü(b)")), Port("out", "out")),
 )
+CLAIM = Claim("c1", StreamRequest("T(a)"))
+NOW = Moment(1.0, 2.0, "boot")
+read_claim = partial(Claim.from_body, now=NOW)
 
 
 def test_everything_reads_back_exactly(tmp_path: Path) -> None:
@@ -40,17 +44,21 @@ def test_everything_reads_back_exactly(tmp_path: Path) -> None:
     record = Record(
         "/n", TRANSFORMATION, "/m", True, True, False, {"in": "/t"}, State.RUNNING, claimed=True
     )
-    store.put_transformations([TRANSFORMATION], 3)
-    store.put_nodelet(record)
-    store.put_claim("c1", {"tag": "T(a)"})
-    store.set_number("revision", 41)
+    store.write(
+        {
+            ("transformations", "a(1)"): pack(TRANSFORMATION),
+            ("nodelets", "/n"): record.body(),
+            ("claims", "c1"): CLAIM.body(NOW),
+            ("facts", "revision"): "41",
+        }
+    )
     store.close()
     store = Store(path)
     assert store.complaint == ""
-    assert store.transformations() == [TRANSFORMATION]
-    assert store.nodelets() == [record]
-    assert store.claims() == {"c1": {"tag": "T(a)"}}
-    assert (store.number("revision"), store.number("library_revision")) == (41, 3)
+    assert Library(store).all() == [TRANSFORMATION]
+    assert store.read("nodelets", Record.from_body) == {"/n": record}
+    assert store.read("claims", read_claim) == {"c1": CLAIM}
+    assert store.number("revision") == 41
 
 
 def test_a_file_of_another_format_is_set_aside(tmp_path: Path) -> None:
@@ -68,20 +76,13 @@ def test_a_folder_that_cannot_be_made_is_an_error_that_names_it(tmp_path: Path) 
         Store(str(tmp_path / "file" / "state.db"))
 
 
-def test_adding_is_all_or_nothing(tmp_path: Path) -> None:
-    store = Store(str(tmp_path / "state.db"))
-    with pytest.raises(Exception, match="."):
-        store.put_transformations([TRANSFORMATION, None], 1)  # type: ignore[list-item]
-    assert store.transformations() == []
-
-
 def written_by_another_version(path: str, table: str, key: str, text: str) -> None:
-    with contextlib.closing(StateFile(path)) as file:
+    with contextlib.closing(Store(path)) as file:
         file.write({(table, key): text})
 
 
 RECORD = Record("/n", TRANSFORMATION, "/m", topics={"in": "/t"}, state=State.RUNNING)
-BODY = json.loads(_body(RECORD))
+BODY = json.loads(RECORD.body())
 
 
 MEANINGLESS = {
@@ -124,7 +125,7 @@ MEANINGLESS = {
             for table, texts in MEANINGLESS.items()
             for number, text in enumerate(texts)
         ),
-        pytest.param("nodelets", _body(RECORD), "/n\x01", id="nodelets-name"),
+        pytest.param("nodelets", RECORD.body(), "/n\x01", id="nodelets-name"),
     ],
 )
 def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
@@ -132,18 +133,24 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
 ) -> None:
     path = str(tmp_path / "state.db")
     store = Store(path)
-    store.put_transformations([TRANSFORMATION], 3)
-    store.put_nodelet(RECORD)
-    store.put_claim("c1", {"tag": "T(a)"})
+    store.write(
+        {
+            ("transformations", "a(1)"): pack(TRANSFORMATION),
+            ("nodelets", "/n"): RECORD.body(),
+            ("claims", "c1"): CLAIM.body(NOW),
+            ("facts", "library_revision"): "3",
+        }
+    )
     store.close()
     key = name or ("/bad" if table == "nodelets" else "bad")
     written_by_another_version(path, table, key, text)
     for entry_is_named in (True, False):  # once
         store = Store(path)
-        assert store.nodelets() == [RECORD]
-        assert store.transformations() == [TRANSFORMATION]
-        assert store.claims() == {"c1": {"tag": "T(a)"}}
-        assert store.number("library_revision") == 3
+        library = Library(store)
+        assert library.all() == [TRANSFORMATION]
+        assert store.read("nodelets", Record.from_body) == {"/n": RECORD}
+        assert store.read("claims", read_claim) == {"c1": CLAIM}
+        assert library.revision == 3
         assert (f"{table} '{key}'" in store.complaint) is entry_is_named
         store.close()
     (aside,) = kept_aside(path)
@@ -163,7 +170,9 @@ def test_the_labels_are_named_whose_variables_mean_something_else_than_before(
         label="shared", ports=(Port("in", "in", "", ("T(?x)",)), Port("b", "in", "", ("U(?x)",)))
     )
     store = Store(path)
-    store.put_transformations([TRANSFORMATION, single, shared], 1)
+    store.write(
+        {("transformations", each.label): pack(each) for each in (TRANSFORMATION, single, shared)}
+    )
     warnings = []
     for _ in range(2):  # once
         Library(store)

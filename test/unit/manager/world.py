@@ -99,7 +99,6 @@ class World:
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""
-        self.store.close()
         self.open()
 
     def spawn(self, label: str, name: str, **kwds: Any) -> Any:

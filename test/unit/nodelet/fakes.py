@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence
 
 import pytest
+from clocks import PATIENCE, eventually
 
 import dyknow
 from dyknow.nodelet.context import Context, Runtime
@@ -22,9 +22,6 @@ from dyknow.nodelet.local import (
     LocalTransport,
 )
 from dyknow.nodelet.scheduler import Executor, ManualExecutor, WorkerPool
-
-#: Seconds after which a test gives up on another thread; far more than any of them needs.
-PATIENCE = 10.0
 
 
 class Message:
@@ -175,38 +172,10 @@ def numbers(messages: Sequence[Message]) -> List[Any]:
     return [message.number for message in messages]
 
 
-def wait_for(event: threading.Event) -> None:
-    """Wait for something that must happen."""
-    assert event.wait(PATIENCE), "it did not happen"
-
-
-def wait_until(condition: Callable[[], Any]) -> None:
-    """Poll until a condition holds."""
-    deadline = time.monotonic() + PATIENCE
-    pause = threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, "it did not become true"
-        pause.wait(0.005)
-
-
 def paced(count: int, *sent: Callable[[], int]) -> Iterator[int]:
     """Numbers; every tenth waits until more messages were sent, so that the two overlap."""
     for number in range(count):
         yield number
         if number % 10 == 0:
             due = [each() + 20 for each in sent]
-            wait_until(lambda due=due: all(each() >= d for each, d in zip(sent, due)))
-
-
-def in_thread(call: Callable[[], Any]) -> threading.Thread:
-    """Run ``call`` on a thread of its own."""
-    thread = threading.Thread(target=call, daemon=True)
-    thread.start()
-    return thread
-
-
-def join(*threads: threading.Thread) -> None:
-    """Wait for threads that must end."""
-    for thread in threads:
-        thread.join(PATIENCE)
-        assert not thread.is_alive(), "a thread has not ended"
+            eventually(lambda due=due: all(each() >= d for each, d in zip(sent, due)))

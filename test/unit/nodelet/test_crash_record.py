@@ -9,10 +9,10 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
+from clocks import PATIENCE, in_thread, join
 
 from dyknow import names
 from dyknow.nodelet.crash_record import AtWork, CrashRecord, read
@@ -49,7 +49,7 @@ record.close()
 def run(path: Path, way: str) -> tuple[int, AtWork]:
     """Let a process end in a given way; returns its exit code and its crash record."""
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), way])
-    code = process.wait(30.0)
+    code = process.wait(PATIENCE)
     return code, read(str(path), process.pid)
 
 
@@ -101,14 +101,8 @@ def test_an_unload_that_is_wanted_is_told_apart(tmp_path: Path) -> None:
 def test_more_threads_than_words_share_the_last(tmp_path: Path) -> None:
     record = CrashRecord(str(tmp_path / "record"))
     indices: list[int] = []
-    threads = [
-        threading.Thread(target=lambda: indices.extend(record.take() for _ in range(30)))
-        for _ in range(20)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    take = lambda: indices.extend(record.take() for _ in range(30))  # noqa: E731
+    join(*[in_thread(take) for _ in range(20)])
     assert len(set(indices)) == 511
     for index in indices:
         record.give_back(index)

@@ -63,6 +63,34 @@ def test_a_failing_callback_takes_nothing_else_down(world, caplog):
         assert text in caplog.text
 
 
+def test_a_message_goes_out_once_and_only_if_somebody_listens(world):
+    for _ in range(3):
+        world.listen("/t")
+    publisher = world.publisher("/t")
+    registration, sent, message = world.transport.made[-1], [], Message(2)
+    registration.publish = sent.append
+    publisher.publish(1)
+    registration.connections.append(print)
+    publisher.publish(message)
+    assert sent == [message]
+
+
+def test_a_busy_nodelet_lets_others_in_between(world):
+    order, publisher = [], world.publisher("/greedy")
+
+    def again(message):
+        order.append("greedy")
+        if len(order) < 1000:
+            publisher.publish()
+
+    world.handle("/g").Subscriber("/greedy", Message, again)
+    world.handle("/m").Subscriber("/modest", Message, lambda message: order.append("modest"))
+    publisher.publish()
+    world.publisher("/modest").publish()
+    world.drain()
+    assert order.index("modest") < 100
+
+
 class TestLatch:
     def test_a_late_subscriber_gets_the_last_message_of_each_publisher_once(self, world):
         publishers = [world.publisher("/t", latch=True) for _ in range(2)]

@@ -9,13 +9,13 @@ import importlib
 import json
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Callable, Dict, List
 
 import pytest
+from clocks import in_thread, join
 
 from dyknow.nodelet.importer import Importer, View
 from dyknow.nodelet.module_files import (
@@ -107,11 +107,7 @@ def test_imports_in_functions_and_threads_find_the_owners_modules(folder: Folder
     )
     importer, heard = script_importer(path), []
     find = run(importer, "import sib_five")["sib_five"].find
-    threads = [threading.Thread(target=lambda: heard.append(find())) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    join(*[in_thread(lambda: heard.append(find())) for _ in range(4)])
     assert len(heard) == 4
     assert set(heard) == {importer.modules["sib_four"].word}, "it is imported once"
 

@@ -7,19 +7,11 @@ from __future__ import annotations
 
 import threading
 from contextlib import contextmanager, suppress
+from typing import Any
 
 import pytest
-from unit.nodelet.fakes import (
-    PATIENCE,
-    Idle,
-    Message,
-    in_thread,
-    join,
-    numbers,
-    pool_world,
-    wait_for,
-    wait_until,
-)
+from clocks import eventually, in_thread, join, wait_for
+from unit.nodelet.fakes import Idle, Message, numbers, pool_world
 
 from dyknow.errors import (
     BrokenPlugin,
@@ -46,7 +38,7 @@ class Gate(Nodelet):
     def on_init(self):
         self.pub = self.node_handle.Publisher("early", Message)
         self.entered.set()
-        assert self.opened.wait(3 * PATIENCE)  # longer than any test waits for others
+        self.opened.wait()
         self.late = self.node_handle.Publisher("late", Message)
 
 
@@ -107,15 +99,15 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
     message = Message()
     world.handle().Publisher("/in", Message).publish(message)
     world.ticker.advance(1.0)
-    wait_until(lambda: not world.runtime.timers._heap)
+    eventually(lambda: not world.runtime.timers._heap)
     # Everything that could run by now was given to the workers before this one.
     others = [world.context(f"/other{n}").strand for n in range(20)]
     for strand in others:
         strand.post(lambda: None)
-    wait_until(lambda: not any(strand.busy for strand in others))
+    eventually(lambda: not any(strand.busy for strand in others))
     gate.opened.set()
     join(thread)
-    wait_until(lambda: len(got) == 3)
+    eventually(lambda: len(got) == 3)
     assert got[0] == "on_init has returned"
     assert message in got
 
@@ -205,7 +197,7 @@ class TestFailure:
 
     @pytest.mark.parametrize("error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt()])
     def test_an_error_of_on_init_fails_the_load_and_leaves_nothing(self, world, error):
-        kept = []
+        kept: list[Any] = []
 
         class Failing(Nodelet):
             def on_init(self):
@@ -280,7 +272,7 @@ class TestSlowStart:
         gate.opened.set()
         join(again)
         assert loader.list() == ["/slow"]
-        wait_until(
+        eventually(
             lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")]
         )
 

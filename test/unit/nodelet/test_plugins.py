@@ -72,7 +72,7 @@ class Packages:
 
     def load(self, name):
         """Import what is declared as a name."""
-        return ClassImports().load(self.plugins.find(name), None)
+        return ClassImports().load(self.plugins.find(name), None)  # type: ignore[arg-type]
 
 
 @pytest.fixture(autouse=True)

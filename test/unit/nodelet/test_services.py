@@ -9,7 +9,8 @@ import logging
 import threading
 
 import pytest
-from unit.nodelet.fakes import PATIENCE, Message, in_thread, join, pool_world, wait_for
+from clocks import PATIENCE, in_thread, join, wait_for
+from unit.nodelet.fakes import Message, pool_world
 
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.context import Context

@@ -10,16 +10,8 @@ import threading
 from typing import Iterator, List
 
 import pytest
-from unit.nodelet.fakes import (
-    FakeClock,
-    Message,
-    World,
-    in_thread,
-    join,
-    make_pool_world,
-    wait_for,
-    wait_until,
-)
+from clocks import eventually, in_thread, join, wait_for
+from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 
 import dyknow
 from dyknow.errors import UnloadedMeanwhile
@@ -77,7 +69,7 @@ def test_a_nodelet_says_for_how_long_its_callback_has_been_running(
     clock.seconds += 3.0
     assert stuck.detail("/n") == "a callback has been running for 12 s"
     Hanging.release.set()
-    wait_until(lambda: not stuck.detail("/n"))
+    eventually(lambda: not stuck.detail("/n"))
 
 
 def test_a_callback_that_does_not_return_is_announced_each_time_its_age_has_doubled(
@@ -95,7 +87,7 @@ def test_a_callback_that_does_not_return_is_announced_each_time_its_age_has_doub
     assert announced == [0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
     Hanging.release.set()
     world.drain()
-    wait_until(lambda: loader.get("/n").context.callback_age() == 0.0)
+    eventually(lambda: loader.get("/n").context.callback_age() == 0.0)
     stuck.check()
     assert told == ["/n"] * 4, "its end is announced too"
     stuck.check()
@@ -124,7 +116,7 @@ def test_a_callback_that_outlives_its_nodelet_is_named_until_it_ends(
     loader.load("/n", "hanging")
     assert stuck.detail("/n") == "", "that of its name is another one"
     Hanging.release.set()
-    wait_until(lambda: not stuck.remains())
+    eventually(lambda: not stuck.remains())
     loader.close()
 
 
@@ -143,5 +135,5 @@ def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(world: Worl
     join(thread)
     assert list(loader.leftovers.running()) == ["/slow"]
     opened.set()
-    wait_until(lambda: not loader.leftovers.running())
+    eventually(lambda: not loader.leftovers.running())
     loader.close()

@@ -11,18 +11,8 @@ import time
 from typing import Any
 
 import pytest
-from unit.nodelet.fakes import (
-    FakeClock,
-    Idle,
-    Message,
-    World,
-    in_thread,
-    join,
-    numbers,
-    pool_world,
-    wait_for,
-    wait_until,
-)
+from clocks import eventually, in_thread, join, wait_for
+from unit.nodelet.fakes import FakeClock, Idle, Message, World, numbers, pool_world
 
 from dyknow.errors import HandleClosed, UnknownNodelet
 from dyknow.nodelet import loader as loader_module
@@ -102,7 +92,7 @@ def test_a_running_callback_is_not_waited_for_and_its_late_publish_refused(world
     again = loader.load("/n", "hanging")
     nodelet.release.set()
     wait_for(nodelet.ended)
-    wait_until(lambda: "/n: the callback that ran at the unload has ended" in caplog.text)
+    eventually(lambda: "/n: the callback that ran at the unload has ended" in caplog.text)
     again.release.set()
     world.drain()
     assert len(nodelet.raised) == 1
@@ -279,7 +269,7 @@ def test_publishers_at_full_speed_see_the_unload_as_one_refusal(world):
     got = []
     world.handle().Subscriber("/out", Message, got.append, queue_size=10)
     threads = [in_thread(publish) for _ in range(3)]
-    wait_until(lambda: len(got) > 10)
+    eventually(lambda: len(got) > 10)
     loader.unload("/n")
     join(*threads)
     world.drain()

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import itertools
+import functools
 import logging
 import threading
 
 import pytest
-from unit.nodelet.fakes import PATIENCE, in_thread, join, wait_for, wait_until
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
 
 from dyknow.nodelet.scheduler import Strand, WorkerPool
 
@@ -76,53 +76,27 @@ def run_on(strand):
     wait_for(ran)
 
 
-def test_a_pool_needs_a_worker():
-    with pytest.raises(ValueError, match="at least one worker"):
-        WorkerPool(0)
-
-
-def test_tasks_of_a_strand_never_overlap_and_keep_their_order(pool):
-    strands = [Strand(pool, str(n)) for n in range(5)]
-    inside = [0] * 5
-    overlaps, ran = [], [[] for _ in range(5)]
-
-    def task(which, number):
-        inside[which] += 1
-        if inside[which] != 1:
-            overlaps.append(which)
-        ran[which].append(number)
-        inside[which] -= 1
-
-    for number in range(1000):
-        for which, strand in enumerate(strands):
-            strand.post(lambda w=which, n=number: task(w, n))
-    assert pool.drain(PATIENCE)
-    assert overlaps == []
-    assert ran == [list(range(1000))] * 5
-
-
-def test_strands_overlap_with_each_other(pool):
-    both = threading.Barrier(2)
-    met = []
-    for name in "ab":
-        Strand(pool, name).post(lambda: met.append(both.wait(PATIENCE)))
-    assert pool.drain(PATIENCE)
-    assert sorted(met) == [0, 1]
-
-
-def test_no_wake_up_is_lost_under_many_posting_threads(pool):
+def test_tasks_of_a_strand_run_all_alone_and_in_order(pool):
     # Strands run empty all the time here, and only then could a wake-up be missed.
     strands = [Strand(pool, str(n)) for n in range(4)]
-    counts = [itertools.count() for _ in strands]
+    ran, inside = [[] for _ in strands], [0] * 4
 
-    def post(offset):
+    def task(which, poster, number):
+        inside[which] += 1
+        ran[which].append((poster, number, inside[which]))
+        inside[which] -= 1
+
+    def post(poster):
         for number in range(2000):
-            which = (number + offset) % len(strands)
-            strands[which].post(counts[which].__next__)
+            which = (number + poster) % 4
+            strands[which].post(functools.partial(task, which, poster, number))
 
-    join(*[in_thread(lambda o=o: post(o)) for o in range(4)])
+    join(*[in_thread(lambda p=p: post(p)) for p in range(4)])
     assert pool.drain(PATIENCE), "a strand with tasks was forgotten"
-    assert [next(count) for count in counts] == [2000] * 4
+    for which, tasks in enumerate(ran):
+        for poster in range(4):
+            expected = [(poster, n, 1) for n in range(2000) if (n + poster) % 4 == which]
+            assert [each for each in tasks if each[0] == poster] == expected
 
 
 def test_a_task_is_run_though_nothing_follows_it(pool):
@@ -165,12 +139,12 @@ def test_a_blocked_worker_is_replaced_and_ends_when_its_callback_returns(make_po
         run_on(strand)
     assert pool.threads > 3
     draining = in_thread(lambda: pool.drain(3 * PATIENCE))
-    wait_until(lambda: pool._drainers)
+    eventually(lambda: pool._drainers)
     for blocker in blockers:
         blocker.release.set()
     join(draining)
     run_on(blockers[0].strand)
-    wait_until(lambda: pool.threads == 2)
+    eventually(lambda: pool.threads == 2)
 
 
 def test_workers_that_block_while_no_task_waits_are_kept(make_pool):
@@ -191,7 +165,7 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
     clock.wait_read(3)
     assert caplog.text == ""
     clock.seconds += 6.0
-    wait_until(lambda: "/blocked" in caplog.text)
+    eventually(lambda: "/blocked" in caplog.text)
     clock.wait_read(3)
     assert caplog.text.count("has not returned") == 1
     assert "in __call__" in caplog.text
@@ -201,7 +175,7 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
     first.release.set()
     second.wait_started()
     clock.seconds += 14.0
-    wait_until(lambda: caplog.text.count("has not returned") == 2)
+    eventually(lambda: caplog.text.count("has not returned") == 2)
     second.release.set()
 
 
@@ -210,7 +184,7 @@ def test_the_watchdog_sleeps_while_there_is_nothing_to_do(make_pool):
     pool = make_pool(1, clock=lambda: reads.append(1) or float(len(reads)))
     strand = Strand(pool, "s")
     run_on(strand)
-    wait_until(lambda: not pool._awake.is_set())
+    eventually(lambda: not pool._awake.is_set())
     before = len(reads)
     # Three times the watchdog's period, in which it must not look once.
     threading.Event().wait(0.7)
@@ -231,22 +205,25 @@ def test_blocked_callbacks_of_a_growing_pool_hold_up_no_other(make_pool):
 
 
 def test_threads_of_a_growing_pool_are_used_again_and_leave_without_work(make_pool):
-    pool = make_pool(None, stay=0.2)
+    pool = make_pool(None, stay=PATIENCE)
     strand, threads = Strand(pool, "s"), set()
     for _ in range(10):
         strand.post(lambda: threads.add(threading.current_thread()))
         assert pool.drain(PATIENCE)
     assert len(threads) <= 3
-    wait_until(lambda: pool.threads == 0)
+    pool = make_pool(None, stay=0.01)
+    strand = Strand(pool, "s")
+    run_on(strand)
+    eventually(lambda: pool.threads == 0)
     run_on(strand)
 
 
 def test_a_closed_pool_runs_nothing_more_and_ends_its_threads(pool):
     blocker = Blocker(pool)
     pool.close()
-    wait_until(lambda: pool.threads == 1)
+    eventually(lambda: pool.threads == 1)
     blocker.release.set()
-    wait_until(lambda: pool.threads == 0)
+    eventually(lambda: pool.threads == 0)
     seen = []
     strand = Strand(pool, "s")
     strand.post(lambda: seen.append(1))

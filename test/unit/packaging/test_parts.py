@@ -34,7 +34,7 @@ LOOK_UP = """
 from dyknow.errors import UnknownNodeletType
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.hosting.installed import cpp_classes
-from dyknow.ros.nodelets.packages import plugin_files
+from dyknow.nodelet.plugins import plugin_files
 try:
     Plugins(plugin_files).find("none/Such")
 except UnknownNodeletType as error:

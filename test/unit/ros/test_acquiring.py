@@ -13,13 +13,12 @@ from unittest import mock
 
 import pytest
 import rospy
+from clocks import in_thread, join, wait_for
 
 from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
 from dyknow.ros import stream_session
 from dyknow.ros.acquiring import AcquiredStream
 from dyknow.ros.stream_session import StreamSession
-
-PATIENCE = 10.0
 
 
 class Surroundings:
@@ -69,21 +68,16 @@ def test_a_manager_that_is_slow_to_connect_holds_up_no_other(around):
 
     def connect():
         waiting.set()
-        assert connected.wait(PATIENCE)
+        wait_for(connected)
 
     around.connects["/slow"] = connect
     sessions: List[StreamSession] = []
-    threads = [
-        threading.Thread(target=lambda: sessions.append(open_session("/slow"))) for _ in range(2)
-    ]
-    for thread in threads:
-        thread.start()
-    assert waiting.wait(PATIENCE)
+    threads = [in_thread(lambda: sessions.append(open_session("/slow"))) for _ in range(2)]
+    wait_for(waiting)
     open_session("/other").close()
     assert sessions == []
     connected.set()
-    for thread in threads:
-        thread.join(PATIENCE)
+    join(*threads)
     assert len(sessions) == 2
     assert sessions[0] is sessions[1]
     assert sorted(around.open) == ["/slow", "/slow/stream_events"]

@@ -10,11 +10,9 @@ import threading
 from typing import Tuple
 
 import pytest
-from clocks import HandClock
+from clocks import PATIENCE, HandClock
 
 from dyknow.ros.wire.addresses import FRESH, Addresses
-
-LONG = 30.0
 
 
 class NameServer:
@@ -31,7 +29,7 @@ class NameServer:
             return ("192.0.2.2",)
         self.count += 1
         self.asked.release()
-        assert self.answers.wait(LONG)
+        assert self.answers.wait(PATIENCE)
         if not self.addresses:
             raise socket.gaierror(socket.EAI_NONAME, "no such host")
         return self.addresses
@@ -44,9 +42,7 @@ def server():
     server.answers.set()
 
 
-def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(
-    server,
-):
+def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(server):
     addresses = Addresses(server.look_up)
     assert addresses.of("192.0.2.7", 0.0) == ("192.0.2.7",)
     assert addresses.of("::1", 0.0) == ("::1",)
@@ -56,9 +52,9 @@ def test_callers_of_a_silent_name_server_share_one_thread_and_its_answer(
             addresses.of("alone", 0.001)
     names = [thread.name for thread in threading.enumerate()]
     assert names.count("address of alone") == 1
-    assert addresses.of("known", LONG) == ("192.0.2.2",), "another name is not held up"
+    assert addresses.of("known", PATIENCE) == ("192.0.2.2",), "another name is not held up"
     server.answers.set()
-    assert addresses.of("alone", LONG) == ("192.0.2.1",)
+    assert addresses.of("alone", PATIENCE) == ("192.0.2.1",)
     assert server.count == 1
 
 
@@ -67,11 +63,11 @@ def test_a_name_that_is_none_says_so_and_is_asked_for_again(server):
     server.answers.set()
     addresses = Addresses(server.look_up)
     with pytest.raises(socket.gaierror, match="no such host"):
-        addresses.of("robot", LONG)
+        addresses.of("robot", PATIENCE)
     server.addresses = ("192.0.2.3",)
-    assert addresses.of("robot", LONG) == ("192.0.2.3",)
+    assert addresses.of("robot", PATIENCE) == ("192.0.2.3",)
     with pytest.raises(OSError, match="."):
-        Addresses().of("x" * 300, LONG)  # it can be no name
+        Addresses().of("x" * 300, PATIENCE)  # it can be no name
 
 
 def test_an_old_address_serves_while_the_name_server_is_silent(server):
@@ -79,14 +75,14 @@ def test_an_old_address_serves_while_the_name_server_is_silent(server):
     server.answers.set()
     addresses = Addresses(server.look_up, clock)
     for _ in range(2):
-        assert addresses.of("robot", LONG) == ("192.0.2.1",)
+        assert addresses.of("robot", PATIENCE) == ("192.0.2.1",)
     assert server.count == 1
     server.answers.clear()
     server.addresses = ("192.0.2.4",)
-    assert server.asked.acquire(timeout=LONG)
+    assert server.asked.acquire(timeout=PATIENCE)
     clock.time += FRESH
     assert addresses.of("robot", 0.0) == ("192.0.2.1",)
-    assert server.asked.acquire(timeout=LONG)
+    assert server.asked.acquire(timeout=PATIENCE)
     server.answers.set()
     while addresses.of("robot", 0.0) == ("192.0.2.1",):
         pass

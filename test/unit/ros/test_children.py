@@ -14,12 +14,14 @@ from types import SimpleNamespace
 from typing import Any, List
 
 import pytest
+from clocks import join, wait_for
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
+from dyknow.ros.hosting import children as children_module
 from dyknow.ros.hosting import launcher as launcher_module
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
@@ -28,8 +30,6 @@ from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.process import os_process
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire.master import Master
-
-PATIENCE = 10.0
 
 
 class FakeLauncher:
@@ -80,7 +80,7 @@ class SlowDisk:
         self.writers += 1
         self.most_writers = max(self.most_writers, self.writers)
         self.writing.set()
-        assert self.go_on.wait(PATIENCE)
+        wait_for(self.go_on)
         self.writers -= 1
         if self.fails:
             raise OSError("the disk is full")
@@ -95,12 +95,10 @@ def disk(monkeypatch):
 
 def test_a_slow_disk_holds_up_writers_alone(children, disk):
     writers = [in_background("adopting", children.adopt) for _ in range(4)]
-    assert disk.writing.wait(PATIENCE)
+    wait_for(disk.writing)
     assert children.all() == children.crashes() == []
     disk.go_on.set()
-    for writer in writers:
-        writer.join(PATIENCE)
-        assert not writer.is_alive()
+    join(*writers)
     assert disk.most_writers == 1
 
 
@@ -119,11 +117,30 @@ def test_records_that_the_disk_refused_are_written_later_and_logged_once(childre
 
 def test_a_record_is_there_before_the_process_and_none_after_the_end(children, launcher):
     children.want(NodeletKind.PYTHON, 1)
-    assert launcher.launched.wait(PATIENCE)
+    wait_for(launcher.launched)
     assert [each.name for each in launcher.at_launch] == ["/dyknow_nodelet_manager"]
     children.end_all()
     with pytest.raises(HostError, match="being ended"):
         children.want(NodeletKind.PYTHON, 1)
+
+
+def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monkeypatch):
+    """The child is started as soon as its name is free; until then nobody waits for it."""
+    monkeypatch.setattr(children_module, "START_TIMEOUT", 3600.0)
+    launcher.living = lambda name: ProcessId(-1, -1)
+    answers = []
+
+    def ensure() -> None:
+        with pytest.raises(HostError) as error:
+            children.ensure(NodeletKind.PYTHON, "")
+        answers.append(str(error.value))
+
+    asking = in_background("asking", ensure)
+    join(asking)
+    assert answers == ["nodelet manager '/dyknow_nodelet_manager': another node has that name"]
+    launcher.living = lambda name: None
+    wait_for(launcher.launched)
+    children.end_all()
 
 
 def test_children_that_died_without_a_manager_are_cleaned_up(children, launcher):

@@ -10,13 +10,12 @@ from types import SimpleNamespace
 from typing import Any, List, Set
 
 import pytest
+from clocks import in_thread, join, wait_for
 
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.bonding import claim_bonds
 from dyknow.ros.bonding.bond_table import DuplicateBond
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
-
-PATIENCE = 10.0
 
 
 class FakeBonds:
@@ -32,7 +31,7 @@ class FakeBonds:
 
     def add(self, bond_id, on_broken):
         self.adding.set()
-        assert self.go_on.wait(PATIENCE)
+        wait_for(self.go_on)
         if bond_id in self.held:
             raise DuplicateBond(bond_id)
         self.held.add(bond_id)
@@ -83,16 +82,12 @@ def test_a_broken_bond_ends_the_claims_that_name_it(table):
 
 def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table):
     table.fake.go_on.clear()
-    making = threading.Thread(target=table.follow, args=(claim("1", "b"),))
-    making.start()
-    assert table.fake.adding.wait(PATIENCE)
-    ending = threading.Thread(target=table.follow)
-    ending.start()
+    making = in_thread(lambda: table.follow(claim("1", "b")))
+    wait_for(table.fake.adding)
+    ending = in_thread(table.follow)
     ending.join(0.1)  # it may be over at once, or wait for the first
     table.fake.go_on.set()
-    for thread in (making, ending):
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
+    join(making, ending)
     assert table.fake.held == set()
 
 
@@ -112,9 +107,5 @@ def test_claims_of_many_threads_have_their_bonds_in_the_end(table):
             change([], [mine])
         change([claim(str(number), f"b{number}")], [])
 
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(PATIENCE)
+    join(*[in_thread(lambda n=number: work(n)) for number in range(4)])
     assert table.fake.held == {"b0", "b1", "b2", "b3"}

@@ -10,17 +10,17 @@ import time
 from typing import List
 
 import pytest
-from clocks import eventually
+from clocks import eventually, wait_for
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, HostTimeout
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting import external
+from dyknow.ros.hosting.counts import counts_of
 from dyknow.ros.hosting.external import External, Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.wire.master import Master
 
-LONG = 30.0
 FAR = "/far"
 
 
@@ -57,7 +57,7 @@ def test_no_call_waits_for_one_that_was_never_seen():
 
     peers = Externals(PeerContext(SilentMaster("/test", "http://127.0.0.1:9")), [FAR])
     peers.start()
-    assert asked.wait(LONG)
+    wait_for(asked)
     (peer,) = peers.all()
     assert (peer.state.unseen, peer.state.away, peer.state.alive) == (True, True, False)
     with pytest.raises(HostTimeout, match="has not answered yet"):
@@ -134,7 +134,7 @@ def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(graph, peer, han
         eventually(lambda: peer.state.responsive and not peer.list())
         assert elder.ended.is_set() <= (not hangs)
         elder.goes_on.set()
-        assert elder.ended.wait(LONG)
+        wait_for(elder.ended)
         assert not graph.nodes[FAR].ended.is_set()
     finally:
         elder.close()
@@ -193,7 +193,7 @@ def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(graph, nodes):
     eventually(lambda: not nodes.all())
     assert nodes.find(FAR) is None and not node.may_publish
     eventually(lambda: not nodes._externals)
-    eventually(lambda: not node._worker.running)
+    eventually(lambda: not node.loop.running)
     del graph.nodes[FAR]
 
 
@@ -214,6 +214,24 @@ def test_a_node_that_does_not_answer_is_there_all_along(graph, nodes, hangs):
     graph.nodes[FAR].goes_on.set()
     eventually(lambda: node.answers)
     assert node.state.incarnation == before and node.list() == [FAR]
+
+
+def test_counts_are_those_of_the_process_that_bears_the_name_now(graph, nodes):
+    (node,) = nodes.all()
+
+    def is_counted():
+        return counts_of([(node.counts, [FAR])]) == {FAR: None}
+
+    assert is_counted()
+    elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager("node")
+    elder.goes_on.clear()
+    try:
+        with pytest.raises(HostTimeout):
+            node.list()
+        eventually(lambda: node.answers)
+        eventually(is_counted)
+    finally:
+        elder.close()
 
 
 def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph):

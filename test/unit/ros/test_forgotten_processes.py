@@ -13,6 +13,7 @@ from typing import Any, Set, cast
 
 import pytest
 import rospy
+from clocks import PATIENCE, in_thread, join, wait_for
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.manager.host import Crash, HostReport
@@ -59,10 +60,8 @@ def test_what_is_kept_of_a_process_goes_with_it(host):
     assert host.counts({"/n": ["/n"]}) == {"/n": None}
     host.note_detail("/n", "/n", "it was late")
     assert host.detail("/n") == ""
-    workers = [node._worker, node.counts._worker, node.lease._worker]  # type: ignore[attr-defined]
-    for worker in workers:
-        worker.close(30.0)
-        assert not worker.running
+    node.loop.close(PATIENCE)
+    assert not node.loop.running
 
 
 @pytest.mark.parametrize("kind", ["guards", "producers", "announcers"])
@@ -92,18 +91,15 @@ def test_an_older_state_never_replaces_a_newer_one(host, kind, monkeypatch):
 
     def slowly():
         has_read.set()
-        assert may_go_on.wait(30.0)
+        wait_for(may_go_on)
         return older
 
-    works = (slowly, lambda: newer)
-    threads = [threading.Thread(target=hand_over, args=(each,)) for each in works]
-    threads[0].start()
-    assert has_read.wait(30.0)
-    threads[1].start()
-    threads[1].join(0.2)  # it would be done, were it not for the other one
+    first = in_thread(lambda: hand_over(slowly))
+    wait_for(has_read)
+    second = in_thread(lambda: hand_over(lambda: newer))
+    second.join(0.2)  # it would be done, were it not for the other one
     may_go_on.set()
-    for thread in threads:
-        thread.join(30.0)
+    join(first, second)
     assert result()
     listener.close()
     listener.follow(lambda: ["/late"])

@@ -11,19 +11,17 @@ from types import SimpleNamespace
 from typing import Any, Dict, List
 
 import pytest
-from clocks import HandClock
+from clocks import PATIENCE, HandClock, wait_for
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
 from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
-from dyknow.periodic import LONGEST_TICK, RunningClock
+from dyknow.periodic import LONGEST_TICK, ControlLoop, RunningClock
 from dyknow.ros.hosting import grants
 from dyknow.ros.hosting.grants import DURATION, GUARDS_PERIOD, Guarding, Lease, PeerContext
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceLost
-
-LONG = 30.0
 
 
 class Far:
@@ -52,7 +50,7 @@ class Far:
 
     def wait_for(self, count):
         with self.asked:
-            assert self.asked.wait_for(lambda: len(self.requests) >= count, LONG)
+            assert self.asked.wait_for(lambda: len(self.requests) >= count, PATIENCE)
             return list(self.requests)
 
 
@@ -63,17 +61,25 @@ def far(monkeypatch):
     return far
 
 
-def lease(clock):
+@pytest.fixture
+def loop():
+    loop = ControlLoop()
+    loop.start()
+    yield loop
+    loop.close(PATIENCE)
+
+
+def lease(clock, loop):
     """A lease, and an event that is set when it has run out."""
     ended = threading.Event()
     context = PeerContext(
         Master("/manager"), on_change=ended.set, running=clock, producers={"/topic": "/camera"}
     )
-    return Lease(context, "/far", lambda: True), ended
+    return Lease(context, "/far", loop, lambda: True), ended
 
 
-def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far):
-    kept, _ = lease(HandClock())
+def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far, loop):
+    kept, _ = lease(HandClock(), loop)
     kept.grant()
     first, second, third = far.wait_for(3)[:3]
     assert [each["confirmed"] for each in (first, second, third)] == [0.0, 6.0, 7.0]
@@ -83,13 +89,12 @@ def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(fa
     count = len(far.wait_for(3))
     while far.wait_for(count)[-1]["confirmed"]:
         count += 1
-    kept.close()
 
 
-def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far):
+def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far, loop):
     """One may be held that an earlier life of the manager granted."""
     clock = HandClock()
-    kept, ended = lease(clock)
+    kept, ended = lease(clock, loop)
     assert kept.may_be_held
     clock.time = DURATION
     assert not kept.may_be_held
@@ -100,8 +105,7 @@ def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far):
     assert kept.may_be_held
     clock.time += 0.2
     assert not kept.may_be_held
-    assert ended.wait(LONG)
-    kept.close()
+    wait_for(ended)
 
 
 def test_a_pause_of_the_manager_does_not_count():

@@ -15,6 +15,8 @@ ONE, TWO, THREE = "http://one", "http://two", "http://three"
 def test_each_late_subscriber_receives_once_the_messages_that_it_missed():
     backlog = Backlog()
     backlog.keep("early")
+    backlog.expect([], 10)
+    backlog.keep("nobody is due")
     assert not backlog.waiting() and backlog.missed_by(ONE) == []
     backlog.expect([ONE, TWO], 10)
     backlog.keep(1)
@@ -23,13 +25,6 @@ def test_each_late_subscriber_receives_once_the_messages_that_it_missed():
     assert backlog.waiting()
     assert backlog.missed_by(TWO) == [1, 2]
     assert not backlog.waiting() and backlog.missed_by(THREE) == []
-
-
-def test_nothing_is_kept_where_no_subscriber_is_due():
-    backlog = Backlog()
-    backlog.expect([], 10)
-    backlog.keep(1)
-    assert not backlog.waiting() and backlog.missed_by(ONE) == []
 
 
 @pytest.mark.parametrize(("size", "kept"), [(2, 2), (0, 1000)])
@@ -119,12 +114,9 @@ def test_no_subscriber_that_is_there_or_gone_is_reminded(
     assert around.wait(100.0) == reminders
 
 
-def test_a_new_topic_needs_no_reminder(around):
+def test_a_topic_that_is_new_or_withdrawn_again_needs_no_reminder(around):
     around.advertise()
     assert around.wait(10.0) == 0
-
-
-def test_a_topic_that_is_withdrawn_again_needs_no_reminder(around):
     around.come_back()
     around.reminders.withdrawn("/t")
     assert around.wait(10.0) == 0

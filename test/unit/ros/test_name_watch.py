@@ -8,12 +8,11 @@ from __future__ import annotations
 import queue
 
 import pytest
+from clocks import PATIENCE
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.ros.nodelets import lease_service
 from dyknow.ros.nodelets.lease_service import end_when_displaced
-
-LONG = 30.0
 
 
 @pytest.fixture(name="graph")
@@ -39,7 +38,7 @@ def test_it_ends_when_another_node_has_its_name_and_not_before(graph):
     assert goes_on(reasons)
     graph.nodes["/twin"] = SmallManager()
     try:
-        assert "another node bears the name /twin" in reasons.get(timeout=LONG)
+        assert "another node bears the name /twin" in reasons.get(timeout=PATIENCE)
     finally:
         elder.close()
 

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import fcntl
+import queue
 import signal
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
-from clocks import eventually
+from clocks import PATIENCE, eventually, in_thread, join
 
 from dyknow.errors import StoreError
 from dyknow.model.graph import NodeletKind
@@ -83,7 +85,7 @@ def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path):
     assert found.wait_for_rest() == -signal.SIGSEGV
     assert not found.alive
     found.signal(signal.SIGKILL)  # no process is there to get it
-    assert found.wait(5.0)
+    assert found.wait(PATIENCE)
     assert found.wait_for_rest() is None  # it was told already, or is no child
     assert os_process.start(EXITS, str(tmp_path / "o"), str(tmp_path)).wait_for_rest() == 3
 
@@ -103,7 +105,8 @@ def test_what_a_child_forked_ends_with_it(tmp_path, stubborn, monkeypatch):
 
 
 def test_a_forked_process_has_signals_of_its_own():
-    process = subprocess.run([sys.executable, "-c", HANDLES], timeout=30.0, stdout=-1, text=True)
+    command = [sys.executable, "-c", HANDLES]
+    process = subprocess.run(command, timeout=PATIENCE, stdout=subprocess.PIPE, text=True)
     assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
@@ -117,7 +120,7 @@ def test_the_end_of_another_process_is_noticed(has_pidfd, monkeypatch):
         assert not ProcessId(found.pid, found.started + 1).alive
         assert not found.wait(0.05)
         threading.Timer(0.1, child.kill).start()
-        assert found.wait(5.0)
+        assert found.wait(PATIENCE)
 
 
 @pytest.mark.parametrize("command", [SLEEP, STUBBORN])
@@ -136,9 +139,8 @@ def test_processes_are_known_by_their_environment(tmp_path):
     other = os_process.start(SLEEP, output, str(tmp_path), tag)  # a program that it started
     try:
         expected = [replace(name, process=found)]
-        deadline = time.monotonic() + 30.0
-        while child_records.running(lock) != expected:  # Linux shows the environment a bit late
-            assert time.monotonic() < deadline
+        # Linux shows the environment a bit late.
+        eventually(lambda: child_records.running(lock) == expected)
         assert child_records.running(f"another {lock}") == []
         found.end(1.0)
         assert child_records.running(lock) == []
@@ -147,21 +149,33 @@ def test_processes_are_known_by_their_environment(tmp_path):
         other.end(1.0)
 
 
-def test_an_owner_that_returns_in_time_is_an_owner(tmp_path):
-    path = str(tmp_path / "lock")
-    owner = OwnerLock(path)
-    orphaned = threading.Event()
+def test_an_owner_that_returns_in_time_is_an_owner(tmp_path, monkeypatch):
+    asleep, awake, looks = queue.SimpleQueue(), queue.SimpleQueue(), queue.SimpleQueue()
+    lock, path = owner_module._lock, str(tmp_path / "lock")
 
-    def wait():
-        wait_until_orphaned(path, 0.3)
-        orphaned.set()
+    def sleep(seconds):
+        asleep.put(seconds)
+        awake.get(timeout=PATIENCE)
 
-    threading.Thread(target=wait, daemon=True).start()
-    owner.release()
+    def look(file, operation):
+        taken = lock(file, operation)
+        if threading.current_thread() is not threading.main_thread() and operation & fcntl.LOCK_NB:
+            looks.put(taken)
+        return taken
+
     owner = OwnerLock(path)
-    assert not orphaned.wait(0.6)
-    owner.release()
-    assert orphaned.wait(5.0)
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=sleep)
+    monkeypatch.setattr(owner_module, "time", clock)
+    monkeypatch.setattr(owner_module, "_lock", look)
+    waiter = in_thread(lambda: wait_until_orphaned(path, 3.0))
+    for returns in (True, False):
+        owner.release()
+        assert asleep.get(timeout=PATIENCE) == 3.0
+        if returns:
+            owner = OwnerLock(path)
+        awake.put(None)
+        assert looks.get(timeout=PATIENCE) is not returns
+    join(waiter)
     with open(path) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process holds it
 

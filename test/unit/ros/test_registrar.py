@@ -10,7 +10,7 @@ import threading
 import xmlrpc.server
 
 import pytest
-from clocks import eventually
+from clocks import PATIENCE, eventually
 
 from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar
@@ -73,7 +73,7 @@ def _master():
 @pytest.fixture(name="registrar")
 def _registrar(master, monkeypatch):
     monkeypatch.setattr(registrar_module, "_AGAIN", 0.02)
-    return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=1.0))
+    return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=PATIENCE))
 
 
 def test_the_answer_is_returned_once(master, registrar):

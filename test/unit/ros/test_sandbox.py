@@ -12,11 +12,10 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from clocks import join, wait_for
 
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.sandbox import Sandbox, defer_in_finalizers, outside_of_finalizers
-
-PATIENCE = 10.0
 
 
 @pytest.fixture(autouse=True)
@@ -51,8 +50,7 @@ def test_a_thread_that_is_late_ends_when_it_waits():
 
     thread, go_on = ended_sandbox(work)
     go_on.set()
-    thread.join(PATIENCE)
-    assert not thread.is_alive()
+    join(thread)
 
 
 def test_a_thread_that_catches_its_end_does_not_spin(monkeypatch):
@@ -69,8 +67,8 @@ def test_a_thread_that_catches_its_end_does_not_spin(monkeypatch):
     thread, go_on = ended_sandbox(work)
     slept.clear()
     go_on.set()
-    thread.join(PATIENCE)
-    assert not thread.is_alive() and slept and min(slept) >= 0.1
+    join(thread)
+    assert slept and min(slept) >= 0.1
 
 
 class Asker:
@@ -101,7 +99,7 @@ def test_the_call_of_a_finalizer_may_take_a_lock_that_its_thread_holds():
     with lock:
         gc.collect()
         assert not done.is_set()
-    assert done.wait(PATIENCE)
+    wait_for(done)
 
 
 def test_other_calls_are_made_at_once():

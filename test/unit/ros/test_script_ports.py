@@ -6,19 +6,21 @@
 from __future__ import annotations
 
 import pytest
+from rospy import SubscribeListener
 from unit.nodelet.fakes import Message, World, numbers
 
 from dyknow.errors import InvalidConfiguration
 from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.proxy.handle import NodeHandle
 from dyknow.ros.scripts.script_ports import ScriptHandle, ScriptProxy
 
 
 class Script:
     """A script whose load names the topic `image`."""
 
-    def __init__(self):
+    def __init__(self, **others):
         self.world = World()
-        remappings = {"/robot/image": "/robot/script/disconnected/image"}
+        remappings = {"/robot/image": "/robot/script/disconnected/image", **others}
         context = self.world.context("/robot/script", remappings=remappings)
         self.handle = ScriptHandle(PlainNodeHandle(context, "/robot"))
         self.proxy = ScriptProxy.of(context)
@@ -62,3 +64,58 @@ def test_what_no_load_names_is_unknown(script, name):
     with pytest.raises(InvalidConfiguration, match="unknown port"):
         script.proxy.set_config([(name, "/cam")])
     assert list(script.ports()) == ["out"]
+
+
+@pytest.mark.parametrize("kind", [NodeHandle, ScriptHandle])
+@pytest.mark.parametrize(
+    ("port", "near"),
+    [
+        ("imge", "image"),
+        ("~image", "image"),
+        ("info", "~info"),
+        ("/info", "~info"),
+        ("image_", "image"),
+        ("cam/imge", "cam/image"),
+    ],
+)
+def test_a_misspelt_port_is_refused_with_the_right_one(kind, port: str, near: str) -> None:
+    """In nodelets, and in scripts in a nodelet manager or in a process of their own."""
+    context = World().context("/robot/n", remappings={"/robot/image": "/x"})
+    handle = kind(PlainNodeHandle(context, "/robot"))
+    for name in ("image", "cam/image"):
+        handle.Subscriber(name, Message, print)
+    handle.Publisher("~info", Message)
+    proxy = kind.proxy_class.of(context)
+    before = proxy.get_config()
+    with pytest.raises(InvalidConfiguration) as error:
+        proxy.set_config([("image", "/y"), (port, "/z")])
+    assert f"unknown port '{port}'; known ports: cam/image, image, ~info; " in str(error.value)
+    hints = str(error.value).split("did you mean ")[1].rstrip("?").split(" or ")
+    assert near in hints
+    assert proxy.get_config() == before
+
+
+@pytest.mark.parametrize("maker", ["Publisher", "Subscriber"])
+def test_what_the_load_misspells_is_unknown(script, maker):
+    getattr(script.handle, maker)("~image", Message, None)
+    with pytest.raises(InvalidConfiguration, match="did you mean ~image"):
+        script.proxy.set_config([("image", "/cam")])
+    assert sorted(script.ports()) == ["out", "~image"]
+
+
+def test_a_lazy_script_may_have_both():
+    """Either its load names both, or it watches who subscribes."""
+    named = Script(**{"/robot/script/image": "/x"})
+    named.handle.Publisher("~image", Message)
+    watching = Script()
+    watching.handle.Publisher("~image", Message, subscriber_listener=SubscribeListener())
+    for script in (named, watching):
+        script.proxy.set_config([("image", "/cam")])
+        assert script.ports()["image"] == ("", "/cam")
+
+
+def test_a_port_by_a_longer_name(script):
+    script.handle.Publisher("~out", Message)
+    script.proxy.set_config([("script/out", "/x")])
+    assert script.ports()["~out"] == ("test/Message", "/x")
+    assert "script/out" not in script.ports()

@@ -13,13 +13,12 @@ from io import BytesIO
 
 import pytest
 import rosgraph.network
+from clocks import PATIENCE
 from std_msgs.msg import String
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.topic_reader import TopicFollower
-
-LONG = 30.0
 
 
 class SmallPublisher(SmallManager):
@@ -58,7 +57,7 @@ def send(reader, *texts):
 
 
 def is_left(reader):
-    reader.settimeout(LONG)
+    reader.settimeout(PATIENCE)
     return reader.recv(1) == b""
 
 
@@ -92,13 +91,13 @@ class Following:
         self.follower.close()
 
     def next(self, count=1):
-        return [self.heard.get(timeout=LONG) for _ in range(count)]
+        return [self.heard.get(timeout=PATIENCE) for _ in range(count)]
 
 
 @pytest.mark.parametrize("last_only", [False, True])
 def test_messages_are_handed_on_in_order_or_the_last_alone(graph, publisher, last_only):
     with Following(graph, last_only) as following:
-        reader = publisher.readers.get(timeout=LONG)
+        reader = publisher.readers.get(timeout=PATIENCE)
         send(reader, "one", "two", "three")
         assert following.next(1 if last_only else 3)[-1] == "three"
         assert following.follower.is_connected
@@ -107,16 +106,14 @@ def test_messages_are_handed_on_in_order_or_the_last_alone(graph, publisher, las
     assert is_left(reader)
 
 
-def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(
-    graph,
-):
+def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(graph):
     with Following(graph) as following:
         assert not following.follower.is_connected
         graph.nodes["/talker"] = publisher = SmallPublisher()
-        send(publisher.readers.get(timeout=LONG), "late")
+        send(publisher.readers.get(timeout=PATIENCE), "late")
         assert following.next() == ["late"]
         publisher.lose_connections()
-        send(publisher.readers.get(timeout=LONG), "again")
+        send(publisher.readers.get(timeout=PATIENCE), "again")
         assert following.next() == ["again"]
 
 
@@ -125,12 +122,12 @@ def test_the_next_connection_is_to_the_node_that_has_the_name_now(graph, publish
     if not is_made:
         publisher.answers.clear()
     with Following(graph) as following, contextlib.closing(publisher):
-        publisher.requests.get(timeout=LONG)
-        reader = publisher.readers.get(timeout=LONG) if is_made else None
+        publisher.requests.get(timeout=PATIENCE)
+        reader = publisher.readers.get(timeout=PATIENCE) if is_made else None
         graph.nodes["/talker"] = successor = SmallPublisher()
         following.follower.reconnect()
         publisher.answers.set()
-        send(successor.readers.get(timeout=LONG), "new")
+        send(successor.readers.get(timeout=PATIENCE), "new")
         assert following.next() == ["new"]
         assert reader is None or is_left(reader)
 
@@ -138,6 +135,6 @@ def test_the_next_connection_is_to_the_node_that_has_the_name_now(graph, publish
 def test_a_callback_that_raises_does_not_end_it(graph, publisher, caplog):
     with Following(graph) as following:
         following.follower._hand_on = lambda message: following.heard.put(message.data[3])
-        send(publisher.readers.get(timeout=LONG), "no", "good")
+        send(publisher.readers.get(timeout=PATIENCE), "no", "good")
         assert following.next() == ["d"]
         assert "IndexError" in caplog.text

@@ -18,6 +18,8 @@ def remote():
 @pytest.fixture
 def window(qtbot, remote):
     """The whole window, once it shows the graph."""
+    from unit.rqt.hands import until
+
     from dyknow_rqt.window import DyKnowWidget
 
     widget = DyKnowWidget(remote)
@@ -27,6 +29,5 @@ def window(qtbot, remote):
         widget.show()
         widget.activateWindow()
     widget.start()
-    qtbot.waitUntil(lambda: len(widget.graph.drawn.vertices) > 15, timeout=20000)
-    qtbot.waitUntil(lambda: bool(widget.monitor.library), timeout=20000)
+    until(qtbot, lambda: len(widget.graph.drawn.vertices) > 15 and widget.monitor.library)
     return widget

@@ -33,7 +33,7 @@ def window_of(qtbot, remote, size=(1400, 800)):
 
 def until(qtbot, condition):
     """Wait for something, as long as a busy machine may need."""
-    qtbot.waitUntil(condition, timeout=120_000)
+    qtbot.waitUntil(lambda: bool(condition()), timeout=120_000)
 
 
 def topic(remote, ref):
@@ -107,15 +107,11 @@ def context_menu(qtbot, window, item):
     return entries
 
 
-def pauses(qtbot, most, until=lambda: False, clock=time.thread_time):
-    """Time (s) between two ticks of the window's own clock, for some time (ms).
-
-    By default it is processor time of the window's thread, which does not depend on how busy the
-    machine is; it does not show waits.
-    """
-    ticks = [clock()]
+def pauses(qtbot, most, until=lambda: False):
+    """Processor time (s) of the window's thread between two ticks of its clock, for `most` ms."""
+    ticks = [time.thread_time()]
     timer = QTimer()
-    timer.timeout.connect(lambda: ticks.append(clock()))
+    timer.timeout.connect(lambda: ticks.append(time.thread_time()))
     timer.start(10)
     end = time.monotonic() + most / 1000
     while time.monotonic() < end and not until():

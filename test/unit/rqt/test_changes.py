@@ -64,33 +64,8 @@ def there_and_back(remote, change):
     assert (seen(remote), library(remote)) == (before, known)
 
 
-def test_two_ports_meet_on_the_topic_of_the_source(remote):
-    change = connect(seen(remote), LOCALIZED, PortRef("/nao1/localization", "objects"))
-    assert dict(change.topics) == {PortRef("/nao1/localization", "objects"): "/field/ball"}
-
-
 def test_the_order_of_the_two_ports_does_not_matter(remote):
     assert connect(seen(remote), TRACKER, CEILING) == connect(seen(remote), CEILING, TRACKER)
-
-
-def test_a_source_without_topic_gets_one_after_its_name(remote):
-    change = connect(seen(remote), CEILING, TRACKER)
-    assert dict(change.topics) == {
-        CEILING: "/field/ceiling_camera/field_position",
-        TRACKER: "/field/ceiling_camera/field_position",
-    }
-
-
-def test_the_name_of_a_topic_that_is_in_use_is_not_taken(remote):
-    remote.client.set_config("/field/tracker", {"position": "/nao1/subsampler/bgr"})
-    change = connect(seen(remote), BGR, HSV_IN)
-    assert set(dict(change.topics).values()) == {"/nao1/subsampler/bgr_2"}
-
-
-def test_an_in_port_that_waits_alone_on_a_topic_is_met_there(remote):
-    remote.client.set_config("/field/tracker", {"position": "/asked_for"})
-    change = connect(seen(remote), CEILING, TRACKER)
-    assert dict(change.topics) == {CEILING: "/asked_for"}
 
 
 def test_what_does_not_fit_is_refused_with_both_types(remote):

@@ -29,9 +29,8 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     assert remote.graph().nodelets == before and not panel.table.names()
 
     click(qtbot, panel.acquire)
-    until(qtbot, lambda: len(panel.table.names()) == 1)
-    active = "active: no message yet"
-    assert cells_of(panel.table, 0)[1:4] == ["Track(ball)", active, "/field/tracker/track"]
+    active = ["Track(ball)", "active: no message yet", "/field/tracker/track"]
+    until(qtbot, lambda: panel.table.names() and cells_of(panel.table, 0)[1:4] == active)
     until(qtbot, lambda: "Track(ball): active (requested" in panel.events.toPlainText())
     until(qtbot, lambda: "done: acquire Track(ball): on /field/tracker/track" in window.line.text)
     panel.table.choose(panel.table.names())
@@ -41,7 +40,7 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     until(qtbot, lambda: not panel.table.names())
     panel.ended.setChecked(True)
     assert cells_of(panel.table, 0)[2] == "released" and not panel.release.isEnabled()
-    assert "active → released" in panel.events.toPlainText()
+    until(qtbot, lambda: "active → released" in panel.events.toPlainText())
 
 
 def test_what_matters_is_asked_for(qtbot, window, remote):

@@ -11,7 +11,7 @@ import pytest
 
 from dyknow_demo.images import SHARED_FRAMES
 from dyknow_demo.soccer import learn, learnt
-from dyknow_demo.soccer.learn import is_hit, overlap, planes_from_bgr, read_frames
+from dyknow_demo.soccer.learn import planes_from_bgr, read_frames
 from dyknow_demo.soccer.learnt import regions
 from dyknow_demo.soccer.nodelets import BallDetector
 
@@ -53,10 +53,6 @@ def test_a_ball_is_a_region_of_its_own_in_any_light(colour):
     found = regions(planes_from_bgr(with_ball((200, 250), 20, colour), 2))
     near = [each.box for each in found if abs(each.box[0] + each.box[2] / 2 - 100) < 2]
     assert any(abs(width - 20) <= 3 and abs(height - 20) <= 3 for _, _, width, height in near)
-
-
-def test_there_are_no_regions_without_a_warm_colour():
-    assert regions(planes_from_bgr(np.full((400, 300, 3), (60, 120, 50), np.uint8), 2)) == []
 
 
 def test_the_same_frames_give_the_same_file(folder, tmp_path):
@@ -134,20 +130,6 @@ def annotated(tmp_path):
     (tmp_path / "a.txt").write_text("0 0.5 0.5 0.1 0.1")
     cv2.imwrite(str(tmp_path / "unannotated.png"), image)
     return tmp_path
-
-
-def test_overlap_is_intersection_over_union():
-    assert overlap((0, 0, 10, 10), (0, 0, 10, 10)) == 1.0
-    assert overlap((0, 0, 10, 10), (5, 0, 15, 10)) == pytest.approx(1 / 3)
-    assert overlap((0, 0, 10, 10), (20, 0, 30, 10)) == 0.0
-
-
-def test_a_hit_overlaps_or_shares_the_middle():
-    ball = (0.0, 0.0, 20.0, 20.0)
-    assert is_hit(ball, (2.0, 2.0, 20.0, 20.0))
-    assert is_hit(ball, (5.0, 5.0, 15.0, 15.0))  # small, but about the same middle
-    assert not is_hit(ball, (12.0, 12.0, 32.0, 32.0))
-    assert not is_hit(ball, (0.0, 0.0, 4.0, 4.0))
 
 
 def test_only_annotated_frames_are_read(annotated):

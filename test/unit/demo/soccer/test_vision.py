@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow_demo.soccer.finder import ORANGE, YELLOW, Find, find_balls, fit_circle
-from dyknow_demo.soccer.geometry import BOTTOM_CAMERA, Pinhole, apply, floor_from_camera, inverse
+from dyknow_demo.soccer.finder import ORANGE, YELLOW, Find, find_balls
+from dyknow_demo.soccer.geometry import BOTTOM_CAMERA, apply, floor_from_camera, inverse
 from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import draw_ball, pack, yuv_from_bgr
-from dyknow_demo.soccer.sighting import Geometry, History, best_sighting, cone, sight
+from dyknow_demo.soccer.sighting import Geometry, History, best_sighting, sight
 
 GRASS, ORANGE_BGR, YELLOW_BGR = (60, 120, 50), (20, 105, 245), (40, 210, 230)
 CIRCLE = np.linspace(0, 2 * math.pi, 60, endpoint=False)
@@ -29,42 +29,6 @@ def planes_of(bgr, factors=(2, 4)):
 
 def grass(height=480, width=640):
     return np.full((height, width, 3), GRASS, np.uint8)
-
-
-# Planes
-
-
-def test_planes_are_means_of_pixels():
-    packed = np.random.default_rng(0).integers(0, 256, (8, 16, 2), np.uint8)
-    planes = pyramid(packed, (2, 4, 8))
-    assert [planes[factor].shape for factor in (2, 4, 8)] == [(3, 4, 8), (3, 2, 4), (3, 1, 2)]
-    y = packed[..., 1].astype(float).reshape(4, 2, 8, 2).mean(axis=(1, 3))
-    u = packed[:, 0::2, 0].astype(float).reshape(4, 2, 8).mean(axis=1)
-    v = packed[:, 1::2, 0].astype(float).reshape(4, 2, 8).mean(axis=1)
-    for plane, expected in zip(planes[2], (y, u, v)):
-        assert np.abs(plane - expected).max() <= 1.0  # rounded twice
-    assert np.abs(planes[8][0] - y.reshape(1, 4, 2, 4).mean(axis=(1, 3))).max() <= 2.0
-
-
-def test_only_the_factors_asked_for():
-    assert sorted(pyramid(np.zeros((480, 640, 2), np.uint8), (4,))) == [4]
-
-
-# Outlines
-
-
-def test_a_circle_is_fitted_though_a_part_is_bitten_off():
-    points = np.stack((50 + 20 * np.cos(CIRCLE), 40 + 20 * np.sin(CIRCLE)), axis=1)
-    points[:12] = (50.0, 40.0) + 0.5 * (points[:12] - (50.0, 40.0))
-    fit = fit_circle(points)
-    assert fit.centre == pytest.approx([50, 40], abs=0.5)
-    assert fit.radius == pytest.approx(20, abs=0.5)
-    assert fit.agreement == pytest.approx(0.8, abs=0.05)
-
-
-@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.ones((3, 2)), np.ones((20, 2))])
-def test_what_makes_no_circle_is_none(points):
-    assert fit_circle(points) is None
 
 
 # Finder
@@ -106,14 +70,6 @@ def test_nothing_but_noise():
     assert find_balls(planes_of(everywhere), ORANGE) == []
 
 
-def test_the_roundest_comes_first_and_each_only_once():
-    image = grass()
-    cv2.ellipse(image, (150, 100), (50, 36), 0, 0, 360, ORANGE_BGR, -1)
-    cv2.circle(image, (450, 300), 30, ORANGE_BGR, -1)
-    finds = find_balls(planes_of(image), ORANGE, roundness=0.1)
-    assert [find.centre[0] > 300 for find in finds] == [True, False]
-
-
 # Sightings
 
 
@@ -135,17 +91,6 @@ def find_at(position, known):
     rays = axis + math.tan(angle - half_pixel) * rim
     outline = known.camera.project(rays)
     return Find((0.0, 0.0), 0.0, (0.0, 0.0, 0.0, 0.0), outline, 1.0)
-
-
-def test_a_cone_is_fitted_to_a_part_of_its_outline():
-    axis = np.array([0.3, -0.1, 1.0]) / np.linalg.norm([0.3, -0.1, 1.0])
-    side = np.cross(axis, [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    rim = np.outer(np.cos(CIRCLE), side) + np.outer(np.sin(CIRCLE), np.cross(axis, side))
-    rays = math.cos(0.2) * axis + math.sin(0.2) * rim
-    found, angle = cone(rays[:20])
-    assert found == pytest.approx(axis)
-    assert angle == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("position", [(0.3, 0.0), (0.8, 0.2), (1.5, -0.6), (2.5, 0.5)])
@@ -197,13 +142,6 @@ def test_a_drawn_ball_is_located_to_a_fraction_of_a_pixel(x):
     height = 0.45 - radius
     half_a_pixel = (x**2 + height**2) / height / BOTTOM_CAMERA.fx  # of the planes
     assert np.hypot(*(found.position - position)[:2]) < half_a_pixel
-
-
-def test_a_camera_from_camera_info_of_any_size():
-    camera = Pinhole.of_view(1280, 960, 1.3, 1.05)
-    known = geometry(pitch=math.pi / 2, height=5.0, camera=camera, radius=0.1)
-    sighting = sight(find_at((1.0, -2.0, 0.1), known), known)
-    assert sighting.position == pytest.approx([1.0, -2.0, 0.1], abs=1e-6)
 
 
 # Signals

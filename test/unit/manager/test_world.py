@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-from typing import Dict, List
+from typing import Any, Dict, List
 
 import pytest
 from unit.manager.field import Field
 
 from dyknow.manager.claims import world
-from dyknow.manager.claims.ends import NodeletEnds, ends_of, relay
-from dyknow.manager.claims.topology import Topology
+from dyknow.manager.claims.ends import Ends, ends_of, relay
+from dyknow.manager.claims.world import World
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.model.transformation import IN, OUT, Port, Transformation
@@ -39,7 +39,7 @@ def relay_between(name: str, topics: Dict[str, str]) -> Record:
 
 
 def mismatches(*records: Record) -> List[str]:
-    found = Topology(map(ends_of, records), {}, (), {}, NO_ONTOLOGY).mismatches()
+    found = World(NO_ONTOLOGY, {}).with_records(records).all_mismatches
     return sorted(f"{producer.nodelet} {consumer.nodelet}" for _, producer, consumer in found)
 
 
@@ -62,18 +62,14 @@ def test_what_a_relay_hears_wrongly_goes_through_all_relays_behind_it() -> None:
 def test_a_record_is_read_again_only_when_it_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     read: List[str] = []
 
-    def counted(record: Record) -> NodeletEnds:
+    def counted(record: Record, *args: Any) -> Ends:
         read.append(record.name)
-        return ends_of(record)
+        return ends_of(record, *args)
 
     monkeypatch.setattr(world, "ends_of", counted)
     field = Field()
     claim = field.acquire("YUV(field)").claim
-    world_now = field.reconciler._context.connector.world
-
-    def look() -> Topology:
-        return world_now().topology
-
+    look = field.reconciler._context.connector.world
     look()
     del read[:]
     assert [each.nodelet for each in look().producers(claim.topic)] == [claim.goal[0]]
