@@ -42,7 +42,7 @@ performance: build ## measure everything that doc/performance.md shows, and writ
 
 screenshots: build ## take the pictures of the documentation again
 	@QT_QPA_PLATFORM=offscreen $(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_rqt.screenshots doc/images
-	@DYKNOW_PICTURES="$(CURDIR)/doc/images" $(IN_WORKSPACE) rostest --text test/ros/rqt_case_study.test
+	@DYKNOW_PICTURES="$(CURDIR)/doc/images" $(IN_WORKSPACE) rostest --text test/ros/rqt_window.test
 
 docs: deps ## build the documentation, build/docs/index.html
 	@$(ROS_PYTHON) -m sphinx -q -W --keep-going -b html doc build/docs

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from typing import Any
 
 import graph
@@ -63,24 +62,25 @@ class Camera:
         self._images = rospy.Publisher(f"{namespace}/image_raw", Image, queue_size=1)
         self._infos = rospy.Publisher(f"{namespace}/camera_info", CameraInfo, queue_size=1)
         self._width = width
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        self._timer = rospy.Timer(rospy.Duration(0.05), self._publish)
 
-    def _run(self) -> None:
+    def _publish(self, event: Any) -> None:
         width = self._width
-        while not self._closed.wait(0.05):
-            image = Image(
-                height=6, width=width, encoding="mono8", step=width, data=bytes(6 * width)
-            )
-            info = CameraInfo(height=6, width=width)
-            image.header.stamp = info.header.stamp = rospy.Time.now()
-            self._images.publish(image)
-            self._infos.publish(info)
+        image = Image(height=6, width=width, encoding="mono8", step=width, data=bytes(6 * width))
+        info = CameraInfo(height=6, width=width)
+        image.header.stamp = info.header.stamp = rospy.Time.now()
+        self._images.publish(image)
+        self._infos.publish(info)
+
+    def __enter__(self) -> Camera:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.close()
 
     def close(self) -> None:
-        self._closed.set()
-        self._thread.join()
+        self._timer.shutdown()
+        self._timer.join()
         self._images.unregister()
         self._infos.unregister()
 
@@ -96,5 +96,8 @@ class Mover:
         answer = self._set_config([PortConfig(self._port, topic)])
         assert answer.success, answer.message
 
-    def close(self) -> None:
+    def __enter__(self) -> Mover:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
         self._set_config.close()

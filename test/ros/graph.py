@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import itertools
 import json
 import os
-import signal
 import sys
+import time
 import unittest
 import xmlrpc.client
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 PACKAGES = Path(__file__).resolve().parent.parent / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
@@ -30,21 +31,16 @@ from dyknow_msgs.msg import PortConfig  # noqa: E402
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
-from processes import NODELET, Running, TellingCase, eventually  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
+from processes import NODELET, Ended, TellingCase, becomes, eventually  # noqa: E402
+from std_msgs.msg import Header, String  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
+_number = itertools.count(1)
 
 
-class Ended(Running):
-    """A process that gets SIGINT before it is killed, to unregister and end its children."""
-
-    def __exit__(self, *unused: object) -> None:
-        if not self.has_ended:
-            self.stop(signal.SIGCONT)
-            self.stop()
-            self.ends_within(60.0)  # roslaunch gives its nodes 17 s to end
-        super().__exit__()
+def peer(*words: str) -> list[str]:
+    """A command of `peer.py`, as a node that is forgotten when it was killed."""
+    return [*PEER, *words, f"__name:=peer_{next(_number)}"]
 
 
 class ManagerServices:
@@ -57,7 +53,8 @@ class ManagerServices:
         """Leave out earlier output from now on, if it has output."""
 
     def wait_until_up(self) -> None:
-        eventually(self._answers, 20.0, f"{self.name} is up")
+        """Wait for its last service."""
+        eventually(self.lists, 20.0, f"{self.name} is up")
 
     def load(
         self,
@@ -90,9 +87,11 @@ class ManagerServices:
     def unload_all(self) -> None:
         """Unload all nodelets, and delete their parameters."""
         for name in self.list():
-            self.unload(name)
+            with contextlib.suppress(rospy.ServiceException):  # a script that ends just now
+                self.unload(name)
             if rospy.has_param(name):
                 rospy.delete_param(name)
+        assert self.list() == [], self.list()
 
     def list(self) -> list[str]:
         return list(rospy.ServiceProxy(f"{self.name}/list", NodeletList)().nodelets)
@@ -113,12 +112,6 @@ class ManagerServices:
             return False
         self.unload(name)
         return True
-
-    def _answers(self) -> bool:
-        try:
-            return self.list() == [] and f"{self.name}/load_nodelet" in services_of(self.name)
-        except rospy.ServiceException:
-            return False
 
 
 class Manager(Ended, ManagerServices):
@@ -149,11 +142,14 @@ class NodeletManagerCase(TellingCase):
 
     manager: ManagerServices
     manager_name = "/manager"
+    #: Registrations of the manager itself.
+    own: set[str]
     _of_module: Manager | None = None
 
     @classmethod
     def setUpClass(cls) -> None:
         cls.manager = cls.start_manager()
+        cls.own = registered(cls.manager_name)
 
     @classmethod
     def start_manager(cls) -> ManagerServices:
@@ -165,38 +161,96 @@ class NodeletManagerCase(TellingCase):
 
     def tearDown(self) -> None:
         self.manager.unload_all()
+        self.nothing_is_left()
         self.manager.forget_output()
+
+    def nothing_is_left(self) -> None:
+        """Wait until nothing of nodelets is registered: an unload awaits no `on_shutdown`."""
+        becomes(lambda: registered(self.manager_name) - self.own, set())
 
 
 class Talker:
-    """Publishes a word on a topic, many times a second, until it is closed."""
+    """Publishes a message on a topic, many times a second, until it is closed."""
 
-    def __init__(self, topic: str, word: str) -> None:
-        self._publisher = rospy.Publisher(topic, String, queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(word))
+    def __init__(self, topic: str, message: Any) -> None:
+        self._publisher = rospy.Publisher(topic, type(message), queue_size=10)
+        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(message))
 
-    def close(self) -> None:
+    def __enter__(self) -> Talker:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
         self._timer.shutdown()
+        self._timer.join()
         self._publisher.unregister()
 
 
-@contextlib.contextmanager
-def hearing(topic: str, message_class: Any = String) -> Iterator[list[Any]]:
-    """The messages that come on a topic."""
-    heard: list[Any] = []
-    subscriber = rospy.Subscriber(topic, message_class, heard.append)
-    try:
-        yield heard
-    finally:
-        subscriber.unregister()
+class WordsCase(TellingCase):
+    """A word comes on each of two topics."""
+
+    WORDS = {"/a": "left", "/b": "right"}
+
+    def setUp(self) -> None:
+        super().setUp()
+        for topic, word in self.WORDS.items():
+            self.enter(Talker(topic, String(word)))
 
 
-def comes(topic: str, message_class: Any, wanted: Callable[[Any], bool] = bool) -> Any:
+class Heard(list):
+    """What comes on a topic, in order: the messages, or what a function makes of each.
+
+    Once it is made, each node that publishes the topic sends to it, so that nothing is missed.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        message_class: Any = Header,
+        note: Callable[[Any], Any] = lambda message: message,
+    ) -> None:
+        super().__init__()
+        #: When they came, in the time of the steady clock.
+        self.times: list[float] = []
+        self._topic = topic
+        self._note = note
+        self._subscriber = rospy.Subscriber(topic, message_class, self._add, tcp_nodelay=True)
+        eventually(lambda: not unlinked(topic, rospy.get_name()), 10.0, f"connected to {topic}")
+
+    def __enter__(self) -> Heard:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._subscriber.unregister()
+
+    def flows(self, count: int = 2, timeout: float = 10.0) -> float:
+        """Wait until so many more have come; returns how long (s) that took."""
+        wanted = len(self) + count
+        return eventually(lambda: len(self) >= wanted, timeout, f"{self._topic} flows")
+
+    def has(self, wanted: Callable[[Any], object], timeout: float = 10.0) -> Any:
+        """Wait for a message that is wanted, and return it."""
+        what = f"what is wanted comes on {self._topic}"
+        eventually(lambda: any(map(wanted, list(self))), timeout, what, lambda: self[-9:])
+        return next(filter(wanted, self))
+
+    def longest_pause(self, since: float) -> float:
+        """Longest time (s) without a message, counted from the last message before ``since``."""
+        times = [when for when in self.times if when <= since][-1:]
+        times += [when for when in self.times if when > since]
+        return max((later - earlier for earlier, later in zip(times, times[1:])), default=0.0)
+
+    def _add(self, message: Any) -> None:
+        self.times.append(time.monotonic())
+        self.append(self._note(message))
+
+
+def comes(topic: str, message_class: Any, wanted: Callable[[Any], object] = bool) -> Any:
     """Wait until a wanted message comes on a topic, and return it."""
-    with hearing(topic, message_class) as heard:
-        what = f"what is wanted comes on {topic}"
-        eventually(lambda: any(map(wanted, list(heard))), 10.0, what, lambda: heard[-9:])
-        return next(filter(wanted, heard))
+    with Heard(topic, message_class) as heard:
+        return heard.has(wanted)
 
 
 def hears(topic: str, text: str, is_whole: bool = False) -> None:
@@ -205,24 +259,28 @@ def hears(topic: str, text: str, is_whole: bool = False) -> None:
 
 
 def let_the_bond_form(topic: str) -> None:
-    """Wait until both ends of a topic's only living bond have sent two messages.
+    """Wait until both ends of a topic's only living bond have heard each other.
 
-    Then each has heard the other, and learns of its end at once. One that was not connected yet
-    would not hear the other part, and wait for the connect timeout.
+    Then each learns of the other's end at once. One that was not connected yet would not hear the
+    other part, and wait for the connect timeout.
     """
-    heard: collections.Counter[tuple[str, str]] = collections.Counter()
 
-    def note(status: Status) -> None:
-        if status.active:  # an earlier bond's ends may still be parting
-            heard[status.id, status.instance_id] += 1
+    def ends() -> list[int]:
+        """How often each end was heard, in the bond of which both were."""
+        bonds: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+        for bond, end in list(heard):
+            bonds[bond][end] += 1
+        return next((list(each.values()) for each in bonds.values() if len(each) == 2), [])
 
-    def has_formed() -> bool:
-        ends = collections.Counter(bond for (bond, _), count in [*heard.items()] if count > 1)
-        return 2 in ends.values()
+    def note(status: Status) -> tuple[str, str]:
+        # An earlier bond's ends may still be parting.
+        return (status.id, status.instance_id) if status.active else ("", "")
 
-    watch = rospy.Subscriber(topic, Status, note)
-    eventually(has_formed, 8.0, f"both ends are heard on {topic}", lambda: heard)
-    watch.unregister()
+    with Heard(topic, Status, note) as heard:
+        eventually(lambda: ends() and not unlinked(topic), 10.0, "both ends are linked")
+        del heard[:]
+        # One message of each may have been sent before they were.
+        eventually(lambda: ends() and min(ends()) > 1, 10.0, "each hears the other", heard.copy)
 
 
 def call(nodelet: str, method: str, *args: Any) -> Any:
@@ -234,6 +292,12 @@ def call(nodelet: str, method: str, *args: Any) -> Any:
 def set_config(nodelet: str, **ports: str) -> Any:
     """Connect ports to topics."""
     return set_config_pairs(nodelet, *ports.items())
+
+
+def connect(nodelet: str, **ports: str) -> None:
+    """Connect ports to topics, and succeed."""
+    answer = set_config(nodelet, **ports)
+    assert answer.success, answer.message
 
 
 def set_config_pairs(nodelet: str, *pairs: tuple[str, str]) -> Any:
@@ -268,6 +332,11 @@ def registrations(node: str) -> dict[str, list[str]]:
     }
 
 
+def registered(node: str) -> set[str]:
+    """What a node has registered, each as a kind and a name."""
+    return {f"{kind} {name}" for kind, names in registrations(node).items() for name in names}
+
+
 def services_of(node: str) -> list[str]:
     return registrations(node)["services"]
 
@@ -285,22 +354,35 @@ def bus_info(node: str) -> list[Any]:
     return xmlrpc.client.ServerProxy(uri).getBusInfo(rospy.get_name())[2]
 
 
-def is_fed(topic: str) -> bool:
-    """Whether each publisher of a topic has this process among its connections.
+def unlinked(topic: str, *listeners: str) -> set[tuple[str, str]]:
+    """Publishers of a topic, each with a subscriber to which it does not send yet.
 
     A subscriber counts a connection before its publisher sends anything on it, so a message that
     is published in between is lost.
+
+    Args:
+        topic: its name.
+        listeners: only these subscribers are looked at; by default all.
     """
-    fed = []
-    for node in nodes_on(topic)[0] - {rospy.get_name()}:
-        with contextlib.suppress(ConnectionRefusedError):  # it was killed, and is still registered
-            fed.append(
-                any(
-                    to == rospy.get_name() and name == topic
-                    for _, to, _, _, name, *_ in bus_info(node)
-                )
-            )
-    return any(fed) and all(fed)
+    publishers, subscribers = nodes_on(topic)
+    found = set()
+    for node in publishers - {*listeners}:
+        with contextlib.suppress(ConnectionError, rosgraph.MasterException):  # it has ended
+            to = {info[1] for info in bus_info(node) if info[2:5:2] == ["o", topic]}
+            found |= {(node, each) for each in {*(listeners or subscribers)} - to - {node}}
+    return found
+
+
+def is_fed(topic: str) -> bool:
+    """Whether a topic has publishers, and each sends to this process."""
+    me = rospy.get_name()
+    return bool(nodes_on(topic)[0] - {me}) and not unlinked(topic, me)
+
+
+def is_linked(topic: str, subscribers: int = 1) -> bool:
+    """Whether the publishers of a topic send to all its subscribers, of which there are enough."""
+    publishers, present = nodes_on(topic)
+    return bool(publishers) and len(present) >= subscribers and not unlinked(topic)
 
 
 def parameters() -> dict[str, Any]:

@@ -13,26 +13,29 @@ import shutil
 import signal
 import subprocess
 import tempfile
-import time
 import unittest
 from pathlib import Path
 from typing import Any, Iterator
+from unittest import mock
 
 import graph  # noqa: F401 - it makes the test packages known
+import psutil
 import rosgraph
 import rospy
 from nodelet.srv import NodeletList
-from processes import BUSY, TellingCase, eventually, forget_ended, nodes
+from processes import BUSY, Ended, TellingCase, eventually, forget_ended, free_port, nodes
 from roslib.packages import find_node
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.model.graph import State
 from dyknow.model.streams import StreamStatus
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
 
+PROGRAM = find_node("dyknow", "manager")[0]
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"
 CPP_CHILD = "/dyknow_cpp_nodelet_manager"
@@ -68,7 +71,6 @@ LIBRARY = "".join(
         specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
         specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
         specification("fatal", "dyknow_manager_test/Fatal", ">in out>"),
-        specification("forks", "dyknow_manager_test/Forks", ""),
         specification("aborts", "dyknow_manager_test/Aborts", ">in out> >order"),
         "</transformations>",
     ]
@@ -81,7 +83,7 @@ class ManagerProcess:
     def __init__(self, state: str, node: str = MANAGER, **parameters: Any) -> None:
         self.state = state
         self.node = node
-        self.command = [find_node("dyknow", "manager")[0], f"__name:={node.lstrip('/')}"]
+        self.command = [PROGRAM, f"__name:={node.lstrip('/')}"]
         self.given = parameters
         self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
         self.client = ManagerClient(node, rospy.get_name())
@@ -100,12 +102,8 @@ class ManagerProcess:
             eventually(self.is_up, 30.0, "the manager is up", lambda: self.output)
 
     def is_up(self) -> bool:
-        try:
-            self.client.get_model(1.0)
-        except Exception:
-            assert self.process.poll() is None, self.output
-            return False
-        return True
+        assert self.process.poll() is None, self.output
+        return answers(self.client)
 
     @property
     def output(self) -> str:
@@ -116,45 +114,55 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers on its list."""
-        name = re.sub(r"[^A-Za-z0-9.]+", "-", self.node)
-        for file in Path(self.state).glob(f"*{name}.children.json"):
-            return {
-                each["name"]: ProcessId(each["pid"], each["started"])
-                for each in json.loads(file.read_text())
-            }
-        return {}
+        return children_in(self.state, self.node)
 
     def child(self, name: str = CHILD) -> ProcessId:
         eventually(lambda: name in self.children(), 10.0, f"{name} is started")
         return self.children()[name]
 
-    def kill_child(self, name: str = CHILD) -> None:
-        """Kill a nodelet manager and wait until it is started again."""
-        killed = self.child(name)
-        killed.signal(signal.SIGKILL)
-        eventually(lambda: self.child(name) != killed, 10.0, f"{name} is started again")
+    def kill_child(self, name: str = CHILD, number: int = signal.SIGKILL) -> None:
+        """End a nodelet manager and wait until it is started again."""
+        ended = self.child(name)
+        ended.signal(number)
+        eventually(lambda: self.child(name) != ended, 10.0, f"{name} is started again")
+
+    @contextlib.contextmanager
+    def child_stopped(self, name: str = CHILD) -> Iterator[ProcessId]:
+        """Stop a nodelet manager with SIGSTOP."""
+        child = self.child(name)
+        child.signal(signal.SIGSTOP)
+        try:
+            yield child
+        finally:
+            child.signal(signal.SIGCONT)
 
     def kill(self) -> None:
         self.process.kill()
         self.process.wait()
 
-    def stop(self, number: int = signal.SIGINT) -> float:
-        """End it as a user would; returns how long (s) that took."""
-        begin = time.monotonic()
+    def stop(self, number: int = signal.SIGINT) -> None:
+        """End it as a user would."""
         self.process.send_signal(number)
         self.process.wait(20.0 * BUSY)
-        return time.monotonic() - begin
+
+    def fails(self) -> str:
+        """Wait until it ends with an error; returns its output."""
+        assert self.process.wait(20.0 * BUSY) != 0, self.output
+        return self.output
 
     def destroy(self) -> None:
         """Remove everything, after any test."""
-        started = []
         if self.process is not None and self.process.poll() is None:
-            self.process.send_signal(signal.SIGSTOP)
-            eventually(lambda: _stat(self.process.pid)[0] == "T", 5.0, "it stands still")
-            started = _children_of(self.process.pid)  # it may not have them on its list yet
+            process = psutil.Process(self.process.pid)
+            process.suspend()
+            eventually(lambda: process.status() == psutil.STATUS_STOPPED, 5.0, "it stands still")
+            started = process.children()  # it may not have them on its list yet
             self.kill()
+            for each in started:
+                each.kill()
+            psutil.wait_procs(started, 5.0 * BUSY)
         children = self.children()
-        for process in [*started, *children.values()]:
+        for process in children.values():
             process.signal(signal.SIGKILL)
             process.wait(5.0 * BUSY)
         names = (self.node, *children)
@@ -192,9 +200,51 @@ class ManagerProcess:
     def nodelet(self, name: str) -> Any:
         return self.client.get_model().nodelet(name)
 
+    def is_gone(self, name: str) -> None:
+        """Wait until the model shows a nodelet no longer."""
+        eventually(lambda: self.nodelet(name) is None, 5.0, f"{name} is gone")
+
+    def becomes(self, name: str, state: State) -> Any:
+        """Wait until a nodelet is in a state; returns it."""
+        found: list[Any] = []
+
+        def does() -> bool:
+            found[:] = [self.nodelet(name)]
+            return found[0] is not None and found[0].state is state
+
+        eventually(does, 10.0, f"{name} is {state.name}", lambda: f"{found}\n{self.output}")
+        return found[0]
+
     def topics(self, name: str) -> dict[str, str]:
         found = self.nodelet(name)
         return {port.name: port.topic for port in found.ports} if found is not None else {}
+
+    def shows(self, name: str, **topics: str) -> None:
+        """Wait until the model shows ports connected to topics."""
+        eventually(
+            lambda: topics.items() <= self.topics(name).items(),
+            2.0,
+            f"{name} is shown with {topics}",
+            lambda: self.topics(name),
+        )
+
+
+def children_in(state: str, node: str = MANAGER) -> dict[str, ProcessId]:
+    """Nodelet managers on the list that a manager keeps in a folder."""
+    name = re.sub(r"[^A-Za-z0-9.]+", "-", node)
+    for file in Path(state).glob(f"*{name}.children.json"):
+        return {
+            each["name"]: ProcessId(each["pid"], each["started"])
+            for each in json.loads(file.read_text())
+        }
+    return {}
+
+
+def answers(client: ManagerClient) -> bool:
+    with contextlib.suppress(DyKnowError):
+        client.get_model(1.0)
+        return True
+    return False
 
 
 class ManagerCase(TellingCase):
@@ -235,10 +285,22 @@ class ManagerCase(TellingCase):
         return manager
 
     def started(self, own: bool = False, **parameters: Any) -> ManagerProcess:
-        """A manager that runs and has the library of the tests."""
+        """A manager that runs and has the library of the tests; its nodelet manager is up."""
         manager = self.running(own, **parameters)
         manager.client.add_transformation(LIBRARY)
+        eventually(lambda: listed(CHILD) is not None, 20.0, f"{CHILD} is up")
         return manager
+
+    def spawned(self, manager: ManagerProcess, name: str, where: str = "") -> None:
+        """Spawn a relay as soon as its nodelet manager is used, whenever that is."""
+
+        def is_spawned() -> bool:
+            with contextlib.suppress(Refused):
+                manager.client.spawn("relay", name, manager=where)
+                return True
+            return False
+
+        eventually(is_spawned, 20.0, f"{name} is spawned", lambda: manager.output)
 
     @staticmethod
     def _keep(manager: ManagerProcess, parameters: dict[str, Any]) -> None:
@@ -258,37 +320,37 @@ class ManagerCase(TellingCase):
             manager.destroy()
 
 
-class Receiver:
-    """Records the numbers of the headers that arrive on a topic, in order."""
+class MasterCase(TellingCase):
+    """Each test has a master of its own, which can be killed, for all its processes."""
 
-    def __init__(self, topic: str) -> None:
-        self.numbers: list[int] = []
-        self._subscriber = rospy.Subscriber(topic, Header, self._note, queue_size=10000)
+    def setUp(self) -> None:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.state = folder.name
+        self.port = free_port()
+        self.uri = f"http://localhost:{self.port}"
+        patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})
+        patch.start()
+        self.addCleanup(patch.stop)
+        self.client = ManagerClient(MANAGER, rospy.get_name())
 
-    def _note(self, message: Header) -> None:
-        self.numbers.append(int(message.frame_id))
+    def roscore(self) -> Ended:
+        core = self.run_process("rosmaster", "--core", "-p", self.port)
+        eventually(rosgraph.Master(rospy.get_name(), self.uri).is_online, 10.0, "a master")
+        return core
 
-    def close(self) -> None:
-        self._subscriber.unregister()
+    def manager(self, *settings: str) -> Ended:
+        return self.run_process(PROGRAM, f"_state_dir:={self.state}", *settings)
 
-    def flows(self, timeout: float = 5.0) -> float:
-        """Wait for further messages; returns how long (s) that took."""
-        count = len(self.numbers)
-        return eventually(lambda: len(self.numbers) > count + 1, timeout, "messages flow")
-
-
-def _stat(pid: int) -> list[str]:
-    """Fields of a process's /proc stat, from its state on."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    def kill(self, *processes: Ended) -> None:
+        for process in processes:
+            process.stop(signal.SIGKILL)
+            process.exit_code(10.0)
 
 
-def _children_of(pid: int) -> list[ProcessId]:
-    found = []
-    for each in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            if _stat(int(each.name))[1] == str(pid):
-                found.append(ProcessId.of(int(each.name)))
-    return [process for process in found if process is not None]
+def counted(message: Header) -> int:
+    """The number of a header of the counter."""
+    return int(message.frame_id)
 
 
 def listed(manager: str) -> list[str] | None:
@@ -310,13 +372,19 @@ def parameters(prefix: str) -> list[str]:
     return sorted(name for name in rospy.get_param_names() if name.startswith(prefix))
 
 
+def everything(prefix: str = "/") -> set[str]:
+    """Registrations and parameters with a name that begins so, without those of roslaunch."""
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    found = {
+        f"{kind} {name} of {node}"
+        for kind, part in zip(("publisher", "subscriber", "service"), state)
+        for name, nodes in part
+        for node in nodes
+    }
+    found |= {f"parameter {name}" for name in parameters("/")}
+    return {each for each in found if f" {prefix}" in each and " /roslaunch/" not in each}
+
+
 def gaps(numbers: list[int]) -> list[tuple[int, int]]:
     """Pairs of neighbours in a sequence that are not consecutive."""
     return [(a, b) for a, b in zip(numbers, numbers[1:]) if b != a + 1]
-
-
-def each_within(seconds: float) -> Iterator[float]:
-    """Yield times until the given time is over."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        yield time.monotonic()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from typing import Any, Callable
 
 import rospy
 from rospy.impl.tcpros_base import TCPROSTransport
@@ -59,38 +60,35 @@ def hesitate(seconds: str, rate: str, *topics: str) -> None:
     talk(rate, *topics)
 
 
+def hear(topics: Any, kind: Any, note: Callable[[Any, str], object], **options: Any) -> None:
+    """Note what comes on topics until the end."""
+    for topic in topics:
+        rospy.Subscriber(topic, kind, note, topic, **options)
+    rospy.spin()
+
+
 def listen(*topics: str) -> None:
     """Print "TOPIC NUMBER" for each header."""
-
-    def note(message: Header, topic: str) -> None:
-        say(topic, message.seq)
-
-    for topic in topics:
-        rospy.Subscriber(topic, Header, note, topic)
-    rospy.spin()
+    hear(topics, Header, lambda header, topic: say(topic, header.seq))
 
 
 def doze(seconds: str, *topics: str) -> None:
     """Sleep after each header; lost connections are not noticed meanwhile."""
 
-    def note(message: Header, topic: str) -> None:
-        say(topic, message.seq)
+    def note(header: Header, topic: str) -> None:
+        say(topic, header.seq)
         time.sleep(float(seconds))
 
-    for topic in topics:
-        rospy.Subscriber(topic, Header, note, topic, queue_size=1)
-    rospy.spin()
+    hear(topics, Header, note, queue_size=1)
 
 
 def watch(*topics: str) -> None:
     """Print the height and the number of bytes of each image."""
 
-    def note(message: Image, topic: str) -> None:
-        say(topic, message.height, len(message.data))
+    def note(image: Image, topic: str) -> None:
+        say(topic, image.height, len(image.data))
 
-    for topic in topics:
-        rospy.Subscriber(topic, Image, note, topic, buff_size=1 << 24)
-    rospy.spin()
+    hear(topics, Image, note, buff_size=1 << 24)
 
 
 def claim(tag: str, lease: str = "") -> None:
@@ -115,22 +113,16 @@ def bond(topic: str, *bond_ids: str) -> None:
     """Be the other end of bonds, made with python3-bondpy; SIGINT breaks them from this side."""
     from bondpy.bondpy import Bond  # other commands need not wait for it
 
-    bonds = [
-        Bond(
-            topic,
-            bond_id,
-            on_broken=lambda b=bond_id: say("broken", b),
-            on_formed=lambda b=bond_id: say("formed", b),
-        )
-        for bond_id in bond_ids
-    ]
-
     def part() -> None:
         for each in bonds:
             each.break_bond()
         for each in bonds:  # rospy may drop queued messages when it ends
             each.wait_until_broken(rospy.Duration(5))
 
+    bonds = [
+        Bond(topic, each, lambda b=each: say("broken", b), lambda b=each: say("formed", b))
+        for each in bond_ids
+    ]
     rospy.on_shutdown(part)
     for each in bonds:
         each.start()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import re
 import signal
 import socket
@@ -32,6 +33,8 @@ STOCK_NODELET = find_node("nodelet", "nodelet")
 #: Factor by which waits may be longer on a busy machine than on a quiet one. A wait ends with its
 #: condition, so a large factor costs time only where a test fails.
 BUSY = 20.0
+#: Seconds that a wait lasts at least, before that factor.
+LEAST = 5.0
 #: Seconds after which a call that a suspended process could hold up counts as held up: it would
 #: be for as long as that process is suspended.
 HELD_UP = 120.0
@@ -54,13 +57,18 @@ def eventually(
         shown: Returns more text for a failure, as of then.
     """
     start = time.monotonic()
-    timeout *= BUSY
+    timeout = max(timeout, LEAST) * BUSY
     while not condition():
         waited = time.monotonic() - start
         if waited > timeout:
             raise AssertionError(f"not within {timeout:g} s: {what}\n{shown()}".rstrip())
         time.sleep(min(max(0.02, waited / 8), 0.5))
     return time.monotonic() - start
+
+
+def becomes(value: Callable[[], Any], wanted: Any, timeout: float = 10.0) -> None:
+    """Wait until a function returns a wanted value; a failure shows the last one."""
+    eventually(lambda: value() == wanted, timeout, f"it becomes {wanted!r}", value)
 
 
 class Running:
@@ -122,7 +130,8 @@ class Running:
 
     def exit_code(self, timeout: float) -> int:
         """Wait for the end of the process; on a quiet machine it takes at most so long (s)."""
-        assert self.ends_within(timeout * BUSY), f"still running: {self.command}\n{self.output}"
+        limit = max(timeout, LEAST) * BUSY
+        assert self.ends_within(limit), f"still running: {self.command}\n{self.output}"
         return self._process.returncode
 
     def ends_within(self, seconds: float) -> bool:
@@ -137,11 +146,24 @@ class Running:
         return f"{end}; it said:\n{self.output}"
 
 
+class Ended(Running):
+    """A process that gets SIGINT before it is killed, to unregister and end its children."""
+
+    def __exit__(self, *unused: object) -> None:
+        if not self.has_ended:
+            self.stop(signal.SIGCONT)
+            self.stop()
+            self.ends_within(60.0)  # roslaunch gives its nodes 17 s to end
+        super().__exit__()
+
+
 def free_port() -> str:
-    """A free port, for a master of a test's own."""
-    with socket.socket() as free:
-        free.bind(("", 0))
-        return str(free.getsockname()[1])
+    """A free port, for a master of a test's own; no connection gets it meanwhile."""
+    while True:
+        port = random.randrange(20000, 32000)  # below those that clients of any kind get
+        with socket.socket() as free, contextlib.suppress(OSError):
+            free.bind(("", port))
+            return str(port)
 
 
 def nodes() -> set[str]:
@@ -184,3 +206,13 @@ class TellingCase(unittest.TestCase):
             except Exception:
                 print(f"{self.id()} {args or ''} {kwds or ''}\n{traceback.format_exc()}")
                 raise
+
+    def enter(self, context: Any) -> Any:
+        """Enter a context, which is left at the end of the test."""
+        value = context.__enter__()
+        self.addCleanup(context.__exit__, None, None, None)
+        return value
+
+    def run_process(self, *command: str) -> Ended:
+        """Start a process, which is ended at the end of the test."""
+        return self.enter(Ended(*command))

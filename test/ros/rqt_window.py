@@ -2,188 +2,256 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The window, with a DyKnow manager in another process."""
+"""The window, with a DyKnow manager in another process.
+
+With DYKNOW_PICTURES the picture of the documentation is written into that folder.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
-import tempfile
-import time
-from typing import Callable
-from unittest import mock
+from pathlib import Path
+from typing import Any, Callable
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
 import rospy
 import rostest
-from manager_suite import LIBRARY, ManagerCase, Receiver, eventually
-from processes import HELD_UP, Running, TellingCase, free_port
+from graph import Heard
+from manager_suite import LIBRARY, ManagerCase, MasterCase
+from processes import HELD_UP, eventually
+from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
-from roslib.packages import find_node
 
 from dyknow.model.graph import PortRef, SpawnRequest
-from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
-from dyknow_rqt.canvas.scene import GraphScene
-from dyknow_rqt.graph.changes import spawn
+from dyknow_rqt import screenshots
+from dyknow_rqt.graph.changes import Change, remove_transformations, spawn
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
 
 OUT, IN = PortRef("/count", "out"), PortRef("/relay", "in")
+#: Where to write the picture; empty for nowhere.
+PICTURES = os.environ.get("DYKNOW_PICTURES", "")
+EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
 
 
-def until(condition: Callable[[], object], what: str, timeout: float = HELD_UP) -> None:
+def until(condition: Callable[[], object], what: str) -> None:
     """Process the window's events until something holds."""
-    start = time.monotonic()
-    while not condition():
-        if time.monotonic() - start > timeout:
-            raise AssertionError(f"not within {timeout:g} s: {what}")
-        QTest.qWait(10)
+    screenshots.wait(condition, HELD_UP, what)
 
 
-class WindowTest(ManagerCase):
-    def window(self) -> DyKnowWidget:
-        widget = DyKnowWidget(RosRemote())
-        self.addCleanup(widget.shut_down)
-        widget.resize(1200, 700)
-        widget.show()
-        widget.start()
-        return widget
+class Window:
+    """Opens windows, and works with the last one."""
 
-    def keys(self, widget: DyKnowWidget) -> set[str]:
-        return set(widget.graph.view.scene().vertices)
+    def open(self: Any) -> DyKnowWidget:
+        self.window = DyKnowWidget(RosRemote())
+        self.monitor, self.scene = self.window.monitor, self.window.graph.view.scene()
+        self.addCleanup(self.window.shut_down)
+        self.refusals: list[str] = []
+        self.monitor.failed.connect(self.refusals.append)
+        self.window.resize(1600, 760)
+        self.window.show()
+        self.window.start()
+        return self.window
 
+    def does(
+        self: Any, act: Callable[[], object], effect: Callable[[], object], what: str
+    ) -> None:
+        """Act when the manager answers, until it has an effect.
+
+        A window that a busy machine has starved takes the manager for a silent one, and refuses.
+        """
+        self.refusals.clear()
+        while not effect():
+            while self.refusals:
+                self.assertIn("silent", self.refusals.pop())
+            until(lambda: self.monitor.is_linked and not self.monitor.is_changing, "it answers")
+            act()
+            until(lambda: effect() or self.refusals, what)
+        until(lambda: not self.monitor.is_changing, "the change has ended")
+
+
+class WindowTest(Window, ManagerCase):
     def test_the_window_waits_for_a_manager_and_changes_its_graph(self) -> None:
         self.end_idle()
-        window = self.window()
-        sign = window.graph.sign
+        window = self.open()
+        monitor, scene, sign = self.monitor, self.scene, window.graph.sign
         until(lambda: sign.text() == "waiting for /dyknow_manager", "it says that nobody is there")
-        manager = self.started()
+        self.started()
         until(lambda: "No nodelets yet" in sign.text(), "the manager is found")
         until(lambda: "counter" in window.library.table.names(), "the library is shown")
 
-        monitor = window.monitor
-        for label, name in (("counter", "/count"), ("relay", "/relay")):
-            monitor.do(spawn(SpawnRequest(label, name)))
-            until(lambda name=name: f"n_{name}" in self.keys(window), f"{name} is drawn")
-            until(lambda: not monitor.is_changing, "the change has ended")
+        def do(change: Callable[[], Change], effect: Callable[[], object], what: str) -> None:
+            self.does(lambda: monitor.do(change()), effect, what)
 
-        until(lambda: all(map(monitor.snapshot.port, (OUT, IN))), "their ports are known")
-        monitor.do(connect(monitor.snapshot, OUT, IN))
-        arrows = window.graph.view.scene().edges
+        def topic(ref: PortRef) -> object:
+            port = monitor.snapshot.port(ref)
+            return None if port is None else port.topic
+
+        for label, name in (("counter", "/count"), ("relay", "/relay")):
+            request = SpawnRequest(label, name)
+            do(
+                lambda request=request: spawn(request),
+                lambda name=name: f"n_{name}" in scene.vertices,
+                f"{name} is drawn",
+            )
+        until(lambda: None not in (topic(OUT), topic(IN)), "their ports are known")
+        do(
+            lambda: connect(monitor.snapshot, OUT, IN),
+            lambda: topic(IN) == topic(OUT) == "/count/out",
+            "they are connected",
+        )
 
         def rates() -> list[float]:
-            found = [item.traffic for edge, item in arrows.items() if edge.head == "n_/relay"]
+            found = [item.traffic for edge, item in scene.edges.items() if edge.head == "n_/relay"]
             return [traffic.rate for traffic in found if traffic is not None]
 
         until(lambda: any(25 < rate < 75 for rate in rates()), "the rate stands on the arrow")
-
-        until(lambda: not monitor.is_changing, "the change has ended")
-        until(lambda: monitor.snapshot.port(IN).topic == "/count/out", "the window knows")
-        monitor.do(connect_topic(monitor.snapshot, PortRef("/relay", "out"), "/end"))
-        receiver = Receiver("/end")
-        self.addCleanup(receiver.close)
-        until(lambda: len(receiver.numbers) > 5, "messages flow through what was connected")
+        out = PortRef("/relay", "out")
+        do(
+            lambda: connect_topic(monitor.snapshot, out, "/end"),
+            lambda: topic(out) == "/end",
+            "it is connected",
+        )
+        heard = self.enter(Heard("/end"))
+        until(lambda: len(heard) > 5, "messages flow through what was connected")
         window.graph.bar.debug.setChecked(False)  # this node is named like rqt's
         window.graph.bar.nodes.setChecked(True)
-        until(lambda: f"p_{rospy.get_name()}" in self.keys(window), "the listening node is shown")
+        me = f"p_{rospy.get_name()}"
+        until(lambda: me in scene.vertices, "the listening node is shown")
+        self.does(monitor.undo, lambda: topic(out) == "", "the connection is taken back")
 
-        until(lambda: not monitor.is_changing, "the change has ended")
-        monitor.undo()
-        until(lambda: manager.topics("/relay")["out"] == "", "the connection is taken back")
+    def test_the_ball_is_asked_for_and_followed(self) -> None:
+        manager = self.make(ontologies=[str(EXAMPLES / "ontologies" / "soccer.ttl")])
+        manager.start()
+        window = self.open()
+        panel, scene = window.streams, self.scene
+        soccer = str(EXAMPLES / "transformations" / "soccer.xml")
+        self.does(
+            lambda: window.library.import_file(soccer),
+            lambda: "bottom_camera" in window.library.table.names(),
+            "the library is there",
+        )
+        window.tabs.setCurrentWidget(panel)
+        QTest.keyClicks(panel.tag, "FieldPosition(ball)")
+        self.does(
+            lambda: QTest.keyClick(panel.tag, Qt.Key_Return),
+            lambda: "bottom_camera.image (new" in panel.plan.toPlainText(),
+            "the plan is shown",
+        )
+        self.assertEqual(self.monitor.snapshot.nodelets, ())
+
+        def is_active() -> bool:
+            return [each.state.name for each in panel.watch.streams] == ["ACTIVE"]
+
+        def traffic() -> list:
+            return [item.traffic for item in scene.edges.values()]
+
+        self.does(
+            lambda: QTest.mouseClick(panel.acquire, Qt.LeftButton),
+            is_active,
+            "the stream is there",
+        )
+        (stream,) = panel.watch.streams
+        until(lambda: f"t_{stream.topic}" in scene.vertices, "it is drawn")
+        until(lambda: all(each and each.rate > 1.0 for each in traffic()), "all of it flows")
+
+        def is_selected() -> bool:
+            panel.table.choose([stream.claim_id])
+            return {item.vertex.name for item in scene.selectedItems()} == {*stream.nodelets}
+
+        until(is_selected, "its nodelets are selected")
+        picture = window.grab().toImage()
+        right = range(picture.width() // 2, picture.width(), 7)
+        colours = {picture.pixel(x, y) for x in right for y in range(100, picture.height(), 7)}
+        self.assertGreater(len(colours), 20)  # it is not empty
+        if PICTURES:
+            until(lambda: not any(each.drop_rate for each in traffic()), "the beginning is over")
+            window.graph.tidy()
+            QTest.qWait(1000)
+            window.grab().save(os.path.join(PICTURES, "gui_streams.png"))
+
+        self.does(
+            lambda: self.monitor.do(remove_transformations(["bottom_camera"])),
+            lambda: any("ceiling_camera" in key for key in scene.vertices),
+            "the other camera",
+        )
+        until(
+            lambda: is_active()
+            and not any("bottom_camera" in name for name in panel.watch.streams[0].nodelets),
+            "its stream has taken over",
+        )
+        self.assertEqual(panel.watch.streams[0].topic, stream.topic)
+        removed = "bottom_camera was removed"
+        until(lambda: removed in panel.events.toPlainText(), "the event is shown")
+
+        def release() -> None:
+            panel.table.choose([stream.claim_id])
+            QTest.mouseClick(panel.release, Qt.LeftButton)
+
+        self.does(release, lambda: not panel.table.names(), "the stream is released")
 
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
-        manager = self.started()
-        manager.client.spawn("counter", "/count")
-        with Running("rosrun", "dyknow", "dyknow_rqt") as process:
-            started = lambda: readers_of_the_model()  # noqa: E731
-            eventually(lambda: started() or process.has_ended, 20.0, process.output)
-            self.assertFalse(process.has_ended, process.output)
-            process.stop()
-            eventually(lambda: process.has_ended, 10.0, "the window is closed")
-            self.assertEqual(process.exit_code(5.0), 0, process.output)
-            self.assertNotIn("Traceback", process.output)
+        self.started()
+        process = self.run_process("rosrun", "dyknow", "dyknow_rqt")
+        eventually(lambda: readers_of_the_model() or process.has_ended, 20.0, "it reads")
+        self.assertFalse(process.has_ended, process.output)
+        process.stop()
+        self.assertEqual(process.exit_code(10.0), 0, process.output)
+        self.assertNotIn("Traceback", process.output)
 
 
-class DeadSystemTest(TellingCase):
-    """Everything that can go away does so; the master and the manager are the test's own."""
-
-    def setUp(self) -> None:
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.state = folder.name
-        self.port = free_port()
-        self.uri = f"http://localhost:{self.port}"
-        patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})
-        patch.start()
-        self.addCleanup(patch.stop)
-
-    def start(self, *command: str) -> Running:
-        process = Running(*command)
-        self.addCleanup(process.__exit__)
-        return process
-
-    def roscore(self) -> Running:
-        return self.start("rosmaster", "--core", "-p", self.port)
-
-    def manager(self) -> Running:
-        manager = find_node("dyknow", "manager")[0]
-        return self.start(manager, f"_state_dir:={self.state}", "_orphan_timeout:=1.0")
-
-    def end(self, process: Running) -> None:
-        process.stop(signal.SIGKILL)
-        process.exit_code(10.0)
+class DeadSystemTest(Window, MasterCase):
+    """Everything that can go away does so."""
 
     def test_the_window_says_what_is_dead_and_finds_what_comes_back(self) -> None:
-        window = DyKnowWidget(RosRemote())
-        self.addCleanup(window.shut_down)
-        window.show()
-        window.start()
-        scene, sign, contact = window.graph.view.scene(), window.graph.sign, window.line.contact
+        window = self.open()
+        sign, contact = window.graph.sign, window.line.contact
 
-        def says(words: str) -> None:
-            until(lambda: words in contact.text(), words)
-            self.assertIn(words, sign.text())
+        def says(words: str, on_sign: str = "") -> None:
+            until(lambda: words in contact.text() and (on_sign or words) in sign.text(), words)
 
         def is_drawn(name: str) -> None:
-            until(lambda: f"n_{name}" in scene.vertices and window.monitor.is_linked, name)
+            until(lambda: f"n_{name}" in self.scene.vertices and self.monitor.is_linked, name)
+
+        def is_grey() -> bool:
+            colours = self.scene.vertices["n_/count"].colours
+            return colours.text == colours.muted
 
         says(f"no ROS master at {self.uri}")
         core = self.roscore()
         says("waiting for /dyknow_manager")
-        manager = self.manager()
+        manager = self.manager("_orphan_timeout:=1.0")
         until(lambda: "/dyknow_manager answers since" in contact.text(), "it answers")
-        client = ManagerClient()
-        client.add_transformation(LIBRARY)
-        client.spawn("counter", "/count", {"out": "/numbers"})
+        self.client.add_transformation(LIBRARY)
+        self.client.spawn("counter", "/count", {"out": "/numbers"})
         is_drawn("/count")
 
         manager.stop(signal.SIGSTOP)
-        says("⚠ /dyknow_manager silent for 3 s")
-        self.assertTrue(is_grey(scene))
+        says("⚠ /dyknow_manager silent for")
+        until(is_grey, "what it shows is old")
         manager.stop(signal.SIGCONT)
-        until(lambda: not sign.isVisible(), "it answers again")
-        self.assertFalse(is_grey(scene))
+        until(lambda: not sign.isVisible() and not is_grey(), "it answers again")
 
-        self.end(core)
-        says(f"⚠ no ROS master at {self.uri}")
-        self.assertIn("/dyknow_manager answers", sign.text())
-        self.assertFalse(is_grey(scene))
+        self.kill(core)
+        says(f"⚠ no ROS master at {self.uri}", "/dyknow_manager answers")
+        self.assertFalse(is_grey())
         self.roscore()
         says(f"⚠ the ROS master at {self.uri} does not know /dyknow_manager")
-        self.end(manager)
+        self.kill(manager)
         says("⚠ /dyknow_manager gone for")
-        self.assertTrue(is_grey(scene))
+        until(is_grey, "what it shows is old")
 
-        self.manager()
+        self.manager("_orphan_timeout:=1.0")
         until(lambda: not sign.isVisible(), "the next manager is found")
-        client.spawn("counter", "/another", {"out": "/numbers"})
+        self.client.spawn("counter", "/another", {"out": "/numbers"})
         is_drawn("/another")
-        self.assertEqual(len(readers_of_the_model()), 1)
+        until(lambda: len(readers_of_the_model()) == 1, "one window reads")
         self.assertNotIn("rqt", str(Master("/test").ask("getSystemState")))
         window.shut_down()
         until(lambda: not readers_of_the_model(), "the window has left")
@@ -196,12 +264,7 @@ def readers_of_the_model() -> set[int]:
     return master.connections(uri, "/dyknow_manager/model", 2.0) if uri else set()
 
 
-def is_grey(scene: GraphScene) -> bool:
-    colours = scene.vertices["n_/count"].colours
-    return colours.text == colours.muted
-
-
 if __name__ == "__main__":
     rospy.init_node("rqt_window")
-    application = QApplication(sys.argv[:1])
+    application = screenshots.dressed(QApplication(sys.argv[:1]))
     rostest.rosrun("dyknow", "rqt_window", "__main__", sys.argv)

@@ -5,15 +5,15 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import rosgraph
 import rospy
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
-from graph import is_fed
-from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, listed, nodes
-from std_msgs.msg import Header, String
+from graph import Heard, is_fed
+from manager_suite import MANAGER, ManagerCase, ManagerProcess, listed
+from processes import eventually, nodes
+from std_msgs.msg import String
 
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
@@ -48,57 +48,42 @@ LIBRARY = f"<transformations>{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations
 GOAL = "Position(ball)"
 
 
-class Flow:
-    """Records the times at which messages arrive on a topic."""
-
-    def __init__(self, topic: str) -> None:
-        self.arrivals: list[float] = []
-        self._subscriber = rospy.Subscriber(topic, Header, self._note, queue_size=1000)
-
-    def _note(self, message: Header) -> None:
-        self.arrivals.append(time.monotonic())
-
-    def close(self) -> None:
-        self._subscriber.unregister()
-
-    def wait(self, timeout: float = 5.0) -> float:
-        """Wait until it flows again; returns how long (s) that took."""
-        count = len(self.arrivals)
-        return eventually(lambda: len(self.arrivals) > count + 2, timeout, "messages arrive")
-
-    def longest_pause(self, since: float) -> float:
-        """Longest time (s) without a message, counted from the last message before ``since``."""
-        before = [when for when in self.arrivals if when <= since][-1:]
-        times = before + [when for when in self.arrivals if when > since]
-        return max((later - earlier for earlier, later in zip(times, times[1:])), default=0.0)
-
-
-class Events:
+class Events(Heard):
     """Records the events of all claims, in order."""
 
     def __init__(self) -> None:
-        self.all: list[StreamEvent] = []
-        self._subscriber = rospy.Subscriber(
-            f"{MANAGER}/stream_events",
-            StreamEventMessage,
-            lambda message: self.all.append(event_from(message)),
-            queue_size=1000,
-        )
+        topic = f"{MANAGER}/stream_events"
+        super().__init__(topic, StreamEventMessage, event_from)
+        eventually(lambda: is_fed(topic), 5.0, "events are heard")
 
-    def close(self) -> None:
-        self._subscriber.unregister()
+    def reasons(self) -> list[str]:
+        return [each.reason for each in self]
 
-    def mended(self, cause: str, timeout: float = 10.0) -> None:
-        """Wait for a repair whose reason contains a text."""
+    def mended(self, cause: str = "", since: int = 0) -> StreamEvent:
+        """Wait for a repair whose reason contains a text; returns its event."""
 
-        def is_mended() -> bool:
-            reasons = [each.reason for each in list(self.all)]
-            return any(text.startswith("mended") and cause in text for text in reasons)
+        def repairs() -> list[StreamEvent]:
+            return [each for each in self[since:] if each.reason.startswith("mended")]
 
-        eventually(is_mended, timeout, f"mended: {cause}")
+        def found() -> list[StreamEvent]:
+            return [each for each in repairs() if cause in each.reason]
 
-    def states(self, claim_id: str) -> list[ClaimState]:
-        return [each.after.state for each in list(self.all) if each.after.claim_id == claim_id]
+        eventually(found, 20.0, f"mended: {cause}", self.reasons)
+        return found()[0]
+
+    def changes(self, since: int = 0, claim_id: str = "") -> list[str]:
+        """States and reasons, without changes of the detail alone; by default of all claims."""
+        return [
+            f"{each.after.state.name}: {each.reason}"
+            for each in self[since:]
+            if claim_id in ("", each.after.claim_id)
+            and (each.before is None or each.before.state is not each.after.state)
+        ]
+
+    def is_one_loss(self, since: int = 0, claim_id: str = "") -> None:
+        """One claim was mended, in one step."""
+        states = [each.partition(":")[0] for each in self.changes(since, claim_id)]
+        assert states == ["RECOVERING", "ACTIVE"], self.reasons()
 
 
 class StreamCase(ManagerCase):
@@ -109,16 +94,8 @@ class StreamCase(ManagerCase):
         manager.client.add_transformation(LIBRARY)
         return manager
 
-    def flow(self, topic: str) -> Flow:
-        flow = Flow(topic)
-        self.addCleanup(flow.close)
-        return flow
-
     def events(self) -> Events:
-        events = Events()
-        self.addCleanup(events.close)
-        eventually(lambda: is_fed(f"{MANAGER}/stream_events"), 5.0, "events are heard")
-        return events
+        return self.enter(Events())
 
     def tell(self, nodelet: str, order: str) -> None:
         """Send an order to a nodelet that can misbehave on request."""
@@ -130,15 +107,27 @@ class StreamCase(ManagerCase):
     def claim(self, manager: ManagerProcess, claim_id: str) -> StreamStatus:
         return next(each for each in manager.client.list_streams() if each.claim_id == claim_id)
 
-    def become(
-        self, manager: ManagerProcess, claim_id: str, state: ClaimState, timeout: float = 10.0
-    ) -> float:
-        """Wait until a claim is in a state; returns how long (s) that took."""
-        return eventually(
+    def become(self, manager: ManagerProcess, claim_id: str, state: ClaimState) -> None:
+        """Wait until a claim is in a state."""
+        eventually(
             lambda: self.claim(manager, claim_id).state is state,
-            timeout,
+            20.0,
             f"{claim_id} is {state.name}",
+            lambda: f"{self.claim(manager, claim_id)}\n{manager.output}",
         )
+
+    def delivers(self, manager: ManagerProcess, claim_id: str) -> None:
+        """Wait until the manager knows that a claim's stream has delivered a message."""
+
+        def does() -> bool:
+            claim = self.claim(manager, claim_id)
+            return claim.state is ClaimState.ACTIVE and not claim.detail
+
+        eventually(does, 20.0, f"{claim_id} delivers", lambda: manager.output)
+
+    def is_cleared(self, manager: ManagerProcess) -> None:
+        """Wait until all nodelets are collected."""
+        eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
 
     def nodelet_of(self, manager: ManagerProcess, label: str) -> str:
         """Name of the one nodelet that was made from a transformation."""
@@ -150,7 +139,7 @@ class StreamCase(ManagerCase):
         self.assertEqual(len(found), 1, f"{label}: {found}")
         return found[0]
 
-    def settled(self, manager: ManagerProcess, timeout: float = 10.0) -> None:
+    def settled(self, manager: ManagerProcess) -> None:
         """Wait until the invariants hold; fails with the violations."""
         wrong: list[str] = []
 
@@ -158,7 +147,7 @@ class StreamCase(ManagerCase):
             wrong[:] = _violations(manager)
             return not wrong
 
-        eventually(holds, timeout, "all is as it should be", lambda: f"{wrong}\n{manager.output}")
+        eventually(holds, 10.0, "all is as it should be", lambda: f"{wrong}\n{manager.output}")
 
 
 def _violations(manager: ManagerProcess) -> list[str]:

@@ -16,16 +16,21 @@ import random
 import signal
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-import rosgraph
 import rospy
 import rostest
-from manager_suite import ManagerCase, ManagerProcess, parameters, specification
-from nodelet.srv import NodeletList
-from processes import BUSY, eventually
+from manager_suite import (
+    CPP_CHILD,
+    ManagerCase,
+    ManagerProcess,
+    everything,
+    listed,
+    specification,
+)
+from processes import BUSY, becomes, eventually, nodes
 from stream_suite import CAMERA, CEILING, FILTER, TRACKER
 
 from dyknow.errors import DyKnowError, PeerTimeout
@@ -39,6 +44,7 @@ LIBRARY = (
     (
         "<transformations>"
         + specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0)
+        + specification("heavy", "dyknow_manager_test/Heavy", ">in out>", rate=1.0)
         + specification("half", "image_proc/resize", ">image ~image>", use_scale=True)
         + specification("talker", "dyknow_test/talker.py", "words>", rate=10)
         + specification("copier", "topic_tools/relay words copy", ">words copy>", lazy=False)
@@ -57,6 +63,7 @@ KINDS = (
     ("relay", "in", "out", True),
     ("half", "image", "~image", False),
     ("half", "image", "~image", True),
+    ("heavy", "in", "out", False),
     ("talker", "", "words", False),
     ("talker", "", "words", True),
     ("copier", "words", "copy", False),
@@ -91,14 +98,15 @@ class Made:
         )
 
 
+@dataclass
 class Promises:
     """Acknowledged changes, and those under way, which may be made or not."""
 
-    def __init__(self) -> None:
-        self.nodelets: Dict[str, Made] = {}
-        self.claims: Dict[str, str] = {}  # topics by id
-        self.doubtful: Dict[str, Tuple[Optional[Made], ...]] = {}
-        self.doubtful_claims: Dict[str, str] = {}  # tags by id, "" for one that has none yet
+    nodelets: Dict[str, Made] = field(default_factory=dict)
+    claims: Dict[str, str] = field(default_factory=dict)  # topics by id
+    doubtful: Dict[str, Tuple[Optional[Made], ...]] = field(default_factory=dict)
+    #: Tags by id, "" for one that has none yet.
+    doubtful_claims: Dict[str, str] = field(default_factory=dict)
 
 
 class Work:
@@ -109,16 +117,23 @@ class Work:
         self.promises = promises
         self.dice = random.Random(seed)
         self.over = threading.Event()
+        self.troubles: List[str] = []
 
-    def run(self, kinds: range) -> None:
-        change = self.change_nodelet if kinds else self.change_claim
-        while not self.over.is_set():
-            try:
-                change(kinds)
-            except DyKnowError as error:
-                assert self.over.wait(20.0 * BUSY), f"refused: {error}"
+    def run(self, kinds: Sequence[int]) -> None:
+        try:
+            while not self.over.is_set():
+                try:
+                    if kinds:
+                        self.change_nodelet(kinds)
+                    else:
+                        self.change_claim()
+                        self.over.wait(self.dice.uniform(0.0, 0.3))
+                except DyKnowError as error:
+                    assert self.over.wait(20.0 * BUSY), f"refused: {error}"
+        except Exception as error:
+            self.troubles.append(repr(error))
 
-    def change_nodelet(self, kinds: range) -> None:
+    def change_nodelet(self, kinds: Sequence[int]) -> None:
         number = self.dice.choice(kinds)
         label, port_in, port_out, isolated = KINDS[number]
         name = f"/hand_{number}_{self.dice.randrange(2)}"
@@ -167,7 +182,7 @@ class Work:
         found = self.client.get_graph().nodelet(name)
         return Made.of(found) if found is not None else None
 
-    def change_claim(self, kinds: range) -> None:
+    def change_claim(self) -> None:
         promises = self.promises
         if len(promises.claims) < 3 and self.dice.random() < 0.7:
             tag = self.dice.choice(TAGS)
@@ -180,7 +195,16 @@ class Work:
             promises.doubtful_claims[claim_id] = "released"
             self.client.release_stream(claim_id)
             del promises.claims[claim_id], promises.doubtful_claims[claim_id]
-        self.over.wait(self.dice.uniform(0.0, 0.3))
+
+    def undo(self) -> None:
+        for claim_id in self.promises.claims:
+            self.client.release_stream(claim_id)
+        for name, made in self.promises.nodelets.items():
+            if made.is_protected:
+                self.client.set_protection(name, False)
+            self.client.destroy(name)
+        self.promises.claims.clear()
+        self.promises.nodelets.clear()
 
 
 class BootTest(ManagerCase):
@@ -191,11 +215,9 @@ class BootTest(ManagerCase):
         print(f"seed {seed}")
         dice = random.Random(seed)
         self.promises = Promises()
-        self.manager = self.make()
-        self.manager.start()
+        self.manager = self.started(own=True)
         self.manager.client.add_transformation(LIBRARY)
-        eventually(lambda: self.hosted_by_children() == [], 20.0, "its nodelet manager is up")
-        self.before = self.at_the_master()
+        before = self.at_the_master()
         for life in range(rospy.get_param("~lives", 1)):
             print(f"life {life}", flush=True)
             self.work(dice)
@@ -206,36 +228,28 @@ class BootTest(ManagerCase):
             self.manager.start()
             self.resolve()
             eventually(lambda: not self.wrong(), 30.0, "all is there again", self.told)
-        self.undo()
-        eventually(lambda: self.at_the_master() == self.before, 20.0, "nothing is left", self.left)
+        Work(self.manager, self.promises, 0).undo()
+        becomes(lambda: self.at_the_master() ^ before, set(), 20.0)
 
     def work(self, dice: random.Random) -> None:
         """Make changes until everything ends at once."""
         works = [Work(self.manager, self.promises, dice.randrange(1 << 30)) for _ in range(3)]
-        kinds = (range(4), range(4, len(KINDS)), range(0))
+        kinds = (range(4), range(4, len(KINDS)), ())
         threads = [
-            threading.Thread(target=self.guarded, args=(work, kind))
-            for work, kind in zip(works, kinds)
+            threading.Thread(target=work.run, args=(each,)) for work, each in zip(works, kinds)
         ]
-        self.troubles: List[str] = []
         for thread in threads:
             thread.start()
         time.sleep(dice.uniform(0.1, 6.0))
         self.end(everything=dice.random() < 0.7, works=works)
         for thread in threads:
             thread.join()
-        self.assertEqual(self.troubles, [], self.manager.output)
+        self.assertEqual([each.troubles for each in works], [[]] * 3, self.manager.output)
 
-    def guarded(self, work: Work, kinds: range) -> None:
-        try:
-            work.run(kinds)
-        except Exception as error:
-            self.troubles.append(repr(error))
-
-    def end(self, everything: bool, works: Tuple[Work, ...] | List[Work] = ()) -> None:
+    def end(self, everything: bool, works: Sequence[Work] = ()) -> None:
         """Kill the manager, and perhaps all processes that it started, in one moment."""
         self.manager.process.send_signal(signal.SIGSTOP)
-        running = self.running() if everything else []
+        running = self.processes() if everything else []
         for work in works:
             work.over.set()
         for record in running:
@@ -244,7 +258,7 @@ class BootTest(ManagerCase):
         for record in running:
             record.process.wait(10.0 * BUSY)
 
-    def running(self) -> List[Any]:
+    def processes(self) -> List[Any]:
         """The processes of the manager, as the system knows them."""
         for lock in Path(self.manager.state).glob("*.lock"):
             return child_records.running(str(lock))
@@ -262,7 +276,7 @@ class BootTest(ManagerCase):
             promises.nodelets.pop(name, None)
             if name in found:
                 promises.nodelets[name] = found[name]
-        living = {each.claim_id: each for each in self.claims()}
+        living = {each.claim_id: each for each in self.manager.claims()}
         for claim_id, tag in promises.doubtful_claims.items():
             if claim_id and claim_id not in living:
                 promises.claims.pop(claim_id)
@@ -276,17 +290,14 @@ class BootTest(ManagerCase):
     def is_calm(self) -> bool:
         nodelets = self.manager.client.get_graph().nodelets
         return all(each.state is State.RUNNING for each in nodelets) and all(
-            each.state is ClaimState.ACTIVE for each in self.claims()
+            each.state is ClaimState.ACTIVE for each in self.manager.claims()
         )
-
-    def claims(self) -> List[Any]:
-        return [each for each in self.manager.client.list_streams() if not each.state.ended]
 
     def wrong(self) -> List[str]:
         """Report lost, doubled, orphaned and leftover things."""
         client, promises = self.manager.client, self.promises
         nodelets = {each.name: each for each in client.get_graph().nodelets}
-        claims = self.claims()
+        claims = self.manager.claims()
         found = [f"{name} is {each}" for name, each in nodelets.items() if each.state != 1]
         made = {name: Made.of(each) for name, each in nodelets.items() if "/hand_" in name}
         found += differences("nodelet", promises.nodelets, made)
@@ -296,7 +307,7 @@ class BootTest(ManagerCase):
         parts = dict.fromkeys(set(nodelets) - set(made))
         found += differences("part", dict.fromkeys(needed), parts)
 
-        running = self.running()
+        running = self.processes()
         counted = collections.Counter(each.name for each in running)
         found += [f"{name} runs {times} times" for name, times in counted.items() if times > 1]
         processes = {each.name: each.process for each in running}
@@ -304,93 +315,61 @@ class BootTest(ManagerCase):
         alone = {name for name, each in nodelets.items() if each.isolated}
         for_one = {each.isolated_for for each in running} - {""}
         found += differences("process of", dict.fromkeys(alone), dict.fromkeys(for_one))
-        hosted = self.hosted_by_children()
+        hosted = [name for each in running for name in self.hosted(each)]
         found += differences("hosted", dict.fromkeys(nodelets), collections.Counter(hosted))
         found += [f"{name} is hosted twice" for name in hosted if hosted.count(name) > 1]
 
         living = {each.name for each in running} | {self.manager.node, rospy.get_name(), "/rosout"}
         found += [f"{what} is dead" for what in self.dead() if what not in living]
-        owners = living | set(nodelets)
-        for key in set_by_dyknow():
-            if not any(key.startswith(name + "/") for name in owners):
-                found.append(f"parameter {key}")
-        return found
-
-    def hosted_by_children(self) -> List[str]:
-        return [name for each in self.running() for name in self.hosted(each)]
+        owners = tuple(f"parameter {name}/" for name in living | set(nodelets))
+        return found + [each for each in set_by_dyknow() if not each.startswith(owners)]
 
     def hosted(self, record: Any) -> List[str]:
         if record.kind.is_node:
             return [record.name]
-        try:
-            return list(rospy.ServiceProxy(f"{record.name}/list", NodeletList)().nodelets)
-        except rospy.ServiceException as error:
-            return [f"{record.name}: {error}"]
+        found = listed(record.name)
+        return [f"{record.name} does not answer"] if found is None else found
 
     def dead(self) -> List[str]:
         """Nodes at the master that do not answer."""
-        state = rosgraph.Master(rospy.get_name()).getSystemState()
-        master = Master(rospy.get_name())
-        found = []
-        for node in sorted({node for kind in state for _, nodes in kind for node in nodes}):
+        master, found = Master(rospy.get_name()), []
+        for node in sorted(nodes()):
             try:
                 master.pid(node, master.node(node), 5.0)
             except (PeerTimeout, LookupError):
                 found.append(node)
         return found
 
-    def at_the_master(self) -> Dict[str, List[str]]:
+    def at_the_master(self) -> Set[str]:
         """All registrations and parameters, without the test's own and shared C++ processes."""
-        state = rosgraph.Master(rospy.get_name()).getSystemState()
-        cpp = "/dyknow_cpp_nodelet_manager"
-        own = {rospy.get_name(), cpp}
-        found = {
-            f"{kind} {name}": sorted(set(nodes) - own)
-            for kind, part in zip(("publisher", "subscriber", "service"), state)
-            for name, nodes in part
-            if set(nodes) - own and not name.startswith(cpp)
-        }
-        found["parameters"] = [key for key in set_by_dyknow() if not key.startswith(cpp)]
-        return found
-
-    def undo(self) -> None:
-        client = self.manager.client
-        for claim_id in self.promises.claims:
-            client.release_stream(claim_id)
-        for name, made in self.promises.nodelets.items():
-            if made.is_protected:
-                client.set_protection(name, False)
-            client.destroy(name)
-
-    # Texts of failures
+        registered = {each for each in everything() if not each.startswith("parameter ")}
+        others = registered | {*set_by_dyknow()}
+        return {each for each in others if CPP_CHILD not in each and rospy.get_name() not in each}
 
     def told(self) -> str:
         return "\n".join([*self.wrong(), "", self.manager.output[-20000:]])
-
-    def left(self) -> str:
-        return "\n".join(differences("", self.before, self.at_the_master()))
 
 
 def set_by_dyknow() -> List[str]:
     """Parameters that the manager sets; those that a nodelet sets for itself are its own."""
     return [
-        key
-        for key in parameters("/")
-        if key.rpartition("/")[2] in SET_BY_DYKNOW or "/guards/" in key
+        each
+        for each in everything()
+        if each.startswith("parameter ")
+        and (each.rpartition("/")[2] in SET_BY_DYKNOW or "/guards/" in each)
     ]
 
 
 def differences(what: str, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> List[str]:
-    """Report missing, surplus and different entries."""
+    """Report missing, surplus and different entries; how often one was counted is no matter."""
+    both = set() if isinstance(found, collections.Counter) else set(wanted) & set(found)
     return (
         [f"{what} {name} is missing" for name in sorted(set(wanted) - set(found))]
         + [f"{what} {name} is too much" for name in sorted(set(found) - set(wanted))]
         + [
             f"{what} {name} is {found[name]}, not {wanted[name]}"
-            for name in sorted(set(wanted) & set(found))
-            if isinstance(found, dict)
-            and not isinstance(found, collections.Counter)
-            and wanted[name] != found[name]
+            for name in sorted(both)
+            if wanted[name] != found[name]
         ]
     )
 

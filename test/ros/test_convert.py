@@ -7,20 +7,19 @@
 from __future__ import annotations
 
 import itertools
-import queue
 
 import cv2
 import numpy as np
 import rospy
 import rostest
 from geometry_msgs.msg import Point, PointStamped, Twist, Vector3, Vector3Stamped
+from graph import Heard
 from processes import BUSY, TellingCase, eventually
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import SetBool
 
 VERSIONS = ("before", "after")
-TIMEOUT = 5.0 * BUSY  # s
 HEIGHT, WIDTH, RADIUS = 120, 160, 9
 
 
@@ -36,13 +35,9 @@ def picture(number, ball=None):
 class BothCase(TellingCase):
     """Listens to what both versions publish."""
 
-    def listen(self, topic, datatype):
-        """The messages of each version."""
-        heard = {version: queue.Queue() for version in VERSIONS}
-        for version, messages in heard.items():
-            subscriber = rospy.Subscriber(f"/{version}/{topic}", datatype, messages.put)
-            self.addCleanup(subscriber.unregister)
-        return heard
+    def listen(self, topic, *options):
+        """What each version sends."""
+        return [self.enter(Heard(f"/{version}/{topic}", *options)) for version in VERSIONS]
 
     def publisher(self, topic, datatype):
         publisher = rospy.Publisher(topic, datatype, queue_size=100)
@@ -50,25 +45,22 @@ class BothCase(TellingCase):
         return publisher
 
     def service(self, name):
-        rospy.wait_for_service(name, TIMEOUT)
+        rospy.wait_for_service(name, 5.0 * BUSY)
         proxy = rospy.ServiceProxy(name, SetBool)
         return lambda value: self.assertTrue(proxy(value).success)
 
 
+def found(ball):
+    return ball.header.stamp.secs, ball.header.frame_id, ball.point
+
+
 class BallFinderTest(BothCase):
     def setUp(self):
-        self.balls = self.listen("ball", PointStamped)
-        self.visible = self.listen("ball_visible", Bool)
+        self.balls = self.listen("ball", PointStamped, found)
+        self.visible = self.listen("ball_visible", Bool, lambda message: message.data)
         self.camera = self.publisher("/camera/image", Image)
         self.number = 0
-        waiting = set(VERSIONS)
-
-        def all_found():
-            self.send((20, 20))
-            waiting.difference_update(each for each in waiting.copy() if self.balls[each].qsize())
-            return not waiting
-
-        eventually(all_found, 5.0, "both find a ball", lambda: waiting)
+        eventually(lambda: self.send((20, 20)) and all(self.balls), 5.0, "both find a ball")
         self.found_until(self.send((20, 20)))
 
     def send(self, ball=None):
@@ -77,20 +69,23 @@ class BallFinderTest(BothCase):
         return self.number
 
     def found_until(self, last):
-        """The finds of each version, up to the image of a number."""
-        found = {version: [] for version in VERSIONS}
-        for version, balls in found.items():
-            while not balls or balls[-1].header.stamp.secs != last:
-                balls.append(self.balls[version].get(timeout=TIMEOUT))
-        return [
-            [(ball.header.stamp.secs, ball.header.frame_id, ball.point) for ball in found[version]]
-            for version in VERSIONS
-        ]
+        """The finds of each version since the last call, up to the image of a number."""
+        for balls in self.balls:
+            balls.has(lambda ball: ball[0] == last)
+        every = [list(balls) for balls in self.balls]
+        for balls in self.balls:
+            del balls[:]
+        return every
 
-    def wait_for(self, visible):
-        for version in VERSIONS:
-            while self.visible[version].get(timeout=TIMEOUT).data is not visible:
-                pass
+    def show(self, visible, ball=None):
+        """Send images until both tell whether a ball is visible."""
+        for told in self.visible:
+            del told[:]
+        eventually(
+            lambda: self.send(ball) and all(visible in list(told) for told in self.visible),
+            5.0,
+            f"visible: {visible}",
+        )
 
     def test_both_find_the_same_balls(self):
         for x in range(RADIUS, WIDTH - RADIUS, 10):
@@ -104,32 +99,30 @@ class BallFinderTest(BothCase):
         self.assertAlmostEqual(before[-1][2].y, 40)
 
     def test_both_tell_whether_the_ball_is_visible(self):
-        self.wait_for(True)
-        self.wait_for(False)
-        self.send((30, 40))
-        self.wait_for(True)
+        self.show(True, (30, 40))
+        self.show(False)
+        self.show(True, (30, 40))
 
     def test_both_offer_the_service(self):
         enable = [self.service(f"/{version}/enable") for version in VERSIONS]
         for call in enable:
             call(False)
-        self.send((50, 50))
-        for version in VERSIONS:  # a message of the timer, which comes after that image
-            self.wait_for(False)
-            self.assertTrue(self.balls[version].empty())
+        last = self.number
+        self.show(False, (50, 50))
+        self.assertFalse([ball for balls in self.balls for ball in balls if ball[0] > last])
         for call in enable:
             call(True)
         before, after = self.found_until(self.send((60, 60)))
-        self.assertEqual(before, after)
-        self.assertEqual(len(before), 1)
+        self.assertEqual(before[-1], after[-1])
 
 
 class BallBearingTest(BothCase):
     def test_both_tell_the_same_bearing(self):
-        heard = self.listen("bearing", Vector3Stamped)
+        heard = self.listen(
+            "bearing", Vector3Stamped, lambda bearing: (bearing.header.stamp.secs, bearing.vector)
+        )
         ball = self.publisher("/seen_ball", PointStamped)
         info = self.publisher("/camera_info", CameraInfo)
-        seen = {version: {} for version in VERSIONS}  # bearings by their stamp
         numbers = itertools.count(1)
 
         def both_of_one():
@@ -137,32 +130,28 @@ class BallBearingTest(BothCase):
             header = Header(stamp=rospy.Time(next(numbers)), frame_id="camera")
             ball.publish(PointStamped(header, Point(180.0, 50.0, 0.0)))
             info.publish(CameraInfo(header=header, K=[200, 0, 80, 0, 100, 60, 0, 0, 1]))
-            for version, messages in heard.items():
-                while messages.qsize():
-                    bearing = messages.get()
-                    seen[version][bearing.header.stamp.secs] = bearing.vector
-            return set(seen["before"]) & set(seen["after"])
+            before, after = map(dict, map(list, heard))
+            return [(before[stamp], after[stamp]) for stamp in before if stamp in after]
 
-        eventually(both_of_one, 5.0, "both tell the bearing of one ball", lambda: seen)
-        stamp = both_of_one().pop()
-        self.assertEqual(seen["before"][stamp], seen["after"][stamp])
-        self.assertEqual(seen["before"][stamp], Vector3(0.5, -0.1, 1.0))
+        eventually(both_of_one, 5.0, "both tell the bearing of one ball", lambda: heard)
+        self.assertEqual(both_of_one()[0], (Vector3(0.5, -0.1, 1.0),) * 2)
 
 
 class VelocityGuardTest(BothCase):
     def setUp(self):
-        self.heard = self.listen("safe_cmd_vel", Twist)
+        self.heard = dict(
+            zip(VERSIONS, self.listen("safe_cmd_vel", Twist, lambda c: (c.linear.x, c.angular.z)))
+        )
         self.command = self.publisher("/cmd_vel", Twist)
 
     def drive_until(self, version, speed, turn, command=None):
         """Send commands until the version passes such a speed on."""
+        del self.heard[version][:]
 
         def drives():
             if command is not None:
                 self.command.publish(command)
-            heard = self.heard[version]
-            safe = [heard.get() for _ in range(heard.qsize())]
-            return (speed, turn) in [(each.linear.x, each.angular.z) for each in safe]
+            return (speed, turn) in list(self.heard[version])
 
         eventually(drives, 5.0, f"{version} drives at {speed}")
 

@@ -10,157 +10,136 @@ import math
 import os
 import signal
 import threading
-import unittest
 
 import rospy
 import rostest
-from dyknow_msgs.msg import NodeletCounts, Port, PortCount, PortStatistics
-from dyknow_msgs.srv import GetCounts, GetCountsResponse, GetStatistics, GetStatisticsResponse
-from graph import Manager, call
-from processes import eventually
+from dyknow_msgs.msg import NodeletCounts, Port, PortCount
+from dyknow_msgs.srv import GetCounts, GetCountsResponse
+from graph import NodeletManagerCase, call
+from processes import TellingCase, becomes, eventually
 from std_msgs.msg import Header
 
+from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.counts import CountClient, MessageCounter, counts_of
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
 
 
-def ask(manager: Manager, *nodelets: str):
-    """Counts by nodelet and port, as messages and whether one is latched."""
-    answer = rospy.ServiceProxy(f"{manager.name}/get_counts", GetCounts)(nodelets)
-    return {
-        each.nodelet: {port.port: (port.messages, port.latched) for port in each.ports}
-        for each in answer.nodelets
-    }
+class ServiceTest(NodeletManagerCase):
+    manager_name = "/robot/counted"
 
+    @staticmethod
+    def ask(*nodelets):
+        """Counts by nodelet and port, as messages and whether one is latched."""
+        answer = rospy.ServiceProxy("/robot/counted/get_counts", GetCounts)(nodelets)
+        return {
+            each.nodelet: {port.port: (port.messages, port.latched) for port in each.ports}
+            for each in answer.nodelets
+        }
 
-class ServiceTest(unittest.TestCase):
     def test_all_nodelets_in_one_call(self):
-        with Manager("/robot/counted") as manager:
-            for name in ("/b", "/a"):
-                manager.load("Talker", name, {"/out": "/said"}, latch=name == "/b")
-            manager.load("Relay", "/c", {"/in": "/said"})
-            manager.load("Introspector", "/no_ports")
-            self.assertEqual(
-                ask(manager),
-                {
-                    "/a": {"out": (0, False)},
-                    "/b": {"out": (0, False)},
-                    "/c": {"in": (0, False), "out": (0, False)},
-                    "/no_ports": {},
-                },
-            )
-            call("/a", "publish", 0, 3)
-            call("/b", "publish", 0, 2)
-            eventually(lambda: ask(manager, "/c")["/c"]["in"] == (5, False), 5.0, "all arrived")
-            self.assertEqual(
-                ask(manager, "/b", "/a", "/nobody"),
-                {"/a": {"out": (3, False)}, "/b": {"out": (2, True)}},
-            )
-            proxy = rospy.ServiceProxy("/robot/counted/get_counts", GetCounts)
-            (counts,) = proxy(["/c"]).nodelets
-            self.assertGreater(counts.uptime.to_sec(), 0)
-            self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
-            manager.unload("/a")
-            self.assertEqual(ask(manager, "/a"), {})
-            with self.assertRaisesRegex(rospy.ServiceException, "4096"):
-                ask(manager, "/a" * 4096)
+        for name in ("/b", "/a"):
+            self.manager.load("Talker", name, {"/out": "/said"}, latch=name == "/b")
+        self.manager.load("Relay", "/c", {"/in": "/said"})
+        self.manager.load("Introspector", "/no_ports")
+        none = (0, False)
+        expected = {"/a": {"out": none}, "/b": {"out": none}, "/c": {"in": none, "out": none}}
+        self.assertEqual(self.ask(), {**expected, "/no_ports": {}})
+        call("/a", "publish", 0, 3)
+        call("/b", "publish", 0, 2)
+        becomes(lambda: self.ask("/c")["/c"]["in"], (5, False))
+        expected = {"/a": {"out": (3, False)}, "/b": {"out": (2, True)}}
+        self.assertEqual(self.ask("/b", "/a", "/nobody"), expected)
+        (counts,) = rospy.ServiceProxy("/robot/counted/get_counts", GetCounts)(["/c"]).nodelets
+        self.assertGreater(counts.uptime.to_sec(), 0)
+        self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
+        self.manager.unload("/a")
+        self.assertEqual(self.ask("/a"), {})
+        with self.assertRaisesRegex(rospy.ServiceException, "4096"):
+            self.ask("/a" * 4096)
 
 
-class CountingTest(unittest.TestCase):
+class CountingTest(TellingCase):
     """Nodelet managers of all kinds; this process provides their services."""
 
     def setUp(self):
         self.clients = {}
+        self.awake, self.asked = threading.Event(), []
+        self.addCleanup(self.awake.set)
 
-    def offer(self, name, service_class, handler):
-        self.addCleanup(rospy.Service(name, service_class, handler).shutdown)
-
-    def counts(self, wanted):
-        """Counts as a host returns them, of nodelets by nodelet manager."""
-        for name in wanted:
-            if name not in self.clients:
-                self.clients[name] = CountClient(Master(rospy.get_name()), name)
-                self.addCleanup(self.clients[name].close)
-        return counts_of((self.clients[name], wanted[name]) for name in wanted)
+    def offer(self, name, service_class, answer):
+        self.addCleanup(rospy.Service(name, service_class, answer).shutdown)
 
     def messages(self, **wanted):
-        """Messages on the port out, by nodelet."""
-        wanted = {f"/{manager}": [f"/{each}" for each in wanted[manager]] for manager in wanted}
+        """Messages on the port out, by nodelet, as a host returns them."""
+        for name in wanted:
+            if name not in self.clients:
+                loop = ControlLoop()
+                loop.start()
+                self.addCleanup(loop.close)
+                self.clients[name] = CountClient(Master(rospy.get_name()), f"/{name}", loop)
+                self.addCleanup(self.clients[name].close)
+        found = counts_of(
+            (self.clients[name], [f"/{nodelet}"]) for name, nodelet in wanted.items()
+        )
         return {
             name[1:]: None if counts is None else counts["out"].messages
-            for name, counts in self.counts(wanted).items()
+            for name, counts in found.items()
         }
 
-    def good(self, name, messages=7):
-        def answer(request):
-            ports = [
-                PortCount("in", Port.IN, 1, False, math.nan),
-                PortCount("out", Port.OUT, messages, True, 0.5),
-            ]
-            return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/there", ports=ports)])
+    def counted(self, manager, nodelet, messages):
+        """Wait for a count: on a busy machine the answer comes later than a host waits for."""
+        becomes(lambda: self.messages(**{manager: nodelet}).get(nodelet, "late"), messages)
 
-        self.offer(f"/{name}/get_counts", GetCounts, answer)
+    def good(self, request):
+        ports = [
+            PortCount("in", Port.IN, 1, False, math.nan),
+            PortCount("out", Port.OUT, 7, True, 0.5),
+        ]
+        return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/there", ports=ports)])
 
-    def hung(self, name):
-        """A nodelet manager that answers only when the event is set."""
-        awake, asked = threading.Event(), []
-        self.addCleanup(awake.set)
-
-        def answer(request):
-            asked.append(sorted(request.nodelets))
-            awake.wait(60.0)
-            ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
-            return GetCountsResponse(
-                nodelets=[NodeletCounts(nodelet=name, ports=ports) for name in asked[-1]]
-            )
-
-        self.offer(f"/{name}/get_counts", GetCounts, answer)
-        return awake, asked
+    def hung(self, request):
+        """Answers only when the event is set."""
+        self.asked.append(request.nodelets)
+        self.awake.wait()
+        ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
+        return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/late", ports=ports)])
 
     def test_who_is_there_and_who_is_not(self):
-        self.good("good")
-        self.assertEqual(
-            self.messages(good=["there", "gone"], absent=["lost"]),
-            {"there": 7, "gone": None, "lost": None},
-        )
-        (count,) = self.counts({"/good": ["/there"]})["/there"].values()
+        self.offer("/good/get_counts", GetCounts, self.good)
+        for manager, nodelet, messages in (
+            ("good", "there", 7),
+            ("good", "gone", None),
+            ("absent", "lost", None),
+        ):
+            self.counted(manager, nodelet, messages)
+        client, found = self.clients["good"], {}
+        eventually(lambda: found.update(counts_of([(client, ["/there"])])) or found, 5.0, "it is")
+        (count,) = found["/there"].values()
         self.assertTrue(count.latched)
         self.assertLessEqual(count.asked, count.answered)
 
     def test_who_hangs_costs_nobody_else_his_answer(self):
-        self.good("good")
-        awake, asked = self.hung("hung")
+        self.offer("/good/get_counts", GetCounts, self.good)
+        self.offer("/hung/get_counts", GetCounts, self.hung)
         for _ in range(5):
-            self.assertEqual(self.messages(good=["there"], hung=["late"]), {"there": 7})
-        self.assertEqual(asked, [["/late"]], "while an answer is due, nothing more is asked")
-        awake.set()
-        eventually(
-            lambda: self.messages(hung=["late"]) == {"late": 3}, 10.0, "the answer is picked up"
-        )
-
-    def test_one_that_does_not_have_the_service_is_asked_nodelet_by_nodelet(self):
-        def answer(request):
-            return GetStatisticsResponse(
-                ports=[PortStatistics(port="out", direction=Port.OUT, messages=4)]
-            )
-
-        self.offer("/old_nodelet/get_statistics", GetStatistics, answer)
-        self.assertEqual(
-            self.messages(old=["old_nodelet", "other"]), {"old_nodelet": 4, "other": None}
-        )
+            becomes(lambda: self.messages(good="there", hung="late"), {"there": 7})
+        becomes(lambda: self.asked, [["/late"]])  # while an answer is due, nothing more is asked
+        self.awake.set()
+        self.counted("hung", "late", 3)
 
 
-class HearingTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.registrar = Registrar()
-
+class HearingTest(TellingCase):
     def setUp(self):
-        self.hearing = MessageCounter(self.registrar)
+        self.hearing = MessageCounter(Registrar())
         self.addCleanup(self.hearing.close)
         self.publisher = rospy.Publisher("/spoken", Header, queue_size=10)
         self.addCleanup(self.publisher.unregister)
+
+    def listen(self, topic="/spoken"):
+        counter = self.hearing.listen(topic)
+        eventually(counter.count, 5.0, "it listens")
+        return counter
 
     def speak(self, *listeners):
         """Publish until each of the counters has seen something new."""
@@ -174,23 +153,19 @@ class HearingTest(unittest.TestCase):
         eventually(heard, 5.0, "it is heard")
 
     def test_each_listener_counts_for_itself(self):
-        first = self.hearing.listen("/spoken")
-        eventually(first.count, 5.0, "it listens")
+        first = self.listen()
         self.speak(first)
-        second = self.hearing.listen("/spoken")
-        eventually(second.count, 5.0, "it listens")
+        second = self.listen()
         # Some that were published before may come only now; what came before does not count.
         self.assertLess(second.count().messages, first.count().messages)
         self.speak(first, second)
         second.close()
-        other = self.hearing.listen("/elsewhere")
-        eventually(other.count, 5.0, "it listens")
+        other = self.listen("/elsewhere")
         self.speak(first)
         self.assertEqual(other.count().messages, 0)
 
     def test_a_master_that_hangs_holds_up_nobody_who_listens(self):
-        first = self.hearing.listen("/spoken")
-        eventually(first.count, 5.0, "it listens")
+        first = self.listen()
         self.speak(first)
         master = int(Master(rospy.get_name()).ask("getPid"))
         os.kill(master, signal.SIGSTOP)

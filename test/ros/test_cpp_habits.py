@@ -6,10 +6,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import signal
+import time
 from typing import Iterator
 from unittest import mock
 
@@ -19,8 +19,8 @@ import rostest
 from cpp_suite import RUN
 from dyknow_msgs.msg import NodeletChanges, PortConfig
 from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
-from graph import Talker, hearing, hears
-from processes import BUSY, TellingCase, eventually
+from graph import Heard, WordsCase, hears
+from processes import BUSY, becomes, eventually
 from rosgraph_msgs.msg import Log, TopicStatistics
 from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
@@ -33,20 +33,9 @@ from dyknow.ros.wire.service_client import ServiceClient
 PROGRAM = ("dyknow", "dyknow_cpp_test_habits")
 #: Moves of each node with statistics; more in the long run.
 MOVES = int(os.environ.get("DYKNOW_TEST_MOVES", 2))
-WORDS = {"/a": "left", "/b": "right"}
 
 
-class HabitsCase(TellingCase):
-    def setUp(self):
-        for topic, word in WORDS.items():
-            talker = Talker(topic, word)
-            self.addCleanup(talker.close)
-
-    def run_node(self, *command: str) -> graph.Ended:
-        process = graph.Ended(*command)
-        self.addCleanup(process.__exit__)
-        return process
-
+class HabitsCase(WordsCase):
     def call(self, service: str, service_class=Trigger, *args):
         """Calls a service that has to answer in time, once it is there."""
         node = service.rpartition("/")[0]
@@ -61,21 +50,20 @@ class HabitsCase(TellingCase):
         answer = self.call(f"{node}/set_config", SetConfig, [PortConfig(port, topic)])
         self.assertTrue(answer.success, answer.message)
 
+    def stop(self, *nodes: graph.Ended) -> None:
+        for node in nodes:
+            node.stop()
+        for node in nodes:
+            self.assertEqual(node.exit_code(5.0), 0, node.output)
+
 
 class CyclesTest(HabitsCase):
     """roscpp is shut down with the last handle of a node, and started again with the next one."""
 
-    def setUp(self):
-        super().setUp()
-        self.told: list[str] = []
-        subscriber = rospy.Subscriber(
-            "/habits/changes", NodeletChanges, lambda message: self.told.extend(message.nodelets)
-        )
-        self.addCleanup(subscriber.unregister)
-
     def test_ports_live_in_every_cycle(self):
+        told = self.enter(Heard(NODES_TOPIC, NodeletChanges))
         pauses = ("0", "0.05", "0.5", "1", "0")
-        node = self.run_node(*RUN, *PROGRAM, "12", *pauses, "__name:=habits", "/in:=/a")
+        node = self.run_process(*RUN, *PROGRAM, "12", *pauses, "__name:=habits", "/in:=/a")
         topics = itertools.cycle(("/b", "/a"))
         heard = "left"
         for cycle, pause in enumerate(pauses, 1):
@@ -84,36 +72,32 @@ class CyclesTest(HabitsCase):
                 hears("/out", heard, is_whole=True)
                 counts = self.call("/habits/get_counts", GetCounts, [])
                 self.assertEqual([each.nodelet for each in counts.nodelets], ["/habits"])
-                eventually(lambda: self.told, 5.0, "it is told")
-                del self.told[:]
+                told.has(lambda message: message.nodelets)
+                del told[:]
                 topic = next(topics)
-                heard = WORDS[topic]
+                heard = self.WORDS[topic]
                 self.move("/habits", "in", topic)
                 hears("/out", heard, is_whole=True)
-                eventually(lambda: self.told, 5.0, "the move is told")
-                del self.told[:]
+                told.has(lambda message: message.nodelets)
+                del told[:]
                 self.move("/habits", "out", "/moved")
                 hears("/moved", heard, is_whole=True)
                 self.move("/habits", "out", "/out")
                 self.assert_registered(topic)
             if cycle < len(pauses):
                 node.stop(signal.SIGUSR1)
-        node.stop()
-        self.assertEqual(node.exit_code(5.0), 0, node.output)
-        self.assertFalse(any(graph.registrations("/habits").values()))
+        self.stop(node)
+        becomes(lambda: graph.registered("/habits"), set())
 
     def assert_registered(self, topic: str) -> None:
         """All that is registered is of this cycle, and known to the process."""
-        expected = {
-            "publishers": [NODES_TOPIC, "/habits/changes", "/out", "/rosout"],
-            "subscribers": [topic],
-        }
+        publishers = [NODES_TOPIC, "/out", "/rosout"]
 
         def registered():
             every = graph.registrations("/habits")
-            return {kind: every[kind] for kind in expected}
+            return every["publishers"], every["subscribers"]
 
-        eventually(lambda: registered() == expected, 5.0, "it is registered once", registered)
+        becomes(registered, (publishers, [topic]))
         graph.bus_info("/habits")  # under the address that the master has
 
 
@@ -141,23 +125,20 @@ class StatisticsTest(HabitsCase):
         came: set[str] = set()
 
         def all_came() -> bool:
-            # A subscriber that stays would be deaf to a node that advertises the topic again.
-            with hearing("/statistics", TopicStatistics) as messages:
-
-                def nodes() -> set[str]:
+            # A subscriber that stays would be deaf to a node that advertises the topic again. Each
+            # node publishes once a second; one that is always first must not hide the others.
+            with Heard("/statistics", TopicStatistics) as messages:
+                until = time.monotonic() + 3.0
+                while time.monotonic() < until and not came >= set(self.NODES):
+                    time.sleep(0.05)
                     came.update(each.node_sub for each in list(messages) if each.topic == topic)
-                    return came
-
-                # Not until any node has come: one that is always first would hide the others.
-                with contextlib.suppress(AssertionError):
-                    eventually(lambda: nodes() >= set(self.NODES), 0.2, "all")
             return came >= set(self.NODES)
 
         eventually(all_came, 20.0, f"statistics of {topic} come", lambda: came)
 
     def test_moves_and_unsubscribing(self):
         nodes = [
-            self.run_node(*RUN, *command, f"__name:={name[1:]}")
+            self.run_process(*RUN, *command, f"__name:={name[1:]}")
             for name, (command, _, _) in self.NODES.items()
         ]
         self.statistics_come("/a")
@@ -170,48 +151,36 @@ class StatisticsTest(HabitsCase):
             for name, (_, _, port) in self.NODES.items():
                 moved = f"{name}/{number}"
                 self.move(name, port, moved)
-                hears(moved, WORDS[topic], is_whole=True)
+                hears(moved, self.WORDS[topic], is_whole=True)
         self.assertTrue(self.call("/habits/again").success)
         self.statistics_come(topic)
-        for node in nodes:
-            node.stop()
-        for node in nodes:
-            self.assertEqual(node.exit_code(5.0), 0, node.output)
+        self.stop(*nodes)
 
 
 class ViewTest(HabitsCase):
     """A node sees itself as it would without live ports, and roscpp answers its mistakes."""
 
+    @staticmethod
+    def is_live() -> bool:
+        return f"publishers {NODES_TOPIC}" in graph.registered("/habits")
+
     def both(self) -> Iterator[None]:
         """Runs the node without live ports, then with them."""
         for command in (find_node(*PROGRAM), [*RUN, *PROGRAM]):
-            node = self.run_node(*command, "0", "-1", "__name:=habits")
+            node = self.run_process(*command, "0", "-1", "__name:=habits")
             if command[-1] == PROGRAM[-1]:
-                eventually(
-                    lambda: NODES_TOPIC in graph.registrations("/habits")["publishers"],
-                    20.0,
-                    "its ports are live",
-                )
+                eventually(self.is_live, 20.0, "its ports are live")
             yield
-            node.stop()
-            self.assertEqual(node.exit_code(5.0), 0, node.output)
+            self.stop(node)
 
     def test_topics(self):
         views = []
         for _ in self.both():
-            with hearing("/rosout", Log) as messages:
-                seen = ""
-
-                def logged():
-                    return [sorted(each.topics) for each in list(messages) if each.msg == "seen"]
-
-                def is_logged():
-                    nonlocal seen
-                    seen = self.call("/habits/seen").message
-                    return logged()
-
-                eventually(is_logged, 10.0, "it is logged")
-                views.append((seen, logged()[-1]))
+            self.call("/habits/seen")
+            with Heard("/rosout", Log) as lines:
+                seen = self.call("/habits/seen").message
+                line = lines.has(lambda line: line.msg == "seen")
+                views.append((seen, sorted(line.topics)))
         self.assertEqual(views[1], views[0])
         self.assertIn("/out", views[0][1])
 
@@ -225,7 +194,7 @@ class StandaloneTest(HabitsCase):
     """A nodelet that runs alone has the name of its node, which may have ports by then."""
 
     def test_ports(self):
-        node = self.run_node(
+        node = self.run_process(
             *(*RUN, "nodelet", "nodelet", "standalone", "dyknow_cpp_test/Eager"),
             *("__name:=eager", "/in:=/a"),
         )
@@ -237,7 +206,7 @@ class StandaloneTest(HabitsCase):
         self.move("/eager", "in", "/b")
         hears("/out", "right", is_whole=True)
         self.move("/eager", "~early", "/earlier")
-        eventually(lambda: graph.nodes_on("/earlier")[0] == {"/eager"}, 5.0, "it has moved")
+        becomes(lambda: graph.nodes_on("/earlier")[0], {"/eager"})
         self.assertNotIn("ERROR", node.output)
 
 

@@ -13,9 +13,9 @@ import rospy
 import rostest
 from cpp_suite import RUN, Camera, CppManager, report
 from geometry_msgs.msg import TransformStamped
-from graph import set_config, topics_of_ports
+from graph import connect, topics_of_ports
 from manager_suite import ManagerCase
-from processes import BUSY, eventually
+from processes import BUSY, becomes, eventually
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
@@ -32,62 +32,49 @@ class LibrariesCase:
     name = ""
 
     def test_libraries(self):
-        for namespace, width in (("/cam", 8), ("/cam2", 16)):
-            camera = Camera(namespace, width)
-            self.addCleanup(camera.close)
-        ports = {
-            "camera/image": "/camera/image",
-            "camera/camera_info": "/camera/camera_info",
-            "out/image": "/out/image",
-            "out/camera_info": "/out/camera_info",
-            "left": "/left",
-            "right": "/right",
-            "/tf": "/tf",
-            "/tf_static": "/tf_static",
-        }
-        present = topics_of_ports(self.name)
-        self.assertEqual({port: present.get(port) for port in ports}, ports)
-        for namespace, width in (("/cam", 8), ("/cam2", 16)):
-            answer = set_config(self.name, **{"camera/image": f"{namespace}/image_raw"})
-            self.assertTrue(answer.success, answer.message)
-            topic = f"{namespace}/camera_info"
-            self.assertEqual(topics_of_ports(self.name)["camera/camera_info"], topic)
-            eventually(lambda w=width: report(self.name)["width"] == w, 10.0, "it sees it")
-        self.assertTrue(set_config(self.name, **{"out/image": "/shown/image"}).success)
-        self.assertEqual(rospy.wait_for_message("/shown/image", Image, 10.0 * BUSY).width, 16)
-        self.assertEqual(
-            rospy.wait_for_message("/shown/camera_info", CameraInfo, 10.0 * BUSY).width, 16
+        name, cameras = self.name, {"/cam": 8, "/cam2": 16}
+        for namespace, width in cameras.items():
+            self.enter(Camera(namespace, width))
+        topics = (
+            *("/camera/image", "/camera/camera_info", "/out/image", "/out/camera_info"),
+            *("/left", "/right", "/tf", "/tf_static"),
         )
-        answer = set_config(self.name, left="/cam/camera_info", right="/cam/camera_info")
-        self.assertTrue(answer.success, answer.message)
-        eventually(lambda: report(self.name)["pairs"] > 2, 10.0, "pairs are made")
-        self.assertEqual(report(self.name)["transforms"], 0)
+        ports = {topic if "tf" in topic else topic[1:]: topic for topic in topics}
+        becomes(lambda: {port: topics_of_ports(name).get(port) for port in ports}, ports)
+        for namespace, width in cameras.items():
+            connect(name, **{"camera/image": f"{namespace}/image_raw"})
+            topic = f"{namespace}/camera_info"
+            self.assertEqual(topics_of_ports(name)["camera/camera_info"], topic)
+            becomes(lambda: report(name)["width"], width)
+        connect(name, **{"out/image": "/shown/image"})
+        for topic, kind in (("/shown/image", Image), ("/shown/camera_info", CameraInfo)):
+            self.assertEqual(rospy.wait_for_message(topic, kind, 10.0 * BUSY).width, 16)
+        connect(name, left="/cam/camera_info", right="/cam/camera_info")
+        eventually(lambda: report(name)["pairs"] > 2, 10.0, "pairs are made")
+        self.assertEqual(report(name)["transforms"], 0)
         publisher = rospy.Publisher("/other/tf", TFMessage, queue_size=1, latch=True)
+        self.addCleanup(publisher.unregister)
         transform = TransformStamped(child_frame_id="base")
         transform.header.frame_id = "map"
         transform.header.stamp = rospy.Time.now()
         transform.transform.rotation.w = 1.0
         publisher.publish([transform])
-        self.assertTrue(set_config(self.name, **{"/tf": "/other/tf"}).success)
-        eventually(lambda: report(self.name)["transforms"] == 1, 10.0, "it is known")
-        publisher.unregister()
-        before = report(self.name)["ticks"]
-        eventually(lambda: report(self.name)["ticks"] > before, 5.0, "its timer goes on")
+        connect(name, **{"/tf": "/other/tf"})
+        becomes(lambda: report(name)["transforms"], 1)
+        before = report(name)["ticks"]
+        eventually(lambda: report(name)["ticks"] > before, 5.0, "its timer goes on")
 
 
 class NodeletLibrariesTest(LibrariesCase, ManagerCase):
     name = "/libraries"
 
     def setUp(self):
-        self.process = CppManager("/cpp_manager")
-        self.addCleanup(self.process.__exit__)
-        self.process.load("Libraries", "/libraries")
+        self.enter(CppManager("/cpp_manager")).load("Libraries", "/libraries")
 
     def test_sim_time(self):
         rospy.set_param("/use_sim_time", True)
         try:
-            manager = CppManager("/simulated")
-            self.addCleanup(manager.__exit__)
+            manager = self.enter(CppManager("/simulated"))
         finally:
             rospy.delete_param("/use_sim_time")
         publisher = rospy.Publisher("/clock", Clock, queue_size=10)
@@ -104,8 +91,7 @@ class NodeLibrariesTest(LibrariesCase, ManagerCase):
     name = "/libraries"
 
     def setUp(self):
-        self.process = graph.Ended(*LIBRARIES)
-        self.addCleanup(self.process.__exit__)
+        self.run_process(*LIBRARIES)
         rospy.wait_for_service("/libraries/environment", 20.0 * BUSY)
 
     def test_children_do_not_get_the_library(self):

@@ -18,7 +18,7 @@ from cpp_suite import CppManager, start
 from dyknow_msgs.srv import SetConfigResponse
 from graph import set_config
 from nodelet.srv import NodeletUnload
-from processes import TellingCase
+from processes import BUSY, TellingCase
 
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
 #: Workspaces in build/ whose nodelet managers are tried.
@@ -72,8 +72,10 @@ class Stress(threading.Thread):
 
     def run(self) -> None:
         try:
-            while time.monotonic() < self._until and not self._manager.has_ended:
+            while not self._manager.has_ended:
                 self._live()
+                if time.monotonic() > self._until and self.moves > 2:
+                    return
         except Exception as error:
             self.trouble = f"{self._name}: {error!r}"
 
@@ -132,13 +134,12 @@ class StressTest(TellingCase):
             for thread in threads:
                 thread.start()
             for thread in threads:
-                thread.join(SECONDS + 60.0)
+                thread.join(SECONDS + 20.0 * BUSY)
                 self.assertFalse(thread.is_alive(), manager.output)
             moves = sum(thread.moves for thread in threads)
             print(f"{workspace}: {moves} moves, {sum(each.refused for each in threads)} refused")
             self.assertFalse(manager.has_ended, manager.output)
             self.assertEqual([each.trouble for each in threads if each.trouble], [])
-            self.assertGreater(moves, 10)
             self.assertLess(sum(each.dropped for each in threads), 2 + moves / 2000)
             manager.stop()
             self.assertEqual(manager.exit_code(10.0), 0, manager.output)

@@ -92,13 +92,11 @@ def verdicts(name: str, command: Sequence[object], **environment: str) -> Mappin
     """Runs a suite and returns what became of each of its tests."""
     setup = 'source "$0/devel/setup.bash" --extend && exec "$@"'
     with tempfile.TemporaryDirectory() as folder:
-        if command[0] == "rostest":
-            words = (*command, f"--results-base-dir={folder}")
-        else:
-            words = (*command, f"--gtest_output=xml:{folder}/gtest.xml")
-        code = run(
-            ("bash", "-c", setup, WORKSPACE, *words), SUITE_TIMEOUT, ROS_HOME=folder, **environment
-        )
+        is_rostest = command[0] == "rostest"
+        option = "--results-base-dir=" if is_rostest else "--gtest_output=xml:"
+        words = (*command, option + folder + ("" if is_rostest else "/gtest.xml"))
+        environment["ROS_HOME"] = folder
+        code = run(("bash", "-c", setup, WORKSPACE, *words), SUITE_TIMEOUT, **environment)
         found = {
             f"{case.get('classname')}.{case.get('name')}": "failed"
             if case.find("failure") is not None or case.find("error") is not None

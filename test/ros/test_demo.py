@@ -78,8 +78,8 @@ class SoccerTest(DemoCase):
 
     def test_the_story_of_a_master_of_its_own_and_of_the_launch_file(self):
         """Side by side, so the claim allows silences that a busy machine may make."""
-        own = self.start("--seconds", "1.2", "--max-silence", "10", alone=True)
-        words = ("--no-summary", "dyknow", "soccer.launch", "seconds:=1.2", "max_silence:=10")
+        own = self.start("--seconds", "2.4", "--max-silence", "10", alone=True)
+        words = ("--no-summary", "dyknow", "soccer.launch", "seconds:=2.4", "max_silence:=10")
         folders = (f"pictures:={self.folder}/new", f"state_dir:={self.folder}/state")
         with Running("roslaunch", *words, *folders) as launch:
             self.assert_told(launch, self.folder / "new")
@@ -109,7 +109,7 @@ class RewiringTest(DemoCase):
         for number in range(3):
             pixels = np.full((48, 64, 3), 50 * number, np.uint8)
             cv2.imwrite(str(self.folder / f"{number}.jpg"), pixels)
-        demo = self.start("--rewiring", "--frames", str(self.folder), "--seconds", "0.6")
+        demo = self.start("--rewiring", "--frames", str(self.folder), "--seconds", "1.2")
         self.assertEqual(demo.exit_code(60.0), 0, demo.output)
         self.assertGreater(int(self.read(demo, BALANCED)), 0)
         self.assertEqual(len(re.findall(r"^camera_.* ms$", demo.output, re.M)), 6, demo.output)

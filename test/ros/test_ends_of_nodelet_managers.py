@@ -11,21 +11,21 @@ from __future__ import annotations
 
 import signal
 import unittest
-from typing import Callable
+from typing import Any
 
 import rosnode
 import rospy
 import rostest
-from manager_suite import CHILD, ManagerCase, eventually, specification
-from nodelet.srv import NodeletLoad, NodeletUnload
-from processes import NODELET, STOCK_NODELET, Running
+from manager_suite import CHILD, CPP_CHILD, ManagerCase, listed, specification
+from nodelet.srv import NodeletUnload
+from processes import NODELET, STOCK_NODELET, Running, becomes, eventually
 from std_msgs.msg import String
 
 from dyknow.model.graph import State
-from dyknow.ros.process.os_process import ProcessId
 
 PEER = "/peer"
-CPP = "/dyknow_cpp_nodelet_manager"
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+PROTECTED = ("/counter", "/relay2")
 NATIVE = specification("native", "image_proc/resize", ">image ~image>")
 #: Port to topic, by nodelet; an order makes `/fatal` end its process.
 WIRING = {
@@ -40,173 +40,118 @@ class EndsTest(ManagerCase):
     def setUp(self):
         peers = [PEER] if "peer" in self._testMethodName else []
         self.manager = self.started(nodelet_managers=peers)
+        self.client = self.manager.client
 
-    def spawn(self, manager: str) -> None:
+    def spawn(self, manager: str = "") -> None:
         for name, wiring in WIRING.items():
             label = name.strip("/12")
-            protected = name in ("/counter", "/relay2")
-            self.manager.client.spawn(label, name, wiring, protected, manager=manager)
-            self.addCleanup(self.forget, name)
+            self.client.spawn(label, name, wiring, name in PROTECTED, manager=manager)
 
-    def forget(self, name: str) -> None:
-        for key in rospy.get_param_names():
-            if key.startswith(name + "/"):
-                rospy.delete_param(key)
+    def nodelets(self) -> Any:
+        return self.client.get_model().nodelets
 
-    def order(self, way: str) -> None:
-        publisher = rospy.Publisher("/fatal/order", String, queue_size=1, latch=True)
-        try:
-            child = self.manager.child()
-            publisher.publish(way)
-            eventually(publisher.get_num_connections, 10.0, "it listens")
-            eventually(lambda: not child.alive, 20.0, "its process has ended")
-        finally:
-            publisher.unregister()
+    def are(self, state: State, *names: str) -> None:
+        """Wait until these nodelets, and no others, are in a state."""
+        becomes(lambda: {n.name for n in self.nodelets() if n.state is state}, {*names})
 
     def looks_as_spawned(self) -> bool:
         """Whether everything is as it was, with nothing added."""
-        found = {each.name: each for each in self.manager.client.get_model().nodelets}
         return {
-            name: {port.name: port.topic for port in nodelet.ports}
-            for name, nodelet in found.items()
-            if nodelet.state is State.RUNNING
-            and nodelet.is_protected == (name in ("/counter", "/relay2"))
+            each.name: {port.name: port.topic for port in each.ports}
+            for each in self.nodelets()
+            if each.state is State.RUNNING and each.is_protected == (each.name in PROTECTED)
         } == WIRING
 
-    def check_back(self, process: Callable[[], ProcessId], end: Callable[[], None]) -> None:
-        self.assertTrue(self.looks_as_spawned())
-        ended = process()
-        end()
-        eventually(lambda: not ended.alive, 10.0, "its process has ended")
-        eventually(lambda: process() != ended, 10.0, "another has taken its place")
-        eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
+    def is_back(self) -> None:
+        eventually(self.looks_as_spawned, 10.0, "all nodelets are back", self.nodelets)
 
     # A nodelet manager of the DyKnow manager's own
 
-    def check_child(self, end: Callable[[], None]) -> None:
-        self.spawn("")
-        self.check_back(self.manager.child, end)
+    def order_shutdown(self) -> None:
+        order = rospy.Publisher("/fatal/order", String, queue_size=1, latch=True)
+        child = self.manager.child()
+        order.publish("shutdown")
+        eventually(lambda: not child.alive, 20.0, "its process has ended")
+        order.unregister()
 
-    def test_sigint(self):
-        self.check_child(lambda: self.manager.child().signal(signal.SIGINT))
-
-    def test_sigterm(self):
-        self.check_child(lambda: self.manager.child().signal(signal.SIGTERM))
-
-    def test_sigkill(self):
-        self.check_child(lambda: self.manager.child().signal(signal.SIGKILL))
-
-    def test_a_crash(self):
-        self.check_child(lambda: self.manager.child().signal(signal.SIGSEGV))
-
-    def test_rosnode_kill(self):
-        self.check_child(lambda: rosnode.kill_nodes([CHILD]))
-
-    def test_a_nodelet_that_shuts_the_node_down(self):
-        self.check_child(lambda: self.order("shutdown"))
+    def test_a_child(self):
+        self.spawn()
+        ends = [
+            lambda number=number: self.manager.child().signal(number)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGSEGV)
+        ]
+        for end in (*ends, lambda: rosnode.kill_nodes([CHILD]), self.order_shutdown):
+            ended = self.manager.child()
+            end()
+            eventually(lambda: self.manager.child() != ended, 10.0, "started")  # noqa: B023
+            self.is_back()
 
     def test_an_isolated_one(self):
-        self.manager.client.spawn("relay", "/alone", {"in": "/s0", "out": "/s1"}, isolated=True)
-        self.addCleanup(self.forget, "/alone")
+        self.client.spawn("relay", "/alone", {"in": "/s0", "out": "/s1"}, isolated=True)
         before = self.manager.nodelet("/alone")
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            ended = self.manager.child("/alone_nodelet_manager")
-            ended.signal(number)
-            eventually(lambda: not ended.alive, 10.0, "its process has ended")  # noqa: B023
-            eventually(lambda: self.manager.nodelet("/alone") != before, 5.0, "it is missed")
-            eventually(lambda: self.manager.nodelet("/alone") == before, 10.0, "it is back")
+        for number in SIGNALS:
+            self.manager.kill_child("/alone_nodelet_manager", number)
+            becomes(lambda: self.manager.nodelet("/alone"), before)
 
     def test_another_nodelet_manager_that_takes_the_name(self):
         """It keeps the name, as everywhere in ROS; once it has ended, everything is back."""
-        self.spawn("")
+        self.spawn()
         ended = self.manager.child()
         with Running(*NODELET, "manager", f"__name:={CHILD[1:]}"):
             eventually(lambda: not ended.alive, 10.0, "its process has ended")
             eventually(lambda: not self.looks_as_spawned(), 10.0, "the model shows it")
-        eventually(self.looks_as_spawned, 40.0, "all nodelets are back")
+        self.is_back()
         self.assertNotEqual(self.manager.child(), ended)
 
     def test_a_stock_nodelet_manager(self):
-        self.manager.client.add_transformation(NATIVE)
-        for number in range(3):
-            self.manager.client.spawn("native", f"/native{number}", {"image": "/i"}, number == 0)
-            self.addCleanup(self.forget, f"/native{number}")
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            ended = self.manager.child(CPP)
-            ended.signal(number)
-            eventually(lambda: self.manager.child(CPP) != ended, 10.0, "started")  # noqa: B023
-            eventually(self.natives_run, 10.0, "all nodelets are back")
-
-    def natives_run(self) -> bool:
-        found = self.manager.client.get_model().nodelets
-        return [each.name for each in found if each.state is State.RUNNING] == [
-            f"/native{number}" for number in range(3)
-        ]
+        self.client.add_transformation(NATIVE)
+        names = [f"/native{number}" for number in range(3)]
+        for name in names:
+            self.client.spawn("native", name, {"image": "/i"}, name == names[0])
+        for number in SIGNALS:
+            self.manager.kill_child(CPP_CHILD, number)
+            self.are(State.RUNNING, *names)
 
     # An external nodelet manager, which is started, ended and started again
 
-    def test_a_peer_that_others_end(self):
-        peer = self.start_peer()
-        self.spawn(PEER)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            peer.stop(number)
-            peer.exit_code(20.0)
-            eventually(self.all_lost, 5.0, "all nodelets are missed")
-            peer = self.start_peer()
-            eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
-
-    def test_another_nodelet_manager_that_takes_the_name_of_a_peer(self):
-        peer = self.start_peer()
-        self.spawn(PEER)
-        self.start_peer()
-        peer.exit_code(20.0)
-        eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
-
     def start_peer(self) -> Running:
-        peer = Running(*NODELET, "manager", f"__name:={PEER[1:]}")
-        self.addCleanup(peer.__exit__)
+        peer = self.run_process(*NODELET, "manager", f"__name:={PEER[1:]}")
         peer.wait_for("Initializing nodelet")
         return peer
 
-    def all_lost(self) -> bool:
-        found = self.manager.client.get_model().nodelets
-        return [each.name for each in found if each.state is State.LOST] == sorted(WIRING)
+    def test_a_peer_that_others_end_and_one_that_takes_its_name(self):
+        peer = self.start_peer()
+        eventually(lambda: listed(PEER) is not None, 10.0, "it is up")
+        self.spawned(self.manager, "/first", PEER)
+        self.client.destroy("/first")
+        self.spawn(PEER)
+        for number in SIGNALS:
+            peer.stop(number)
+            peer.exit_code(20.0)
+            self.are(State.LOST, *WIRING)
+            peer = self.start_peer()
+            self.is_back()
+        self.start_peer()
+        peer.exit_code(20.0)
+        self.is_back()
 
     # Nodelets that were unloaded on purpose
 
-    def test_what_is_unloaded_by_the_stock_service_is_gone(self):
-        self.spawn("")
-        unload = rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)
-        unload("/relay1")
-        eventually(lambda: self.manager.nodelet("/relay1") is None, 1.0, "it is gone")
-        self.manager.kill_child()
-        self.assert_gone("/relay1")
-
-    def test_a_nodelet_that_unloads_itself_is_gone(self):
-        self.spawn("")
-        self.manager.client.spawn("suicidal", "/suicidal", {"in": "/s0"})
-        eventually(lambda: self.manager.nodelet("/suicidal") is None, 1.0, "it is gone")
-        self.manager.kill_child()
-        self.assert_gone("/suicidal")
-
-    def test_what_a_broken_bond_unloads_is_gone(self):
-        self.spawn("")
+    def test_what_was_unloaded_stays_away(self):
+        """By the stock service, by itself, or by a broken bond."""
+        self.spawn()
+        rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/relay1")
+        self.manager.is_gone("/relay1")
+        self.client.spawn("suicidal", "/suicidal", {"in": "/s0"})
+        self.manager.is_gone("/suicidal")
         with Running(*STOCK_NODELET, "load", "dyknow_manager_test/Relay", CHILD) as client:
-            eventually(lambda: len(self.manager.client.get_model().nodelets) == 5, 5.0, "seen")
+            eventually(lambda: len(self.nodelets()) == 4, 5.0, "it is seen")
         self.assertTrue(client.has_ended)
-        eventually(lambda: len(self.manager.client.get_model().nodelets) == 4, 10.0, "it is gone")
-        self.assertTrue(self.looks_as_spawned())
-
-    def assert_gone(self, name: str) -> None:
-        others = [each for each in WIRING if each != name]
-        load = rospy.ServiceProxy(f"{CHILD}/load_nodelet", NodeletLoad)
-        load.wait_for_service(20.0)
-
-        def all_back() -> bool:
-            found = {each.name: each.state for each in self.manager.client.get_model().nodelets}
-            return found == dict.fromkeys(others, State.RUNNING)
-
-        eventually(all_back, 10.0, "the others are back, and nothing else")
+        left = {*WIRING} - {"/relay1"}
+        becomes(lambda: {each.name for each in self.nodelets()}, left)
+        self.manager.kill_child()
+        self.are(State.RUNNING, *left)
+        self.assertEqual({each.name for each in self.nodelets()}, left)
 
 
 def load_tests(loader, tests, pattern) -> unittest.TestSuite:

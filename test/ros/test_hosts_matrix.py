@@ -30,7 +30,7 @@ class FaultsTest(ClaimOverHosts):
         self.loses_it(self.network.without((self.network.desk, self.far)), SECONDS)
 
     def test_the_nodelet_manager_is_stopped(self):
-        self.loses_it(self.stopped(), SECONDS)
+        self.loses_it(self.stopped(self.far_process.stop), SECONDS)
 
     def test_100_ms_each_way(self):
         self.keeps_it(self.network.far(self.far, 0.1), SECONDS)

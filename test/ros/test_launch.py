@@ -19,9 +19,8 @@ import graph
 import rosgraph
 import rospy
 import rostest
-from graph import registrations, set_config, topics_of_ports
-from processes import DYKNOW, TellingCase, eventually, free_port
-from rospy.exceptions import ROSException
+from graph import comes, connect, registered, topics_of_ports
+from processes import BUSY, DYKNOW, TellingCase, becomes, eventually, free_port
 from std_msgs.msg import String
 
 from dyknow.ros.wire.master import Master
@@ -29,7 +28,7 @@ from dyknow.ros.wire.master import Master
 FILES = Path(__file__).resolve().parent.parent / "launch"
 LAUNCH = (*DYKNOW, "launch")
 PLAIN = ("roslaunch",)
-#: Additional names of a re-wirable node.
+#: Additional names of a re-wirable node and, the last one, of a nodelet manager.
 OURS = re.compile(
     "^/dyknow/|/(get_config|set_config|get_statistics|get_counts|renew_lease|changes)$"
 )
@@ -66,9 +65,6 @@ class Launched(graph.Ended):
             return False
         return types.get("/one/camera/seen") == "sensor_msgs/Image" and "/one/again" in types
 
-    def said(self) -> str:
-        return self.output
-
     def parameters(self) -> dict[str, Any]:
         return dict(self._master.getParam("/one"), name=self._master.getParam("/robot_name"))
 
@@ -83,15 +79,6 @@ def rewirable_nodes(*words: str) -> set[str]:
         [*LAUNCH, *words, "--dry-run", "--json"], stdout=subprocess.PIPE, check=True, text=True
     )
     return {each["node"] for each in json.loads(done.stdout)["nodes"] if not each["why"]}
-
-
-def comes(topic: str) -> bool:
-    """Whether a message comes on a topic within a second."""
-    try:
-        rospy.wait_for_message(topic, String, 1.0)
-    except ROSException:
-        return False
-    return True
 
 
 class RobotTest(TellingCase):
@@ -113,16 +100,25 @@ class RobotTest(TellingCase):
         cls.plain = Launched(PLAIN, "robot.launch", cls.words[0], bags[1], own=True)
         cls.addClassCleanup(cls.plain.__exit__)
         for launch in (cls.ours, cls.plain):
-            eventually(launch.is_complete, 30.0, "all nodes are up", launch.said)
+            eventually(
+                launch.is_complete, 30.0, "all nodes are up", lambda each=launch: each.output
+            )
+
+    def ports(self, node: str) -> dict[str, str]:
+        """Topics of the ports of a node, which may only be starting."""
+        rospy.wait_for_service(f"{node}/get_config", 20.0 * BUSY)
+        return topics_of_ports(node)
+
+    def has_ports(self, node: str, **topics: str) -> None:
+        becomes(lambda: self.ports(node), topics)
 
     def test_the_graph_is_that_of_roslaunch(self):
         eventually(
-            lambda: self.ours.graph() == self.plain.graph(),
+            lambda: self.ours.graph() == self.plain.graph() and len(self.ours.graph()) == 13,
             10.0,
             "both have the same graph",
             lambda: f"{self.ours.graph()}\n{self.plain.graph()}",
         )
-        self.assertEqual(len(self.ours.graph()), 13)
         self.assertEqual(self.ours.parameters(), self.plain.parameters())
 
     def test_the_start_says_what_is_left_alone(self):
@@ -134,51 +130,46 @@ class RobotTest(TellingCase):
             self.assertRegex(self.ours.output, line)
 
     def test_all_that_are_to_be_rewirable_are(self):
-        expected = {
-            "/one/repeater": {"heard": "/one/words", "said": "/one/said"},
-            "/one/in_its_folder": {"slow/rarely": "/one/slow/rarely", "again": "/one/again"},
-        }
-        for node, topics in expected.items():
-            self.assertEqual(topics_of_ports(node), topics)
+        self.has_ports("/one/repeater", heard="/one/words", said="/one/said")
+        topics = {"slow/rarely": "/one/slow/rarely", "again": "/one/again"}
+        self.has_ports("/one/in_its_folder", **topics)
         nodes = rewirable_nodes(str(FILES / "robot.launch"), *self.words)
-        self.assertGreaterEqual(nodes, {*expected, "/one/slow/throttle", "/one/slow/chooser"})
+        few = {f"/one/{name}" for name in ("repeater", "in_its_folder", "slow/throttle")}
+        self.assertGreaterEqual(nodes, {*few, "/one/slow/chooser"})
         nodes |= {f"/one/camera/{name}" for name in ("rectify_mono", "debayer", "driver")}
         for node in nodes - {"/one/camera/vision"}:
-            self.assertTrue(topics_of_ports(node), node)
+            eventually(lambda node=node: self.ports(node), 10.0, f"{node} has ports")
 
     def test_nodelets_of_an_included_file_are_rewired(self):
         debayer, manager = "/one/camera/debayer", "/one/camera/vision"
-        topics = topics_of_ports(debayer)
+        eventually(lambda: "image_raw" in self.ports(debayer), 10.0, "it is subscribed to")
+        topics = self.ports(debayer)
         self.assertEqual(topics["image_raw"], "/one/camera/image_raw")
-        self.assertTrue(set_config(debayer, image_color="/moved/color").success)
-        self.assertIn("/moved/color", registrations(manager)["publishers"])
-        self.assertTrue(set_config(debayer, **topics).success)
+        connect(debayer, image_color="/moved/color")
+        self.assertIn("publishers /moved/color", registered(manager))
+        connect(debayer, **topics)
 
     def test_a_script_is_rewired(self):
         port = "/one/words"  # the script makes the name global itself
-        answer = set_config("/one/talker", **{port: "/moved/words"})
-        self.assertTrue(answer.success, answer.message)
-        eventually(lambda: comes("/moved/words"), 5.0, "words come on the other topic")
-        self.assertTrue(set_config("/one/talker", **{port: port}).success)
+        eventually(lambda: port in self.ports("/one/talker"), 10.0, "it talks")
+        connect("/one/talker", **{port: "/moved/words"})
+        comes("/moved/words", String)
+        connect("/one/talker", **{port: port})
 
     def test_a_node_that_is_started_again_is_rewirable_again(self):
-        self.assertTrue(comes("/one/said"))
-        answer = set_config("/one/repeater", said="/moved/said")
-        self.assertTrue(answer.success, answer.message)
-        eventually(lambda: comes("/moved/said"), 5.0, "words come on the other topic")
-        subprocess.run(["rosnode", "kill", "/one/repeater"], check=True, stdout=subprocess.DEVNULL)
-        eventually(lambda: comes("/one/said"), 10.0, "it is back where the file puts it")
-        eventually(
-            lambda: set_config("/one/repeater", said="/moved/said").success,
-            5.0,
-            "it is moved again",
-        )
-        eventually(lambda: comes("/moved/said"), 5.0, "words come on the other topic again")
-        self.assertTrue(set_config("/one/repeater", said="/one/said").success)
+        comes("/one/said", String)
+        for number in range(2):
+            eventually(lambda: "said" in self.ports("/one/repeater"), 10.0, "it has the port")
+            connect("/one/repeater", said="/moved/said")
+            comes("/moved/said", String)
+            if number == 0:
+                subprocess.run(["rosnode", "kill", "/one/repeater"], check=True)
+                comes("/one/said", String)  # it is back where the file puts it
+        connect("/one/repeater", said="/one/said")
 
     def test_a_node_runs_in_its_folder(self):
         node, master = "/one/in_its_folder", Master("/tests")
-        pid = master.pid(node, master.node(node), 2.0)
+        pid = master.pid(node, master.node(node), 2.0 * BUSY)
         self.assertEqual(os.readlink(f"/proc/{pid}/cwd"), "/usr/lib/topic_tools")
 
 
@@ -188,10 +179,10 @@ class EndTest(TellingCase):
     def codes(self, act: Callable[[Launched], None], *arguments: str) -> list[int]:
         """Exit codes of both, which are acted upon, and have ended all that they started."""
         both = (LAUNCH, PLAIN)
-        launches = [Launched(each, "ends.launch", *arguments, own=True) for each in both]
+        launches = [
+            self.enter(Launched(each, "ends.launch", *arguments, own=True)) for each in both
+        ]
         codes = []
-        for launch in launches:
-            self.addCleanup(launch.__exit__)
         for launch in launches:
             act(launch)
             codes.append(launch.exit_code(20.0))

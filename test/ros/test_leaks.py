@@ -6,84 +6,89 @@
 
 from __future__ import annotations
 
-import itertools
-import unittest
+import os
 
 import graph  # first: it makes the test package known
 import rospy
 import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
-from graph import PEER, Ended, Manager, call
-from processes import eventually
-from std_msgs.msg import Header
+from graph import Heard, NodeletManagerCase, call, peer
+from processes import becomes, eventually
 
-#: For connections that the master keeps, and workers that were started while the machine was busy.
+SCRIPTS = {
+    "/talker": ["talker.py", "--word", "w"],
+    "/both": ["both_ways.py"],
+    "/server": ["libraries.py"],
+    "/client": ["libraries.py", "/server/count"],
+    "/reconfigured": ["reconfigured.py"],
+    "/endless": ["endless.py", "sleepy", "waiting", "working"],
+}
+#: What may come and go: connections that the master keeps, workers started while the machine was
+#: busy, functions of these threads. A leak goes beyond.
 SPARE = 10
-#: Rounds inside the process, across processes, and of loads.
-INSIDE, ACROSS, LOADS = 1000, 100, 100
+PAGE = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
-class LeakTest(unittest.TestCase):
-    def setUp(self):
-        self.manager = Manager("/manager")
-        self.addCleanup(self.manager.__exit__)
+class LeakCase(NodeletManagerCase):
+    def holdings(self) -> dict[str, float]:
+        return {"descriptors": self.manager.descriptors(), "threads": self.manager.threads()}
 
-    def holdings(self):
-        return self.manager.descriptors(), self.manager.threads()
+    def leaves_nothing(self, action, warm, rounds, **most):
+        """Repeat an action; wait until the process holds no more than after the first rounds."""
+        for _ in range(warm):
+            action()
+        own = graph.registered("/manager")
+        before = self.holdings()
+        for _ in range(rounds):
+            action()
+        becomes(lambda: graph.registered("/manager"), own)
+        most = {**dict.fromkeys(before, SPARE), **most}
 
-    def assert_back(self, before, what):
-        """Wait until there are no more descriptors and threads than before.
+        def grown():
+            after = self.holdings()
+            return {key: after[key] - before[key] for key in most}
 
-        rospy's registrations and closing of connections take some time.
-        """
+        def is_settled():
+            if all(value <= most[key] for key, value in grown().items()):
+                return True
+            # A class that all scripts share may keep the last script's copies of a library, as
+            # actionlib's does, until another script has used it. A leak grows by this.
+            action()
+            return False
 
-        def back():
-            self.last = self.holdings()
-            return all(now <= then + SPARE for now, then in zip(self.last, before))
+        print(f"after {rounds} rounds: {grown()}")
+        eventually(is_settled, 10.0, f"no more than {most} after {rounds} rounds", grown)
 
-        eventually(
-            back, 10.0, what, lambda: f"{self.last} descriptors and threads, {before} before"
-        )
 
+class LeakTest(LeakCase):
     def rewires(self, warm, rounds, *topics):
         """Move both ports of /n between pairs of topics, over one connection."""
         change = rospy.ServiceProxy("/n/set_config", SetConfig, persistent=True)
         self.addCleanup(change.close)
-        pairs = itertools.cycle(topics)
 
         def rewire():
-            source, target = next(pairs)
-            self.assertTrue(change([PortConfig("in", source), PortConfig("out", target)]).success)
+            for source, target in topics:
+                ports = [PortConfig("in", source), PortConfig("out", target)]
+                self.assertTrue(change(ports).success)
 
         self.leaves_nothing(rewire, warm, rounds)
-
-    def leaves_nothing(self, action, warm, rounds):
-        for _ in range(warm):
-            action()
-        before, registered = self.holdings(), graph.registrations("/manager")
-        for _ in range(rounds):
-            action()
-        eventually(lambda: graph.registrations("/manager") == registered, 5.0, "registrations")
-        self.assert_back(before, f"after {rounds} rounds")
 
     def test_rewirings_inside(self):
         self.manager.load("Talker", "/talker", {"/out": "/a"})
         self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
-        self.rewires(20, INSIDE, ("/a", "/b"), ("/c", "/d"))
+        self.rewires(10, 500, ("/c", "/d"), ("/a", "/b"))
 
     def test_rewirings_across_processes(self):
-        peers = [Ended(*PEER, "talk", "200", "/a", "/c"), Ended(*PEER, "listen", "/b", "/d")]
-        for peer in peers:
-            self.addCleanup(peer.__exit__)
+        self.run_process(*peer("talk", "200", "/a", "/c"))
+        listener = self.run_process(*peer("listen", "/b", "/d"))
         self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
-        peers[1].wait_for("/b ")
-        self.rewires(10, ACROSS, ("/c", "/d"), ("/a", "/b"))
+        listener.wait_for("/b ")
+        self.rewires(5, 50, ("/c", "/d"), ("/a", "/b"))
 
     def test_loads_and_unloads(self):
-        listener = rospy.Subscriber("/b", Header, lambda message: None)
-        speaker = rospy.Publisher("/a", Header, queue_size=1)
-        self.addCleanup(listener.unregister)
+        self.enter(Heard("/b"))
+        speaker = rospy.Publisher("/a", graph.Header, queue_size=1)
         self.addCleanup(speaker.unregister)
         topics = {"/in": "/a", "/out": "/b"}
 
@@ -94,10 +99,35 @@ class LeakTest(unittest.TestCase):
             self.manager.unload_all()
             with self.assertRaises(rospy.ServiceException):
                 self.manager.load("FailsInInit", "/n", topics)
+            self.nothing_is_left()
 
-        self.leaves_nothing(load_and_unload, 5, LOADS)
+        self.leaves_nothing(load_and_unload, 5, 100)
+
+
+class ScriptLeakTest(LeakCase):
+    def test_scripts(self):
+        # Until caches are full, pools of threads are as large as they become, and the heap has
+        # holes for all that comes and goes: it grows by 18 MB in 60 cycles, and by 2 MB from the
+        # 300th to the 600th.
+        warm, cycles, memory = (rospy.get_param(f"~{n}") for n in ("warm", "cycles", "memory"))
+        self.leaves_nothing(self.cycle, warm, cycles, modules=0, memory=memory)
+
+    def cycle(self) -> None:
+        for name, (script, *arguments) in SCRIPTS.items():
+            self.manager.load("dyknow/Script", name, {}, [f"dyknow_test/{script}", *arguments])
+        for name in reversed(SCRIPTS):
+            self.manager.unload(name)
+        self.nothing_is_left()
+
+    def holdings(self) -> dict[str, float]:
+        self.manager.load("dyknow/Script", "/census", {}, ["dyknow_test/census.py"])
+        becomes(self.manager.list, [])  # the census has ended
+        with open(f"/proc/{self.manager.pid}/statm") as file:
+            memory = int(file.read().split()[1]) * PAGE
+        return {**super().holdings(), **rospy.get_param("/census"), "memory": memory}
 
 
 if __name__ == "__main__":
     rospy.init_node("leaks_test")
-    rostest.rosrun("dyknow", "leaks", "__main__")
+    is_of_scripts = rospy.has_param("~cycles")
+    rostest.rosrun("dyknow", "leaks", ScriptLeakTest if is_of_scripts else LeakTest)

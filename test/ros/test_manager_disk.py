@@ -2,17 +2,15 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The DyKnow manager on a disk that is full or read-only, and leases across its death."""
+"""The DyKnow manager on a disk that is full or read-only."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
-import signal
 import sys
 import tempfile
-import time
 from pathlib import Path
 from unittest import mock
 
@@ -20,117 +18,105 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import rospy
 import rostest
+from dyknow_msgs.srv import Spawn
 from faulty_disk import full, kept_aside, read_only, small_disk
-from manager_suite import CHILD, MANAGER, ManagerCase, ManagerProcess, Receiver, eventually
-from processes import BUSY, Running
-from rosservice import get_service_class_by_name
+from graph import Heard
+from manager_suite import CHILD, MANAGER, ManagerCase, specification
+from processes import Running, becomes, eventually
 
 from dyknow import __version__
 from dyknow.model.graph import State
-from dyknow.model.streams import StreamRequest
 from dyknow.ros.process.signals import FAILED
 
-SOURCE = """<transformation><label>numbers</label><source>dyknow_manager_test/Counter</source>
-<ports><port type="out">out</port></ports><tags><tag port="out">Numbers(test)</tag></tags>
-</transformation>"""
+SOURCE = specification("numbers", "dyknow_manager_test/Counter", "out>")
 
 
 class ManagerDiskTest(ManagerCase):
-    def on_a_small_disk(self) -> tuple[ManagerProcess, Path]:
+    def setUp(self):
         parent = tempfile.TemporaryDirectory()
         self.addCleanup(parent.cleanup)
         stack = contextlib.ExitStack()
         self.addCleanup(stack.close)
-        disk = stack.enter_context(small_disk(Path(parent.name) / "disk"))
-        manager = self.make(state_dir=str(disk))
-        manager.state = str(disk)
-        return manager, disk
+        self.disk = stack.enter_context(small_disk(Path(parent.name) / "disk"))
+        self.manager = self.make(state_dir=str(self.disk))
+        self.manager.state = str(self.disk)
 
-    def state_file(self, disk: Path) -> str:
-        (found,) = disk.glob("*-dyknow-manager.sqlite3")
-        return str(found)
+    def begin(self):
+        self.manager.start()
+        self.manager.client.add_transformation(SOURCE)
+        self.manager.client.spawn("numbers", "/a", {"out": "/s"})
 
-    def states(self, manager: ManagerProcess) -> dict[str, State]:
-        return {each.name: each.state for each in manager.client.get_model().nodelets}
-
-    def all_run(self, manager: ManagerProcess, *names: str) -> None:
+    def all_run(self, *names):
         wanted = dict.fromkeys(names, State.RUNNING)
-        eventually(
-            lambda: self.states(manager) == wanted, 30.0, f"{names} run", lambda: manager.output
-        )
+
+        def states():
+            return {each.name: each.state for each in self.manager.client.get_model().nodelets}
+
+        eventually(lambda: states() == wanted, 30.0, f"{names} run", lambda: self.manager.output)
+
+    def is_written_again(self, *names):
+        """Wait until the disk has everything; a manager that is killed then knows it again."""
+        said = lambda: "is written again" in self.manager.output  # noqa: E731
+        eventually(said, 15.0, "the disk is tried again")
+        self.manager.kill()
+        with full(self.disk):
+            self.manager.start()
+            self.all_run(*names)
+        self.manager.kill()
+        self.manager.start()
+        self.all_run(*names)
+        (state,) = self.disk.glob("*-dyknow-manager.sqlite3")
+        self.assertEqual(kept_aside(str(state)), [])
 
     def test_a_full_disk_stops_nothing_and_takes_what_it_missed_later(self):
-        manager, disk = self.on_a_small_disk()
-        manager.start()
-        manager.client.add_transformation(SOURCE)
-        manager.client.spawn("numbers", "/a", {"out": "/s"})
-        spawn = rospy.ServiceProxy(
-            f"{MANAGER}/spawn", get_service_class_by_name(f"{MANAGER}/spawn")
-        )
-        receiver, child = Receiver("/s"), manager.child()
-        self.addCleanup(receiver.close)
-        with full(disk):
+        self.begin()
+        manager, receiver = self.manager, self.enter(Heard("/s"))
+        child = manager.child()
+        spawn = rospy.ServiceProxy(f"{MANAGER}/spawn", Spawn)
+        with full(self.disk):
             message, count = "", 0
             while not message:  # there may be room for a few more
                 answer = spawn(label="numbers", name=f"/n{count}")
                 self.assertTrue(answer.success, answer.message)
                 message, count = answer.message, count + 1
             self.assertIn("not on disk yet", message)
-            self.assertIn("the disk is full; free some space", message)
-            self.assertIn("the disk is full; free some space", manager.output)
+            for said in (message, manager.output):
+                self.assertIn("the disk is full; free some space", said)
             self.assertNotIn("rollback", manager.output)
             with self.assertLogs("rosout.dyknow", "WARNING") as told:
                 manager.client.spawn("numbers", "/alone", isolated=True)
             self.assertIn("not on disk yet", told.output[0])
             for number in range(count):
                 manager.client.destroy(f"/n{number}")
-            self.all_run(manager, "/a", "/alone")
-            child.signal(signal.SIGKILL)
-            child.wait(5.0 * BUSY)
-            receiver.numbers.clear()
-            receiver.flows(30.0)
-            self.all_run(manager, "/a", "/alone")
-        eventually(lambda: "is written again" in manager.output, 15.0, "the disk is tried again")
-        eventually(
-            lambda: {CHILD, "/alone_nodelet_manager"} == set(manager.children())
-            and manager.child() != child,
-            15.0,
-            "so is the list of processes",
-        )
-        manager.kill()
-        with full(disk):
-            manager.start()
-            self.all_run(manager, "/a", "/alone")
-        manager.kill()
-        manager.start()
-        self.all_run(manager, "/a", "/alone")
-        self.assertEqual(kept_aside(self.state_file(disk)), [])
+            self.all_run("/a", "/alone")
+            child.signal(9)
+            eventually(lambda: not child.alive, 5.0, "it is dead")
+            receiver.flows()
+            self.all_run("/a", "/alone")
+        becomes(lambda: {*manager.children()}, {CHILD, "/alone_nodelet_manager"})
+        eventually(lambda: manager.child() != child, 15.0, "the list of processes is written")
+        self.is_written_again("/a", "/alone")
 
     def test_a_read_only_state_is_read_and_what_runs_is_adopted(self):
-        manager, disk = self.on_a_small_disk()
-        manager.start()
-        manager.client.add_transformation(SOURCE)
-        manager.client.spawn("numbers", "/a", {"out": "/s"})
-        process = manager.child()
+        self.begin()
+        manager, process = self.manager, self.manager.child()
         manager.kill()
-        with read_only(disk):
+        with read_only(self.disk):
             manager.start()
-            self.all_run(manager, "/a")
+            self.all_run("/a")
             self.assertEqual(manager.topics("/a"), {"out": "/s"})
             self.assertEqual(manager.child(CHILD), process)
             self.assertIn("it is read-only", manager.output)
+            said = re.findall("DyKnow manager.*", manager.output)[-1]
+            for part in (f"manager {MANAGER}, version {__version__}", manager.state, "1 nodelets"):
+                self.assertIn(part, said)  # its identity, and its restored state
             labels = [each.label for each in manager.client.get_model().transformations]
             self.assertEqual(labels, ["numbers"])
             manager.client.spawn("numbers", "/b")
-            self.all_run(manager, "/a", "/b")
-        eventually(lambda: "is written again" in manager.output, 15.0, "the disk is tried again")
-        manager.kill()
-        manager.start()
-        self.all_run(manager, "/a", "/b")
-        self.assertEqual(kept_aside(self.state_file(disk)), [])
+            self.all_run("/a", "/b")
+        self.is_written_again("/a", "/b")
 
     def test_a_folder_that_cannot_be_written_is_named(self):
-        manager = self.make()
         advice = "~state_dir"
         for variables, argument, folder, cure in (
             ({}, "_state_dir:=/proc/none", "/proc/none", advice),
@@ -141,37 +127,11 @@ class ManagerDiskTest(ManagerCase):
             with self.subTest(folder, **variables), mock.patch.dict(os.environ, variables):
                 if "ROS_HOME" in variables:
                     os.environ.pop("ROS_LOG_DIR", None)
-                with Running(*manager.command, argument) as running:
+                with Running(*self.manager.command, argument) as running:
                     self.assertEqual(running.exit_code(60.0), FAILED, running.output)
                 fatal = [each for each in running.output.splitlines() if "FATAL" in each]
                 self.assertIn(f"'{folder}", fatal[0])
                 self.assertIn(cure, fatal[0])
-
-    def test_a_lease_goes_on_while_the_manager_is_dead(self):
-        manager = self.make()
-        manager.start()
-        manager.client.add_transformation(SOURCE)
-        claim_id = manager.client.acquire_stream(
-            StreamRequest("Numbers(test)", lease=30.0)
-        ).claim_id
-        (before,) = manager.client.list_streams()
-        manager.kill()
-        time.sleep(2.0)  # time that counts
-        manager.start()
-        (after,) = manager.client.list_streams()
-        self.assertEqual(after.claim_id, claim_id)
-        said = re.findall("DyKnow manager.*", manager.output)[-1]
-        for part in (f"manager {MANAGER}, version {__version__}", manager.state, "1 nodelets"):
-            self.assertIn(part, said)  # its identity, and its restored state
-        self.assertAlmostEqual(after.expires, before.expires, delta=0.5)
-        manager.client.renew_stream(claim_id, 3.0)
-        manager.kill()
-        manager.start()
-        eventually(
-            lambda: [each.state.name for each in manager.client.list_streams()] == ["EXPIRED"],
-            15.0,
-            "it ends",
-        )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 
 import dynamic_reconfigure.client
@@ -20,18 +19,29 @@ import tf2_ros
 from actionlib.msg import TestActionGoal, TestGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
-from graph import NodeletManagerCase, call, comes
-from processes import BUSY, eventually
+from graph import Heard, NodeletManagerCase, call, comes, is_linked
+from processes import BUSY, becomes, eventually
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 
-class ParameterTest(NodeletManagerCase):
+class HandleCase(NodeletManagerCase):
+    def publisher(self, topic, message_class, **options):
+        publisher = rospy.Publisher(topic, message_class, queue_size=10, **options)
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+
+class ApiTest(HandleCase):
     def setUp(self):
-        self.manager.load("Features", "/robot/n", answer=42)
+        self.manager.load("Features", "/robot/n", {"/robot/in": "/wired"}, answer=42)
 
-    def test_names_resolve_from_the_nodelet(self):
+    def do(self, method, *args):
+        return call("/robot/n", method, *args)
+
+    def test_names_of_parameters_resolve_from_the_nodelet(self):
         """Names of any characters are in use, such as the paper's `config-path`."""
         for name, key in (
             ("~own", "/robot/n/own"),
@@ -44,80 +54,58 @@ class ParameterTest(NodeletManagerCase):
         ):
             with self.subTest(name):
                 rospy.set_param(key, "set outside")
-                self.assertEqual(call("/robot/n", "get_param", name), "set outside")
-                call("/robot/n", "set_param", name, [1, 2])
+                self.assertEqual(self.do("get_param", name), "set outside")
+                self.do("set_param", name, [1, 2])
                 self.assertEqual(rospy.get_param(key), [1, 2])
-                self.assertTrue(call("/robot/n", "has_param", name))
-                found = call("/robot/n", "search_param", name.strip("~/"))
+                self.assertTrue(self.do("has_param", name))
+                found = self.do("search_param", name.strip("~/"))
                 self.assertEqual(found, rospy.resolve_name(key))
-                call("/robot/n", "delete_param", name)
+                self.do("delete_param", name)
                 self.assertFalse(rospy.has_param(key))
 
-    def test_search_goes_upwards_from_the_nodelet(self):
+    def test_parameters_are_searched_upwards_and_outlive_the_nodelet(self):
         for key in ("/level", "/robot/level", "/robot/n/level"):
             rospy.set_param(key, "x")
-            self.assertEqual(call("/robot/n", "search_param", "level"), key)
-        self.assertIsNone(call("/robot/n", "search_param", "nowhere"))
-
-    def test_they_outlive_the_nodelet(self):
-        call("/robot/n", "set_param", "~own", 1)
+            self.assertEqual(self.do("search_param", "level"), key)
+        self.assertIsNone(self.do("search_param", "nowhere"))
         self.manager.unload("/robot/n")
-        self.assertEqual(rospy.get_param("/robot/n"), {"answer": 42, "own": 1})
+        self.assertEqual(rospy.get_param("/robot/n"), {"answer": 42, "level": "x"})
         rospy.delete_param("/robot/n")
 
-
-class WaitTest(NodeletManagerCase):
-    def setUp(self):
-        self.manager.load("Features", "/n", {"/in": "/wired"})
-
-    def test_for_messages(self):
+    def test_waits_for_messages(self):
         for method, name, topic in (
             ("wait_for_message", "in", "/wired"),
-            ("wait_for_message_on_topic", "topic", "/topic"),
+            ("wait_for_message_on_topic", "topic", "/robot/topic"),
         ):
-            publisher = rospy.Publisher(topic, Header, queue_size=10, latch=True)
-            self.addCleanup(publisher.unregister)
-            publisher.publish(Header(seq=31))
-            self.assertEqual(call("/n", method, name, 5.0 * BUSY), 31)
-            self.assertEqual(graph.nodes_on(topic)[1], set())
+            self.publisher(topic, Header, latch=True).publish(Header(seq=31))
+            self.assertEqual(self.do(method, name, 5.0 * BUSY), 31)
+            becomes(lambda topic=topic: graph.nodes_on(topic)[1], set())
 
-    def test_for_services(self):
+    def test_waits_for_services(self):
         self.manager.load("Fragile", "/robot/server")
-        self.assertEqual(call("/n", "echo_by_proxy", "robot/server/obey", 5), 5)
+        self.assertEqual(self.do("echo_by_proxy", "server/obey", 5), 5)
         answers = []
         thread = threading.Thread(
-            target=lambda: answers.append(call("/n", "wait_for_service", "/nowhere"))
+            target=lambda: answers.append(self.do("wait_for_service", "/nowhere"))
         )
         thread.start()
-        eventually(lambda: "/n waits for /nowhere" in self.manager.output, 5.0, "it waits")
-        self.manager.unload("/n")
+        self.manager.wait_for("/robot/n waits for /nowhere")
+        self.manager.unload("/robot/n")
         thread.join(5.0 * BUSY)
-        self.assertEqual(answers, ["service '/nowhere': nodelet /n was unloaded"])
+        self.assertEqual(answers, ["service '/nowhere': nodelet /robot/n was unloaded"])
 
-
-class LogTest(NodeletManagerCase):
     def test_throttle_and_once_count_for_each_place_in_the_code(self):
-        lines = []
-        subscriber = rospy.Subscriber("/rosout", Log, lines.append)
-        self.addCleanup(subscriber.unregister)
-        self.manager.load("Features", "/robot/n")
-        eventually(lambda: any(line.name == "/manager" for line in lines), 5.0, "it is heard")
-        call("/robot/n", "log_often")
-        eventually(lambda: any("plainly logged" in line.msg for line in lines), 5.0, "logged")
-        logged = [line.msg for line in lines if line.level >= Log.WARN]
+        with Heard("/rosout", Log) as lines:
+            self.do("log_often")
+            plainly = lines.has(lambda line: "plainly logged" in line.msg)
         self.assertEqual(
-            logged,
+            [line.msg for line in lines if line.level >= Log.WARN],
             [
-                "once here 0",
-                "once there 0",
-                "seldom here 0",
-                "seldom there 0",
-                "the same",
-                "plainly logged",
+                *("once here 0", "once there 0", "seldom here 0", "seldom there 0"),
+                *("the same", "plainly logged"),
             ],
         )
         # The logged position is in the nodelet's code, not in DyKnow's.
-        plainly = next(line for line in lines if "plainly" in line.msg)
         self.assertEqual(plainly.function, "Features.log_often")
         self.assertRegex(plainly.file, "features.py$")
         self.assertIn("plainly logged", self.manager.output)
@@ -126,44 +114,35 @@ class LogTest(NodeletManagerCase):
 class ShippedTest(NodeletManagerCase):
     def test_a_chain_for_an_ordinary_node(self):
         """What a Source counts in frame_id survives rospy's own numbers."""
-        messages, log = queue.Queue(), queue.Queue()
-        for topic, datatype, found in (("/relayed", Image, messages), ("/rosout", Log, log)):
-            self.addCleanup(rospy.Subscriber(topic, datatype, found.put).unregister)
         image = {"datatype": "sensor_msgs/Image"}
         self.manager.load("dyknow/Sink", "/sink", {"/in": "/relayed"}, period=0.5, **image)
         self.manager.load("dyknow/Relay", "/relay", {"/in": "/raw", "/out": "/relayed"}, **image)
-        self.manager.load("dyknow/Source", "/source", {"/out": "/raw"}, rate=50, **image)
-        arrived = [messages.get(timeout=5.0 * BUSY) for _ in range(30)]
-        counts = [int(each.header.frame_id) for each in arrived]
-        self.assertEqual(counts, list(range(counts[0], counts[0] + 30)))
-        line = ""
-        while not line.startswith("/sink: ") or "latency" not in line:
-            line = log.get(timeout=5.0 * BUSY).msg
-        self.assertRegex(line, r"\d+ messages, \d+\.\d Hz, latency \d+\.\d{3} ms on average")
+        with Heard("/relayed", Image, lambda message: int(message.header.frame_id)) as counts:
+            self.manager.load("dyknow/Source", "/source", {"/out": "/raw"}, rate=50, **image)
+            counts.flows(30)
+        self.assertEqual(list(counts), sorted(set(counts)))
+        line = r"/sink: \d+ messages, \d+\.\d Hz, latency \d+\.\d{3} ms on average"
+        self.manager.wait_for_match(line)
 
 
-class FilterTest(NodeletManagerCase):
+class FilterTest(HandleCase):
     def test_a_time_synchroniser_on_ports(self):
         self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
-        publishers = {}
-        for topic in ("/a", "/b", "/c"):
-            publishers[topic] = rospy.Publisher(topic, Image, queue_size=10)
-            self.addCleanup(publishers[topic].unregister)
+        publishers = {topic: self.publisher(topic, Image) for topic in ("/a", "/b", "/c")}
 
-        def publish(topic, stamp):
-            image = Image(height=stamp)
-            image.header.stamp = rospy.Time(stamp)
-            publishers[topic].publish(image)
+        def publish(*pairs):
+            for topic, _ in pairs:
+                eventually(publishers[topic].get_num_connections, 5.0, f"{topic} is connected")
+            for topic, stamp in pairs:
+                image = Image(height=stamp)
+                image.header.stamp = rospy.Time(stamp)
+                publishers[topic].publish(image)
 
-        for topic in ("/a", "/b"):
-            eventually(publishers[topic].get_num_connections, 5.0, "connected")
-        for topic, stamp in (("/a", 1), ("/a", 2), ("/b", 2), ("/b", 3), ("/a", 3)):
-            publish(topic, stamp)
-        eventually(lambda: sorted(call("/n", "received")) == [[2, 2], [3, 3]], 5.0, "two pairs")
+        publish(("/a", 1), ("/a", 2), ("/b", 2), ("/b", 3), ("/a", 3))
+        becomes(lambda: sorted(call("/n", "received")), [[2, 2], [3, 3]])
         graph.set_config("/n", right="/c")
-        publish("/a", 4)
-        publish("/c", 4)
-        eventually(lambda: call("/n", "received")[-1] == [4, 4], 5.0, "across the re-wiring")
+        publish(("/a", 4), ("/c", 4))
+        becomes(lambda: call("/n", "received")[-1], [4, 4])
 
 
 class TransformTest(NodeletManagerCase):
@@ -172,14 +151,14 @@ class TransformTest(NodeletManagerCase):
             self.manager.load("Frames", name)
 
     def sent(self, sender, x, *receivers):
-        """A transform reaches the receivers."""
-        call(sender, "send", "map", "robot", x)
+        """A transform reaches the receivers; rospy connects them once the master notifies it."""
+
+        def look_up(name):
+            call(sender, "send", "map", "robot", x)
+            return call(name, "look_up", "map", "robot", 1.0)
+
         for name in receivers:
-            eventually(
-                lambda name=name: call(name, "look_up", "map", "robot", 1.0) == x,
-                5.0,
-                f"{name} hears {sender}",
-            )
+            becomes(lambda name=name: look_up(name), x)
 
     def test_between_nodelets_of_one_manager(self):
         """Ordinary broadcasters and listeners share the topics with what the bus publishes."""
@@ -197,31 +176,18 @@ class TransformTest(NodeletManagerCase):
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)
         self.addCleanup(listener.unregister)
-        eventually(
-            lambda: "/manager" in graph.nodes_on("/tf")[0]
-            and listener.tf_sub.get_num_connections() > 0,
-            5.0,
-            "connected",
-        )
-
-        def heard():
-            call("/one", "send", "map", "robot", 7.0)
-            return buffer.can_transform("map", "robot", rospy.Time(0))
-
-        eventually(heard, 5.0, "from the nodelet")
-        broadcaster = tf2_ros.TransformBroadcaster()
-        self.addCleanup(broadcaster.pub_tf.unregister)
-        transform = TransformStamped()
-        transform.header.frame_id, transform.child_frame_id = "robot", "hand"
+        publisher = rospy.Publisher("/tf", TFMessage, queue_size=10)
+        self.addCleanup(publisher.unregister)
+        eventually(lambda: is_linked("/tf", 2), 5.0, "connected both ways")
+        call("/one", "send", "map", "robot", 7.0)
+        found = buffer.lookup_transform("map", "robot", rospy.Time(0), rospy.Duration(5.0 * BUSY))
+        self.assertEqual(found.transform.translation.x, 7.0)
+        transform = TransformStamped(child_frame_id="hand")
+        transform.header.frame_id, transform.header.stamp = "robot", rospy.Time.now()
         transform.transform.rotation.w = 1.0
         transform.transform.translation.x = 2.0
-
-        def answered():
-            transform.header.stamp = rospy.Time.now()
-            broadcaster.sendTransform(transform)
-            return call("/two", "look_up", "robot", "hand", 0.2) == 2.0
-
-        eventually(answered, 5.0, "to the nodelet")
+        publisher.publish([transform])
+        self.assertEqual(call("/two", "look_up", "robot", "hand", 5.0 * BUSY), 2.0)
 
     def test_an_unloaded_listener_leaves_the_others(self):
         self.manager.unload("/one")
@@ -231,8 +197,8 @@ class TransformTest(NodeletManagerCase):
         self.sent("/two", 2.0, "/two")
 
 
-class DiagnosticsTest(NodeletManagerCase):
-    def test_an_updater(self):
+class LibrariesTest(HandleCase):
+    def test_diagnostics(self):
         self.manager.load("Diagnosed", "/n")
 
         def warm(array):
@@ -242,9 +208,7 @@ class DiagnosticsTest(NodeletManagerCase):
         self.assertEqual(status.hardware_id, "/n")
         self.assertEqual(status.values[0].value, "71")
 
-
-class ReconfigureTest(NodeletManagerCase):
-    def test_a_server_in_the_nodelets_namespace(self):
+    def test_a_server_of_dynamic_reconfigure_in_the_nodelets_namespace(self):
         rospy.set_param("/robot/n/gain", 2.5)
         self.manager.load("Reconfigurable", "/robot/n")
         self.assertEqual(call("/robot/n", "seen"), [[2.5, 3]])
@@ -256,15 +220,11 @@ class ReconfigureTest(NodeletManagerCase):
         client.close()
         # The topics that the nodelet shut down itself are gone, and can be advertised again.
         self.manager.unload("/robot/n")
-        self.assertFalse(graph.nodes_on("/robot/n/parameter_updates")[0])
+        self.nothing_is_left()
         self.manager.load("Reconfigurable", "/robot/n")
         self.assertEqual(call("/robot/n", "seen"), [[10.0, 7]])
 
-
-class CarelessTest(NodeletManagerCase):
-    """Things that nodelets leave to DyKnow to take back."""
-
-    def test_libraries_act_in_the_name_of_their_nodelet(self):
+    def test_they_act_in_the_name_of_their_nodelet(self):
         self.manager.load("Careless", "/robot/one")
         self.manager.load("Careless", "/robot/two")
         self.assertEqual(call("/robot/two", "ask", "/robot/one/count", 41), 42)
@@ -275,22 +235,16 @@ class CarelessTest(NodeletManagerCase):
         self.assertEqual(rospy.get_param("/robot/two/size"), 3)
 
     def test_they_are_gone_with_it_and_come_back_without_a_word(self):
-        before = graph.registrations("/manager")
-        goals = rospy.Publisher("/n/count/goal", TestActionGoal, queue_size=10)
-        self.addCleanup(goals.unregister)
+        """The nodelet itself takes nothing back."""
+        goals = self.publisher("/n/count/goal", TestActionGoal)
         for number in range(3):
             self.manager.load("Careless", "/n")
             eventually(goals.get_num_connections, 5.0, "connected")
             goals.publish(TestActionGoal(goal=TestGoal(number)))
-            eventually(lambda n=number: rospy.get_param("/counted", -1) == n, 5.0, "executed")
+            becomes(lambda: rospy.get_param("/counted", -1), number)
             self.manager.unload("/n")
-            eventually(
-                lambda: graph.registrations("/manager") == before,
-                5.0,
-                "nothing is left",
-                lambda: graph.registrations("/manager"),
-            )
-            eventually(lambda: not goals.get_num_connections(), 5.0, "disconnected")
+            self.nothing_is_left()
+            becomes(goals.get_num_connections, 0)
         for word in ("WARN", "ERROR", "Traceback"):
             self.assertNotIn(word, self.manager.output)
 

@@ -2,26 +2,29 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Unchanged programs that the manager starts as nodes, restores, adopts and ends."""
+"""Unchanged programs as nodes: those that the manager starts, and those that it finds."""
 
 from __future__ import annotations
 
 import signal
-import time
+import tempfile
+from pathlib import Path
 
 import graph
 import rospy
 import rostest
 from cpp_suite import RUN
-from graph import Talker, hears
+from graph import WordsCase, connect, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
-from processes import BUSY, DYKNOW, eventually, finished
+from processes import BUSY, DYKNOW, becomes, eventually, finished
+from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.process.os_process import ProcessId
 
 LIBRARY = """
@@ -62,112 +65,102 @@ RATE = Parameter("rate", "int", "30")
 PROBE = (*DYKNOW, "probe")
 
 
-class NodesTest(ManagerCase):
+class NodesTest(WordsCase, ManagerCase):
     """One manager lives through all of it, since each start takes its time."""
 
     def setUp(self) -> None:
-        for topic, word in (("/a", "left"), ("/b", "right")):
-            talker = Talker(topic, word)
-            self.addCleanup(talker.close)
+        super().setUp()
         self.manager = self.started()
         self.manager.client.add_transformation(LIBRARY)
 
     def process(self, name: str) -> ProcessId:
         return self.manager.child(name)
 
-    def runs(self, name: str) -> bool:
-        found = self.manager.nodelet(name)
-        return found is not None and found.state is State.RUNNING
+    def runs(self, name: str, **topics: str) -> None:
+        """The model shows that it runs, and where its ports are."""
 
-    def shows(self, name: str, topics: dict[str, str]) -> None:
-        eventually(
-            lambda: self.manager.topics(name) == topics,
-            10.0,
-            f"the model shows where the ports of {name} are",
-            lambda: self.manager.nodelet(name),
-        )
+        def shown() -> tuple[bool, dict[str, str]]:
+            found = self.manager.nodelet(name)
+            return found is not None and found.state is State.RUNNING, self.manager.topics(name)
+
+        becomes(shown, (True, topics))
+
+    def is_gone(self, name: str) -> None:
+        """Nothing of it is left."""
+        self.assertIsNone(self.manager.nodelet(name))
+        becomes(lambda: registrations(name) + parameters(name), [])
+
+    def killed(self, name: str) -> None:
+        """Kill its process; it is started again."""
+        process = self.process(name)
+        process.signal(signal.SIGKILL)
+        eventually(lambda: self.process(name) != process, 10.0, "it is started again")
+
+    def restart(self) -> None:
+        """Kill the manager and start it again."""
+        self.manager.kill()
+        self.manager.start()
 
     def test_the_life_of_a_binary(self) -> None:
         client, name = self.manager.client, "/robot/copier"
-        config = {"words": "/a", "copy": "/out"}
         given = (Parameter("lazy", "bool", "false"),)
-        client.spawn("copier", name, config, parameters=given)
+        client.spawn("copier", name, {"words": "/a", "copy": "/out"}, parameters=given)
         hears("/out", "left")
         node = self.manager.nodelet(name)
         self.assertEqual((node.kind, node.manager), (NodeletKind.CPP_NODE, ""))
         self.assertEqual((node.transformation, node.parameters), ("copier", given))
-        self.assertEqual(self.manager.topics(name), config)
+        self.runs(name, words="/a", copy="/out")
         self.assertEqual(rospy.get_param(name)["lazy"], False)
 
         client.set_config(name, {"words": "/b"})
         hears("/out", "right")
-        self.shows(name, {"words": "/b", "copy": "/out"})
-
-        killed = self.process(name)
-        killed.signal(signal.SIGKILL)
-        eventually(lambda: self.process(name) != killed, 5.0, "it is started again")
+        self.killed(name)
         hears("/out", "right")
-        eventually(lambda: self.runs(name), 5.0, "it is shown")
-        self.assertEqual(self.manager.topics(name), {"words": "/b", "copy": "/out"})
-
+        self.runs(name, words="/b", copy="/out")
         process = self.process(name)
-        self.manager.kill()
-        self.manager.start()
-        self.assertTrue(self.runs(name))
+        self.restart()
+        self.runs(name, words="/b", copy="/out")
         self.assertEqual(self.process(name), process)
         client.set_config(name, {"words": "/a"})
         hears("/out", "left")
-
         client.destroy(name)
         self.assertFalse(process.alive)
-        self.assertIsNone(self.manager.nodelet(name))
-        self.assertEqual(registrations(name), [])
-        self.assertEqual(parameters(name), [])
+        self.is_gone(name)
 
         with self.assertRaisesRegex(Refused, "ended at its start; the last that it printed"):
             client.spawn("usage", "/usage")
         with self.assertRaisesRegex(Refused, "greet.sh' is neither a Python script nor a binary"):
             client.spawn("shell script", "/greeter")
-        self.assertEqual(parameters("/usage"), [])
+        self.is_gone("/usage")
 
         client.spawn("copier", "/last", {"words": "/a", "copy": "/last/out"})
         last = self.process("/last")
         self.manager.stop()
         self.assertFalse(last.alive)
-        self.assertEqual(registrations("/last"), [])
+        becomes(lambda: registrations("/last"), [])
 
     def test_the_life_of_a_script(self) -> None:
         client = self.manager.client
-        client.spawn("talker", "/shared", {"words": "/said"}, parameters=(RATE,))
-        hears("/said", "moin")
-        node = self.manager.nodelet("/shared")
-        self.assertEqual((node.kind, node.manager), (NodeletKind.SCRIPT, CHILD))
-        self.assertEqual(rospy.get_param("/shared/rate"), 30)
-        client.set_config("/shared", {"words": "/elsewhere"})
-        hears("/elsewhere", "moin")
-        self.shows("/shared", {"words": "/elsewhere"})
-
-        self.manager.kill_child()
-        hears("/elsewhere", "moin")
-        eventually(lambda: self.runs("/shared"), 5.0, "it is shown")
-        self.assertEqual(self.manager.topics("/shared"), {"words": "/elsewhere"})
-        client.destroy("/shared")
-        self.assertEqual(registrations("/shared"), [])
-
-        client.spawn("talker", "/alone", {"words": "/said"}, isolated=True)
-        hears("/said", "moin")
-        alone = self.manager.nodelet("/alone")
-        self.assertEqual((alone.kind, alone.manager, alone.isolated), (NodeletKind.NODE, "", True))
-        process = self.process("/alone")
-        client.set_config("/alone", {"words": "/elsewhere"})
-        hears("/elsewhere", "moin")
-        self.shows("/alone", {"words": "/elsewhere"})
-        process.signal(signal.SIGKILL)
-        eventually(lambda: self.process("/alone") != process, 10.0, "it is started again")
-        hears("/elsewhere", "moin")
-        eventually(lambda: self.runs("/alone"), 5.0, "it is shown")
-        client.destroy("/alone")
-        self.assertEqual(registrations("/alone"), [])
+        for name, isolated, kind, host in (
+            ("/shared", False, NodeletKind.SCRIPT, CHILD),
+            ("/alone", True, NodeletKind.NODE, ""),
+        ):
+            with self.subTest(name):
+                client.spawn(
+                    "talker", name, {"words": "/said"}, isolated=isolated, parameters=(RATE,)
+                )
+                hears("/said", "moin")
+                node = self.manager.nodelet(name)
+                self.assertEqual((node.kind, node.manager, node.isolated), (kind, host, isolated))
+                self.assertEqual(rospy.get_param(f"{name}/rate"), 30)
+                client.set_config(name, {"words": "/elsewhere"})
+                hears("/elsewhere", "moin")
+                self.runs(name, words="/elsewhere")
+                self.killed(host or name)
+                hears("/elsewhere", "moin")
+                self.runs(name, words="/elsewhere")
+                client.destroy(name)
+                self.is_gone(name)
 
     def test_nodes_end_when_nobody_looks_after_them(self) -> None:
         self.manager.stop()
@@ -177,8 +170,6 @@ class NodesTest(ManagerCase):
         self.manager.client.spawn("talker", "/script", isolated=True)
         processes = [self.process(name) for name in ("/binary", "/script")]
         self.manager.kill()
-        time.sleep(0.5)
-        self.assertTrue(all(process.alive for process in processes))
         for process in processes:
             self.assertTrue(process.wait(5.0 * BUSY))
 
@@ -186,57 +177,121 @@ class NodesTest(ManagerCase):
         client = self.manager.client
         command = (*RUN, "topic_tools", "relay", "/b", "/spoken", "__name:=by_hand")
         with graph.Ended(*command):
-            self.shows("/by_hand", {"/b": "/b", "/spoken": "/spoken"})
+            self.runs("/by_hand", **{"/b": "/b", "/spoken": "/spoken"})
             self.assertEqual(self.manager.nodelet("/by_hand").transformation, "by hand")
             hears("/spoken", "right")
             found = client.acquire_stream(StreamRequest("Spoken(left)"))
-            self.assertEqual(found.reused, ("/by_hand",))
-            self.assertEqual(found.topic, "/spoken")
+            self.assertEqual((found.reused, found.topic), (("/by_hand",), "/spoken"))
             hears("/spoken", "left")
-            self.manager.kill()
-            self.manager.start()
+            self.restart()
+            becomes(lambda: [each.state for each in client.list_streams()], [ClaimState.ACTIVE])
             (stream,) = client.list_streams()
-            self.assertEqual((stream.state, stream.nodelets), (ClaimState.ACTIVE, ("/by_hand",)))
+            self.assertEqual(stream.nodelets, ("/by_hand",))
             self.assertNotIn("is gone", stream.detail)
             with self.assertRaisesRegex(Refused, "process of its own"):
                 client.destroy("/by_hand")
-        eventually(
-            lambda: client.list_streams()[0].state is ClaimState.PENDING,
-            5.0,
-            "the claim waits",
-            client.list_streams,
-        )
-        self.assertIsNone(self.manager.nodelet("/by_hand"))
+        becomes(lambda: [each.state for each in client.list_streams()], [ClaimState.PENDING])
+        becomes(lambda: self.manager.nodelet("/by_hand"), None)
 
     def test_a_specification_to_begin_with(self) -> None:
         words = ("topic_tools", "relay", "/a", "/probed", "_lazy:=false")
-        code, printed = finished([*PROBE, "--settle", "1", *words])
+        code, printed = finished([*PROBE, "--settle", "3", *words])
         self.assertEqual(code, 0, printed)
-        self.assertEqual(
-            parse(printed).transformations,
-            (
-                Transformation(
-                    "relay",
-                    "topic_tools/relay /a /probed",
-                    "node",
-                    parameters=(Parameter("lazy", "bool", "false"),),
-                    ports=(
-                        Port("/a", "in"),  # of any type
-                        Port("/probed", "out", "std_msgs/String"),
-                    ),
-                ),
-            ),
-        )
+        ports = (Port("/a", "in"), Port("/probed", "out", "std_msgs/String"))  # in: of any type
+        given = (Parameter("lazy", "bool", "false"),)
+        relay = Transformation("relay", "topic_tools/relay /a /probed", "node", 1, given, ports)
+        self.assertEqual(parse(printed).transformations, (relay,))
         self.assertEqual(self.manager.client.add_transformation(printed).labels, ("relay",))
-        eventually(  # a manager listens to it for a moment longer
-            lambda: not registrations("/dyknow_probe") + parameters("/dyknow_probe"),
-            5.0,
-            "nothing of it is left",
-            lambda: registrations("/dyknow_probe") + parameters("/dyknow_probe"),
-        )
+        # A manager listens to it for a moment longer.
+        becomes(lambda: registrations("/dyknow_probe") + parameters("/dyknow_probe"), [])
         code, printed = finished([*PROBE, "topic_tools", "throttle"])
         self.assertEqual(code, 1)
         self.assertIn("the node ended by itself; it printed at last:", printed)
+
+
+class OthersTest(WordsCase, ManagerCase):
+    """Nodes of roscpp beside a DyKnow manager, which did not start them."""
+
+    def setUp(self):
+        super().setUp()
+        self.manager = self.started(denied_topics=["/estop"])
+
+    def shown(self, name: str):
+        eventually(lambda: self.manager.nodelet(name), 10.0, f"{name} is in the model")
+        return self.manager.nodelet(name)
+
+    def test_a_relay_is_shown_and_rewired(self):
+        process = self.run_process(*RUN, "topic_tools", "relay", "/a", "/out", "__name:=copier")
+        hears("/out", "left", is_whole=True)
+        node = self.shown("/copier")
+        self.assertEqual(
+            (node.kind, node.manager, node.transformation), (NodeletKind.CPP_NODE, "", "")
+        )
+        becomes(lambda: self.manager.topics("/copier"), {"/a": "/a", "/out": "/out"})
+        self.manager.client.set_config("/copier", {"/a": "/b"})
+        hears("/out", "right", is_whole=True)
+        becomes(lambda: self.manager.topics("/copier"), {"/a": "/b", "/out": "/out"})
+        self.manager.client.set_config("/copier", {"/out": "/elsewhere"})
+        hears("/elsewhere", "right", is_whole=True)
+        with self.assertRaisesRegex(Refused, "'/estop' is denied"):
+            self.manager.client.set_config("/copier", {"/out": "/estop"})
+        with self.assertRaisesRegex(Refused, "process of its own; end it with: rosnode kill"):
+            self.manager.client.destroy("/copier")
+        process.stop()
+        self.assertEqual(process.exit_code(5.0), 0)
+        becomes(lambda: self.manager.nodelet("/copier"), None)
+        self.assertEqual(graph.registrations("/copier")["publishers"], [])
+        becomes(lambda: rospy.has_param(f"/copier/{guards_key('/dyknow_manager')}"), False)
+
+    def test_a_node_is_shown_while_it_runs_whichever_side_began_first(self):
+        words = ("throttle", "messages", "/a", "20", "/slow", "__name:=slow")
+        process = self.run_process(*RUN, "topic_tools", *words)
+        hears("/slow", "left", is_whole=True)
+        self.shown("/slow")
+        process.stop(signal.SIGKILL)
+        becomes(lambda: self.manager.nodelet("/slow"), None)
+        self.run_process(*RUN, "topic_tools", *words)
+        self.shown("/slow")
+        self.manager.kill()
+        self.manager.start()
+        self.shown("/slow")
+
+    def test_a_launch_file_with_a_prefix(self):
+        text = """
+            <launch>
+              <group ns="robot">
+                <node name="mux" pkg="topic_tools" type="mux" args="/out /a /b"
+                      launch-prefix="rosrun dyknow rewirable" output="screen"/>
+              </group>
+            </launch>"""
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "mux.launch"
+            file.write_text(text)
+            self.run_process("roslaunch", str(file))
+            hears("/out", "left", is_whole=True)
+            self.shown("/robot/mux")
+            connect("/robot/mux", **{"/a": "/b"})
+            hears("/out", "right", is_whole=True)
+
+    def test_a_standalone_nodelet(self):
+        with tempfile.TemporaryDirectory() as folder:
+            picture = Path(folder) / "picture.ppm"
+            picture.write_bytes(b"P6\n2 2\n255\n" + bytes(12))
+            self.run_process(
+                *(*RUN, "nodelet", "nodelet", "standalone", "image_publisher/image_publisher"),
+                *(f"_filename:={picture}", "__name:=painter"),
+            )
+
+            def image_ports():
+                ports = self.shown("/painter").ports
+                return [each for each in ports if each.datatype == "sensor_msgs/Image"]
+
+            eventually(image_ports, 10.0, "its port is shown")
+            port = image_ports()[0]
+            self.assertEqual(rospy.wait_for_message(port.topic, Image, 20.0 * BUSY).width, 2)
+            self.manager.client.set_config("/painter", {port.name: "/moved/image"})
+            self.assertEqual(rospy.wait_for_message("/moved/image", Image, 20.0 * BUSY).width, 2)
+            rospy.wait_for_message("/moved/camera_info", CameraInfo, 20.0 * BUSY)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,9 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import random
 import re
 import signal
 import time
@@ -16,18 +19,20 @@ import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
 from graph import (
-    PEER,
-    Ended,
     NodeletManagerCase,
     call,
     get_statistics,
+    is_linked,
+    peer,
     port_statistics,
     set_config,
 )
-from processes import HELD_UP, eventually
+from processes import HELD_UP, becomes, eventually
 
 #: Seconds that a set_config waits for peers outside.
 PATIENCE = 0.5
+#: Steps of a topic that comes and goes at random; many in the long run.
+STEPS = int(os.environ.get("DYKNOW_TEST_STEPS", 0))
 
 
 def missing(numbers):
@@ -35,197 +40,227 @@ def missing(numbers):
     return set(range(min(numbers), max(numbers) + 1)) - set(numbers)
 
 
+def heard(listener, topic="/[ab]"):
+    """The numbers that a peer has heard on a topic."""
+    return [int(number) for number in re.findall(rf"^{topic} (\d+)$", listener.output, re.M)]
+
+
 class RewiringTest(NodeletManagerCase):
-    def start_peer(self, *arguments):
-        peer = Ended(*PEER, *arguments)
-        self.addCleanup(peer.__exit__)
-        return peer
+    def peer(self, *words):
+        return self.run_process(*peer(*words))
 
-    def assert_complete(self, numbers, what=""):
-        """Check that no number is missing; returns how many are doubled."""
-        lost = missing(numbers)
-        self.assertFalse(lost, f"{len(lost)} lost {what}: {sorted(lost)[:20]}")
-        return len(numbers) - len(set(numbers))
-
-
-class AcrossProcessesTest(RewiringTest):
-    def test_an_in_port_between_outside_publishers_loses_nothing(self):
-        """Except for switches to a publisher that does not connect in time."""
-        # The same number on both topics: a port always connected to one of them gets all.
-        self.start_peer("talk", "1000", "/a", "/b")
-        self.manager.load("Listener", "/n", {"/in": "/a"})
-        eventually(lambda: call("/n", "count") > 100, 10.0, "messages come")
-        switches = []  # how long each took (s), and how many messages were there afterwards
-        for number in range(20):
-            topic = ("/b", "/a")[number % 2]
-            begin = time.monotonic()
-            self.assertTrue(set_config("/n", **{"in": topic}).success)
-            duration = time.monotonic() - begin
-            self.assertLess(duration, HELD_UP)
-            count = call("/n", "count")
-            eventually(lambda count=count: call("/n", "count") > count + 20, 5.0, "they flow on")
-            switches.append((duration, call("/n", "count")))
-            # The old one is gone when the call returns.
-            self.assertEqual(graph.nodes_on(("/a", "/b")[number % 2])[1], set())
-        received = call("/n", "received")
-        lost = set()
-        for duration, count in switches:
-            lost_here, lost = missing(received[:count]) - lost, missing(received[:count])
-            if duration < PATIENCE:
-                self.assertFalse(lost_here, f"by a switch of {duration:.3f} s")
-        self.assertGreater(sum(duration < PATIENCE for duration, _ in switches), 0)
-        # A number may come on both topics, but on neither of them twice.
-        of_topic: list[int] = []
-        for event in [*call("/n", "story"), []]:
-            if isinstance(event, int):
-                of_topic.append(event)
-                continue
-            self.assertEqual(of_topic, sorted(set(of_topic)))
-            of_topic.clear()
-        self.assertEqual(port_statistics("/n", "in").dropped, 0)
-
-    def test_an_in_port_waits_for_publishers_that_greet_long_before_they_send(self):
-        self.start_peer("hesitate", "0.2", "1000", "/a", "/b")
-        self.manager.load("Listener", "/n", {"/in": "/a"})
-        eventually(lambda: call("/n", "count") > 100, 10.0, "messages come")
-        for topic in ("/b", "/a"):
-            self.assertTrue(set_config("/n", **{"in": topic}).success)
-            count = call("/n", "count")
-            eventually(lambda count=count: call("/n", "count") > count + 20, 5.0, "they flow on")
-        self.assert_complete(call("/n", "received"))
-
-    def test_an_out_port_between_topics_that_others_listen_to_loses_nothing(self):
-        peers = [self.start_peer("listen", "/a", "/b") for _ in range(2)]
-        self.manager.load("Talker", "/n", {"/out": "/a"}, queue_size=1000)
-        eventually(lambda: len(graph.nodes_on("/b")[1]) == 2, 10.0, "they listen")
-        eventually(lambda: call("/n", "connections") == 2, 10.0, "they are connected")
-        call("/n", "start", 1000.0)
-        switches = 10
-        for number in range(switches):
-            topic = ("/b", "/a")[number % 2]
-            self.assertTrue(set_config("/n", out=topic).success)
-            sent = port_statistics("/n", "out").messages
-            eventually(
-                lambda sent=sent: port_statistics("/n", "out").messages > sent + 50, 5.0, "more"
-            )
-        last = call("/n", "stop") - 1
-        for peer in peers:
-            eventually(lambda peer=peer: f" {last}\n" in peer.output, 10.0, "the last one arrives")
-            heard = re.findall(r"^(/[ab]) (\d+)$", peer.output, re.M)
-            numbers = [int(number) for _, number in heard]
-            self.assertEqual(min(numbers), 0)
-            self.assertEqual(self.assert_complete(numbers), 0, "nothing comes twice")
-            for topic in ("/a", "/b"):  # the listener has a thread for each
-                mine = [int(number) for name, number in heard if name == topic]
-                self.assertEqual(mine, sorted(mine))
-
-    def test_a_subscriber_that_connects_late_misses_nothing(self):
-        peer = self.start_peer("listen", "/a", "/b")
-        self.manager.load("Talker", "/n", {"/out": "/a"}, queue_size=1000)
-        eventually(lambda: graph.nodes_on("/b")[1], 10.0, "it listens")
-        eventually(lambda: call("/n", "connections") == 1, 10.0, "it is connected")
-        call("/n", "start", 200.0)
-        eventually(lambda: port_statistics("/n", "out").messages > 20, 10.0, "it talks")
-        peer.stop(signal.SIGSTOP)
-        answer = set_config("/n", out="/b")
+    def move(self, **ports):
+        """Connect ports of /n; returns how long (s) that took."""
+        begin = time.monotonic()
+        answer = set_config("/n", **ports)
+        took = time.monotonic() - begin
         self.assertTrue(answer.success, answer.message)
-        sent = port_statistics("/n", "out").messages
-        eventually(lambda: port_statistics("/n", "out").messages > sent + 20, 5.0, "it talks on")
-        self.assertNotIn("/b ", peer.output)
-        peer.stop(signal.SIGCONT)
-        eventually(lambda: "/b " in peer.output, 10.0, "it hears the new topic")
-        last = call("/n", "stop") - 1
-        eventually(lambda: f"/b {last}\n" in peer.output, 10.0, "the last one arrives")
-        numbers = [int(number) for number in re.findall(r"^/[ab] (\d+)$", peer.output, re.M)]
-        self.assertEqual(min(numbers), 0)
-        self.assertEqual(self.assert_complete(numbers), 0, "nothing comes twice")
-        # A subscriber that connects to a topic that is gone never connects again, so the old
-        # one stays as long as a subscriber may still be connecting to it.
-        eventually(lambda: not graph.nodes_on("/a")[0], 15.0, "the old one is gone")
+        self.assertLess(took, HELD_UP)
+        return took
 
-    def test_large_messages_are_sent_before_the_old_topic_goes(self):
-        peer = self.start_peer("watch", "/a")
-        self.manager.load("ImageTalker", "/n", {"/out": "/a"})
-        eventually(lambda: port_connections("/manager", "/a"), 10.0, "connected")
-        call("/n", "publish", 30, 4_000_000)
-        self.assertTrue(set_config("/n", out="/b").success)
-        for number in range(30):
-            peer.wait_for(f"/a {number} 4000000\n")
-        eventually(lambda: not graph.nodes_on("/a")[0], 5.0, "the old one is gone")
+    def goes_on(self, count=lambda: call("/n", "count")):
+        """Wait for further messages, of /n or as a function counts them."""
+        before = count()
+        eventually(lambda: count() > before + 20, 10.0, "messages flow")
 
-    def test_a_stopped_subscriber_holds_up_set_config_for_half_a_second_at_most(self):
-        peer = self.start_peer("watch", "/a")
-        self.manager.load("ImageTalker", "/n", {"/out": "/a"})
-        eventually(lambda: port_connections("/manager", "/a"), 10.0, "connected")
-        peer.stop(signal.SIGSTOP)
-        call("/n", "publish", 20, 1_000_000)
-        for topic in ("/b", "/a", ""):
-            begin = time.monotonic()
-            self.assertTrue(set_config("/n", out=topic).success)
-            self.assertLess(time.monotonic() - begin, HELD_UP, topic)
-        peer.stop(signal.SIGCONT)
+    def sent(self):
+        return port_statistics("/n", "out").messages
+
+
+class InPortTest(RewiringTest):
+    def test_between_outside_publishers_it_loses_nothing(self):
+        """Except by switches to a publisher that does not connect in time.
+
+        Publishers may also greet a subscriber long before they send to it.
+        """
+        for words, switches in ((["talk"], 20), (["hesitate", "0.2"], 2)):
+            with self.subTest(words):
+                # The same number on both topics: a port connected to either one gets all.
+                talker = self.peer(*words, "500", "/a", "/b")
+                self.manager.load("Listener", "/n", {"/in": "/a"})
+                self.goes_on()
+                lost, in_time = set(), 0
+                topics = itertools.cycle((("/a", "/b"), ("/b", "/a")))
+                while in_time < 1 or switches > 0:
+                    old, new = next(topics)
+                    took = self.move(**{"in": new})
+                    # The old one is gone when the call returns.
+                    self.assertEqual(graph.nodes_on(old)[1], set())
+                    self.goes_on()
+                    lost, before = missing(call("/n", "received")), lost
+                    if took < PATIENCE:
+                        in_time += 1
+                        self.assertEqual(lost - before, set(), f"by a switch of {took:.3f} s")
+                    switches -= 1
+                # A number may come on both topics, but on neither of them twice.
+                story = call("/n", "story")
+                for is_number, of_topic in itertools.groupby(
+                    story, lambda event: isinstance(event, int)
+                ):
+                    numbers = list(of_topic)
+                    if is_number:
+                        self.assertEqual(numbers, sorted(set(numbers)))
+                self.assertEqual(port_statistics("/n", "in").dropped, 0)
+                self.manager.unload_all()
+                talker.stop()
+                talker.exit_code(20.0)
 
     def test_a_stopped_publisher_holds_up_set_config_for_half_a_second_at_most(self):
         self.manager.load("Listener", "/n", {"/in": "/b"})
-        peer = self.start_peer("talk", "100", "/a")
+        talker = self.peer("talk", "100", "/a")
         eventually(lambda: graph.nodes_on("/a")[0], 10.0, "it is registered")
-        peer.stop(signal.SIGSTOP)
-        begin = time.monotonic()
-        self.assertTrue(set_config("/n", **{"in": "/a"}).success)
-        self.assertLess(time.monotonic() - begin, HELD_UP)
-        peer.stop(signal.SIGCONT)
-        eventually(lambda: call("/n", "count") > 10, 10.0, "it is heard when it goes on")
+        talker.stop(signal.SIGSTOP)
+        self.move(**{"in": "/a"})
+        talker.stop(signal.SIGCONT)
+        self.goes_on()
 
-    def test_a_publisher_that_is_killed_while_a_port_moves(self):
-        self.start_peer("talk", "1000", "/steady")
+    def test_a_publisher_that_is_killed_while_it_moves(self):
+        self.peer("talk", "500", "/steady")
         self.manager.load("Listener", "/n")
         for _ in range(2):
-            peer = self.start_peer("talk", "1000", "/shaky")
-            set_config("/n", **{"in": "/shaky"})
-            count = call("/n", "count")
-            eventually(lambda count=count: call("/n", "count") > count, 10.0, "it is heard")
-            peer.stop(signal.SIGKILL)
-            begin = time.monotonic()
-            self.assertTrue(set_config("/n", **{"in": "/steady"}).success)
-            self.assertTrue(set_config("/n", **{"in": "/shaky"}).success)
-            self.assertLess(time.monotonic() - begin, HELD_UP)
-            peer.exit_code(20.0)
-        self.assertTrue(set_config("/n", **{"in": "/steady"}).success)
-        before = call("/n", "senders").get("/steady", 0)
-        eventually(lambda: call("/n", "senders").get("/steady", 0) > before, 5.0, "it goes on")
+            talker = self.peer("talk", "500", "/shaky")
+            self.move(**{"in": "/shaky"})
+            self.goes_on(lambda: call("/n", "senders").get("/shaky", 0))
+            talker.stop(signal.SIGKILL)
+            self.move(**{"in": "/steady"})
+            self.move(**{"in": "/shaky"})
+        self.move(**{"in": "/steady"})
+        self.goes_on(lambda: call("/n", "senders").get("/steady", 0))
 
-
-class InsideTest(RewiringTest):
     def test_many_switches_under_load_with_an_outside_listener(self):
         for source in ("/a", "/b"):
             self.manager.load("Talker", f"/talker{source}", {"/talker/out": source})
         self.manager.load("Listener", "/n", {"/in": "/a"})
-        peer = self.start_peer("listen", "/a")
-        eventually(lambda: call("/talker/a", "connections") == 2, 10.0, "one in, one out")
+        listener = self.peer("listen", "/a")
+        eventually(lambda: is_linked("/a", 2), 10.0, "one inside, one outside")
         for name in ("/talker/a", "/talker/b"):
             call(name, "start", 500.0)
         change = rospy.ServiceProxy("/n/set_config", SetConfig, persistent=True)
         for number in range(250):
             self.assertTrue(change([PortConfig("in", ("/b", "/a")[number % 2])]).success)
-        sent = {name: call(name, "stop") for name in ("/talker/a", "/talker/b")}
         change.close()
-        eventually(
-            lambda: f"/a {sent['/talker/a'] - 1}\n" in peer.output, 10.0, "the outside has all"
-        )
-        heard = [int(number) for number in re.findall(r"^/a (\d+)$", peer.output, re.M)]
-        self.assertEqual(len(heard), len(set(heard)), "doubled outside")
-        self.assertEqual(get_statistics("/n").reconfigurations, 250)
-        self.assertEqual(get_statistics("/n").callback_errors, 0)
-        story = call("/n", "story")
-        self.assertEqual(sum(isinstance(event, list) for event in story), 250)
-        self.assertGreater(len(story), 250, "messages came between")
+        call("/talker/b", "stop")
+        listener.wait_for(f"/a {call('/talker/a', 'stop') - 1}\n")
+        numbers = heard(listener)
+        self.assertEqual(len(numbers), len(set(numbers)), "doubled outside")
+
+        def switches():
+            return sum(isinstance(event, list) for event in call("/n", "story"))
+
+        becomes(switches, 250)
+        self.assertGreater(len(call("/n", "story")), 250, "messages came between")
+        statistics = get_statistics("/n")
+        self.assertEqual((statistics.reconfigurations, statistics.callback_errors), (250, 0))
         self.assertEqual(port_statistics("/n", "in").dropped, 0)
 
 
-def port_connections(node, topic):
-    return [info for info in graph.bus_info(node) if info[4] == topic and info[2] == "o"]
+class OutPortTest(RewiringTest):
+    def talk(self, *listeners):
+        """Let /n talk to peers that listen to /a and /b."""
+        self.manager.load("Talker", "/n", {"/out": "/a"}, queue_size=10000)
+        eventually(lambda: len(graph.nodes_on("/b")[1]) == len(listeners), 10.0, "they listen")
+        eventually(lambda: is_linked("/a", len(listeners)), 10.0, "they are connected")
+        call("/n", "start", 500.0)
+        self.goes_on(self.sent)
+
+    def all_is_heard(self, *listeners):
+        """Stop; everything came once, and in order on each topic, which has a thread."""
+        everything = list(range(call("/n", "stop")))
+        for each in listeners:
+            becomes(lambda each=each: sorted(heard(each)), everything)
+            for topic in ("/a", "/b"):
+                numbers = heard(each, topic)
+                self.assertEqual(numbers, sorted(numbers))
+
+    def test_between_topics_with_outside_listeners_it_loses_nothing(self):
+        listeners = [self.peer("listen", "/a", "/b") for _ in range(2)]
+        self.talk(*listeners)
+        for topic in ("/b", "/a") * 5:
+            self.move(out=topic)
+            self.goes_on(self.sent)
+        self.all_is_heard(*listeners)
+
+    def test_a_subscriber_that_connects_late_misses_nothing(self):
+        listener = self.peer("listen", "/a", "/b")
+        self.talk(listener)
+        listener.stop(signal.SIGSTOP)
+        self.move(out="/b")
+        self.goes_on(self.sent)
+        self.assertNotIn("/b ", listener.output)
+        listener.stop(signal.SIGCONT)
+        listener.wait_for("/b ")
+        self.all_is_heard(listener)
+        # A subscriber that connects to a topic that is gone never connects again, so the old
+        # one stays as long as a subscriber may still be connecting to it.
+        becomes(lambda: graph.nodes_on("/a")[0], set(), 15.0)
+
+    def watched(self):
+        """A peer that is connected to images of /n on /a."""
+        watcher = self.peer("watch", "/a")
+        self.manager.load("ImageTalker", "/n", {"/out": "/a"})
+        eventually(lambda: is_linked("/a"), 10.0, "connected")
+        return watcher
+
+    def test_large_messages_are_sent_before_the_old_topic_goes(self):
+        watcher = self.watched()
+        call("/n", "publish", 30, 4_000_000)
+        self.move(out="/b")
+        for number in range(30):
+            watcher.wait_for(f"/a {number} 4000000\n")
+        becomes(lambda: graph.nodes_on("/a")[0], set())
+
+    def test_a_stopped_subscriber_holds_up_set_config_for_half_a_second_at_most(self):
+        watcher = self.watched()
+        watcher.stop(signal.SIGSTOP)
+        call("/n", "publish", 20, 1_000_000)
+        for topic in ("/b", "/a", ""):
+            self.move(out=topic)
+
+
+class ReadvertisedTest(RewiringTest):
+    """A topic that is withdrawn and advertised again by one process reaches its subscribers.
+
+    rospy's subscribers do not connect to an address to which they have a connection, and they do
+    not connect again when that connection turns out to be closed.
+    """
+
+    def load(self):
+        self.manager.load("Talker", "/n", {"/out": "/t"})
+
+    def is_heard_by(self, peers):
+        """Publish until each peer has heard something new."""
+        first = next(self.numbers)
+
+        def all_heard():
+            call("/n", "publish", next(self.numbers), 1)
+            return all(heard(each, "/t")[-1:] > [first] for each in peers)
+
+        eventually(all_heard, 20.0, f"{first}", lambda: [each.output[-60:] for each in peers])
+
+    def test_whatever_withdrew_it(self):
+        self.numbers = itertools.count(1)
+        seed = random.randrange(1000)
+        print(f"seed {seed}")
+        dice = random.Random(seed)
+        # Peers sleep after each message, and notice no lost connection meanwhile.
+        peers = [self.peer("doze", seconds, "/t") for seconds in ("0", "0.1", "0.7", "1.5")]
+        self.load()
+        self.is_heard_by(peers)
+        for number in range(max(STEPS, 2)):
+            for _ in range(3 if STEPS else 1):
+                is_moved = dice.random() < 0.5 if STEPS else number == 0
+                pause = dice.choice((0.0, 0.0, 0.05, 0.3, 1.0)) if STEPS else 0.0
+                if is_moved:
+                    self.move(out="")
+                    time.sleep(pause)  # not a wait: intervals of any length
+                    self.move(out="/t")
+                else:
+                    self.manager.unload("/n")
+                    time.sleep(pause)
+                    self.load()
+            self.is_heard_by(peers)
 
 
 if __name__ == "__main__":
     rospy.init_node("rewiring_test")
-    rostest.rosrun("dyknow", "rewiring", "__main__")
+    rostest.rosrun("dyknow", "rewiring", ReadvertisedTest if STEPS else "__main__")

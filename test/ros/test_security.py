@@ -28,21 +28,21 @@ from dyknow_msgs.srv import (
 from graph import Manager, topics_of_ports
 from manager_suite import (
     CHILD,
+    CPP_CHILD,
     MANAGER,
     ManagerCase,
-    eventually,
     listed,
     parameters,
     specification,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
+from processes import becomes, eventually
 from std_msgs.msg import String
 
 from dyknow.errors import Refused
 
 RELAY = "/relay"
 OTHER = "/other/manager"
-CPP_CHILD = "/dyknow_cpp_nodelet_manager"
 SCRIPT = "dyknow_test/talker.py"
 LONG = "x" * 2**20
 SERVICES = {
@@ -57,24 +57,39 @@ SERVICES = {
     "replan_stream": ReplanStream,
     "find_bindings": FindBindings,
 }
-#: Specifications may be long: they have their own limits.
-UNLIMITED = ("specification",)
 
 
-def refusal(manager, name=RELAY):
-    """The reason for which a nodelet manager refuses an unload; empty if it does not."""
+def refusal(service, service_class, *request):
+    """The reason for which a service refuses a request; empty if it does not."""
     try:
-        rospy.ServiceProxy(f"{manager}/unload_nodelet", NodeletUnload)(name)
+        answer = rospy.ServiceProxy(service, service_class)(*request)
     except rospy.ServiceException as error:
         return str(error)
-    return ""
+    return getattr(answer, "message", "")
+
+
+def unload_refusal(manager, name=RELAY):
+    return refusal(f"{manager}/unload_nodelet", NodeletUnload, name)
+
+
+def load_refusal(manager, name, type_name, remappings=(), my_argv=()):
+    """The reason for which a nodelet manager refuses a load of ours; empty if it does not."""
+    pairs = dict(remappings)
+    request = (name, type_name, [*pairs], [*pairs.values()], my_argv, "")
+    return refusal(f"{manager}/load_nodelet", NodeletLoad, *request)
+
+
+def port_refusal(topic, times=1):
+    """The reason for which a proxy refuses a connection; empty if it does not."""
+    ports = [PortConfig("out", topic)] * times
+    return refusal(f"{RELAY}/set_config", SetConfig, ports)
 
 
 def too_long(service_class):
     """Requests, each with one text that is too long, or one array with too many entries."""
     request_class = service_class._request_class
     for field, kind in zip(request_class.__slots__, request_class._slot_types):
-        if field in UNLIMITED:
+        if field == "specification":  # has limits of its own
             continue
         if kind == "string":
             yield field, request_class(**{field: LONG})
@@ -85,16 +100,6 @@ def too_long(service_class):
             yield f"{field}, ports", request_class(**{field: [PortConfig(LONG, "")]})
             yield f"{field}, topics", request_class(**{field: [PortConfig("in", LONG)]})
             yield f"{field}, many", request_class(**{field: [PortConfig("in", "")] * 5000})
-
-
-def load_refusal(manager, name, type_name, remappings=(), my_argv=()):
-    """The reason for which a nodelet manager refuses a load of ours; empty if it does not."""
-    call = rospy.ServiceProxy(f"{manager}/load_nodelet", NodeletLoad)
-    try:
-        call(name, type_name, list(dict(remappings)), list(dict(remappings).values()), my_argv, "")
-    except rospy.ServiceException as error:
-        return str(error)
-    return ""
 
 
 def program(label, source):
@@ -109,32 +114,27 @@ class TopicsTest(ManagerCase):
 
     def setUp(self):
         self.manager = self.started(denied_topics=["/e_stop", "/tf"])
+        words = rospy.Publisher("/words", String, queue_size=1, latch=True)
+        self.addCleanup(words.unregister)
+        words.publish("hello")
 
-    def assert_untouched(self, topic="/e_stop"):
-        publishers, subscribers = graph.nodes_on(topic)
-        self.assertEqual((set(publishers), set(subscribers) - {rospy.get_name()}), (set(), set()))
+    def assert_untouched(self, *topics):
+        for topic in ("/e_stop", *topics):
+            publishers, subscribers = graph.nodes_on(topic)
+            self.assertEqual((publishers, subscribers - {rospy.get_name()}), (set(), set()))
 
     def test_programs(self):
-        words = rospy.Publisher("/words", String, queue_size=1, latch=True)
-        words.publish("hello")
         for number, arguments in enumerate(("/words /e_stop", "/words b b:=/e_stop")):
             name = f"/copier_{number}"
             source = f"topic_tools/relay {arguments} _lazy:=false"
             self.manager.client.add_transformation(program("copier", source))
             self.manager.client.spawn("copier", name)
             # It makes its out-port with its first message.
-            eventually(
-                lambda name=name: len(topics_of_ports(name)) == 2,
-                20.0,
-                "it has both ports",
-                lambda name=name: topics_of_ports(name),
-            )
+            becomes(lambda name=name: len(topics_of_ports(name)), 2)
             self.assertIn("", topics_of_ports(name).values())
         self.assert_untouched()
 
     def test_scripts(self):
-        words = rospy.Publisher("/words", String, queue_size=1, latch=True)
-        words.publish("hello")
         copier = program("copier", "topic_tools/transform /words /e_stop std_msgs/String m")
         self.manager.client.add_transformation(copier)
         with self.assertRaisesRegex(Refused, "'/e_stop' is denied"):
@@ -151,7 +151,6 @@ class TopicsTest(ManagerCase):
         self.assert_untouched()
 
     def test_nodelets_that_use_rospy_itself(self):
-        self.manager.client.spawn("relay", RELAY)  # the nodelet manager is there
         self.assertEqual(load_refusal(CHILD, "/n", "dyknow_test/Ordinary"), "")
         for kind in ("rospy", "bus"):
             for make in ("make_publisher", "make_subscriber"):
@@ -170,9 +169,8 @@ class TopicsTest(ManagerCase):
         self.assertEqual(load_refusal(CPP_CHILD, "/names", "dyknow_cpp_test/Names"), "")
         self.assertEqual(topics_of_ports("/names")["/tf"], "")
         self.assert_untouched("/tf")
-        self.assert_untouched()
-        self.assertIn("protected from unloading", refusal(CPP_CHILD, "/source"))
-        self.assertEqual(refusal(CPP_CHILD, "/names"), "")
+        self.assertIn("protected from unloading", unload_refusal(CPP_CHILD, "/source"))
+        self.assertEqual(unload_refusal(CPP_CHILD, "/names"), "")
         # Read-only for everyone but for those who bring back what died.
         other = self.make(
             OTHER, num_nodelet_managers=0, nodelet_managers=[CPP_CHILD], read_only=True
@@ -183,26 +181,18 @@ class TopicsTest(ManagerCase):
             10.0,
             "it is read-only",
         )
-        self.assertIn("read-only", refusal(CPP_CHILD, "/source"))
+        self.assertIn("read-only", unload_refusal(CPP_CHILD, "/source"))
         other.stop()
-        eventually(
-            lambda: "read-only" not in refusal(CPP_CHILD, "/source"), 10.0, "it is no longer"
-        )
+        is_free = lambda: "read-only" not in unload_refusal(CPP_CHILD, "/source")  # noqa: E731
+        eventually(is_free, 10.0, "it is no longer")
         self.manager.client.set_protection("/source", False)
         self.manager.client.destroy("/source")
 
     def test_guards_that_are_deleted_come_back(self):
         self.manager.client.spawn("relay", RELAY)
         rospy.delete_param(f"{CHILD}/guards")
-
-        def is_denied():
-            answer = rospy.ServiceProxy(f"{RELAY}/set_config", SetConfig)(
-                [PortConfig("out", "/e_stop"), PortConfig("out", "/e_stop")]
-            )
-            return "deny list" in answer.message
-
         eventually(lambda: rospy.has_param(f"{CHILD}/guards"), 10.0, "they are set again")
-        eventually(is_denied, 10.0, "it is denied again")
+        eventually(lambda: "deny list" in port_refusal("/e_stop", 2), 10.0, "it is denied again")
 
 
 class ProgramsTest(ManagerCase):
@@ -221,7 +211,7 @@ class ProgramsTest(ManagerCase):
         manager = self.started(remote_programs=False)
         with self.assertRaisesRegex(Refused, "remote_programs"):
             manager.client.add_transformation(program("script", SCRIPT))
-        manager.client.spawn("relay", RELAY)  # declared code is not a program
+        manager.client.spawn("relay", RELAY)  # declared code is no program
         for script in (SCRIPT, __file__):
             self.assertIn(
                 "is denied", load_refusal(CHILD, "/s", "dyknow/Script", my_argv=[script])
@@ -239,42 +229,30 @@ class SharedGuardsTest(ManagerCase):
         manager.start()
         return manager
 
-    def refusal(self, topic):
-        """The reason for which the proxy refuses a connection; empty if it does not."""
-        call = rospy.ServiceProxy(f"{RELAY}/set_config", SetConfig)
-        try:
-            return call([PortConfig("out", topic)]).message
-        except rospy.ServiceException as error:  # while it is being brought back
-            return str(error)
-
     def denies(self, *topics):
-        eventually(
-            lambda: all("deny list" in self.refusal(topic) for topic in topics),
-            5.0,
-            f"{topics} are denied",
-        )
+        for topic in topics:
+            eventually(lambda topic=topic: "deny list" in port_refusal(topic), 5.0, f"no {topic}")
 
     def test_only_its_owner_takes_a_guard_away(self):
         self.denies("/e_stop")
         other = self.other(denied_topics=["/wheels"])
         self.denies("/e_stop", "/wheels")
         other.stop()
-        eventually(lambda: not self.refusal("/wheels"), 5.0, "/wheels is free")
+        eventually(lambda: not port_refusal("/wheels"), 5.0, "/wheels is free")
         self.denies("/e_stop")
         self.first.kill_child()  # it starts under the guards that it had
         self.denies("/e_stop")
-        self.assertEqual(self.refusal("/wheels"), "")
+        self.assertEqual(port_refusal("/wheels"), "")
 
     def test_guards_of_a_killed_owner_stay_until_it_comes_again(self):
         other = self.other(denied_topics=["/wheels"], read_only=True)
-        eventually(lambda: "read-only" in self.refusal("/fine"), 5.0, "read-only")
+        eventually(lambda: "read-only" in port_refusal("/fine"), 5.0, "read-only")
         other.kill()
-        self.assertIn("read-only", self.refusal("/fine"))
-        with self.assertRaises(rospy.ServiceException):
-            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)(RELAY)
+        self.assertIn("read-only", port_refusal("/fine"))
+        self.assertIn("read-only", unload_refusal(CHILD))
         other.parameters.update(denied_topics=["/arm"], read_only=False)
         other.start()
-        eventually(lambda: not self.refusal("/wheels"), 10.0, "its new guards hold")
+        eventually(lambda: not port_refusal("/wheels"), 10.0, "its new guards hold")
         self.denies("/arm", "/e_stop")
         other.stop()
         left = [name for name in parameters(f"{CHILD}/guards") if "other" in name]
@@ -284,40 +262,32 @@ class SharedGuardsTest(ManagerCase):
 class ProtectionTest(ManagerCase):
     def test_the_stock_service_is_refused_until_it_is_released_whatever_restarts(self):
         manager = self.started()
-        manager.client.spawn("relay", RELAY, is_protected=True)
+        manager.client.spawn("relay", RELAY)
+        manager.client.set_protection(RELAY, True)
         manager.client.spawn("relay", "/two")
-        self.assertIn("protected from unloading", refusal(CHILD))
-        self.assertEqual(refusal(CHILD, "/two"), "")
-        eventually(lambda: manager.nodelet("/two") is None, 10.0, "its end is known")
+        self.assertIn("protected from unloading", unload_refusal(CHILD))
+        self.assertEqual(unload_refusal(CHILD, "/two"), "")
+        manager.is_gone("/two")
         with self.assertRaises(Refused):
             manager.client.destroy(RELAY)
         manager.kill_child()
-        eventually(lambda: listed(CHILD) == [RELAY], 20.0, "the nodelet is back")
+        becomes(lambda: listed(CHILD), [RELAY], 20.0)
         for change in (lambda: None, manager.kill, manager.start):
             change()
-            self.assertIn("protected from unloading", refusal(CHILD))
+            self.assertIn("protected from unloading", unload_refusal(CHILD))
         self.assertEqual(listed(CHILD), [RELAY])
         manager.client.set_protection(RELAY, False)
-        eventually(lambda: refusal(CHILD) == "", 5.0, "it is released")
-        eventually(lambda: manager.nodelet(RELAY) is None, 5.0, "the user's will is followed")
-
-    def test_what_is_protected_later_and_destroyed_in_the_end(self):
-        manager = self.started()
-        manager.client.spawn("relay", "/one")
-        manager.client.set_protection("/one", True)
-        self.assertIn("protected from unloading", refusal(CHILD, "/one"))
-        manager.client.set_protection("/one", False)
-        manager.client.destroy("/one")
-        self.assertEqual(listed(CHILD), [])
+        becomes(lambda: unload_refusal(CHILD), "")
+        manager.is_gone(RELAY)  # the user's will is followed
 
     def test_a_nodelet_manager_of_others(self):
-        other = Manager("/other")
-        self.addCleanup(other.__exit__)
+        self.enter(Manager("/other"))
         manager = self.started(nodelet_managers=["/other"])
+        self.spawned(manager, "/first", "/other")
         manager.client.spawn("relay", RELAY, manager="/other", is_protected=True)
-        self.assertIn("protected from unloading", refusal("/other"))
+        self.assertIn("protected from unloading", unload_refusal("/other"))
         manager.stop()  # deliberately: its nodelets there end with it
-        eventually(lambda: listed("/other") == [], 10.0, "nothing is left")
+        becomes(lambda: listed("/other"), [])
 
 
 class LimitsTest(ManagerCase):
@@ -329,19 +299,12 @@ class LimitsTest(ManagerCase):
         services[f"{CHILD}/load_nodelet"] = NodeletLoad
         services[f"{CHILD}/unload_nodelet"] = NodeletUnload
         for name, service_class in services.items():
-            call = rospy.ServiceProxy(name, service_class)
             for field, request in too_long(service_class):
                 with self.subTest(name, field=field):
-                    if name.startswith(CHILD):  # as in C++, these calls fail
-                        with self.assertRaisesRegex(rospy.ServiceException, "too many"):
-                            call(request)
-                    else:
-                        answer = call(request)
-                        self.assertFalse(answer.success)
-                        self.assertIn("too many", answer.message[:200])
-        answer = rospy.ServiceProxy(f"{MANAGER}/add_transformation", AddTransformation)(LONG)
-        self.assertFalse(answer.success)
-        self.assertLess(len(answer.message), 1000)
+                    said = refusal(name, service_class, request)
+                    self.assertIn("too many", said[:400])
+        said = refusal(f"{MANAGER}/add_transformation", AddTransformation, LONG)
+        self.assertTrue(0 < len(said) < 1000, said)
 
         # The log has the last refusals, by the manager and by its nodelet manager.
         self.assertIn("adding transformations for", manager.output)

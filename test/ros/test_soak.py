@@ -11,23 +11,21 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import time
 from pathlib import Path
 from typing import Any, Callable
 
 import graph
 import psutil
-import rosgraph
 import rospy
 import rostest
 from cpp_suite import RUN
-from graph import Ended
-from manager_suite import ManagerCase, eventually
-from stream_suite import CAMERA, CEILING, FILTER, GOAL, TRACKER
+from manager_suite import ManagerCase, everything
+from processes import Ended, eventually
+from stream_suite import CAMERA
+from test_boot import LIBRARY, Promises, Work
 
 from dyknow.errors import DyKnowError
-from dyknow.model.streams import StreamRequest
 
 OPERATIONS = int(os.environ.get("DYKNOW_SOAK_OPERATIONS", "10000"))
 SEED = int(os.environ.get("DYKNOW_SOAK_SEED", "1"))
@@ -37,21 +35,13 @@ WARM = 1000
 STRETCH = 500
 #: Bytes that a process may grow in 1,000 operations.
 MOST = 1_000_000
-NODELETS, CLAIMS, PROCESSES = 10, 4, 3
+PROCESSES = 3
 #: The output and the crash record of each nodelet manager, and the outputs of the last that ended.
 KEPT_OUTPUTS = 2 * 2 + 10
 LAUNCH = ("rosrun", "dyknow", "dyknow", "launch", "--skip-log-check")
 LAUNCH_FILE = str(Path(__file__).resolve().parent.parent / "launch" / "soak.launch")
-
-PLAIN = ("counter", "relay", "relay", "heavy")
-MORE = (
-    "<transformations>"
-    "<transformation><label>heavy</label><source>dyknow_manager_test/Heavy</source>"
-    '<ports><port type="in">in</port><port type="out">out</port></ports></transformation>'
-    '<transformation type="node"><label>script</label>'
-    "<source>dyknow_test/both_ways.py</source></transformation>"
-    f"{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
-)
+#: Kinds of nodelets, mostly those that need no process; none in C++, whose library keeps memory.
+SOAKED = [0] * 8 + [4] * 8 + [5, 5, 1, 7]
 
 
 class SoakTest(ManagerCase):
@@ -60,10 +50,9 @@ class SoakTest(ManagerCase):
         # Where a claim's nodelets go at once, a reading need not wait for it.
         self.manager = self.started(linger=0.0, num_nodelet_managers=2)
         self.client = self.manager.client
-        self.client.add_transformation(MORE)
-        self.random = random.Random(SEED)
-        self.nodelets: dict[str, str] = {}
-        self.claims: list[str] = []
+        self.client.add_transformation(LIBRARY)
+        self.work = Work(self.manager, Promises(), SEED)
+        self.random = self.work.dice
         self.processes: list[Ended] = []
         self.addCleanup(self.end_processes)
         self.number, self.refused = 0, 0
@@ -77,7 +66,7 @@ class SoakTest(ManagerCase):
             if number % STRETCH == 0:
                 self.rest()
                 readings[number] = self.reading()
-                named[number] = self.at_the_master()
+                named[number] = everything()
                 seconds = time.monotonic() - began
                 print(f"{number}: {seconds:.0f} s, {readings[number]}", flush=True)
         print(f"{self.counts}, {self.refused} refused")
@@ -106,16 +95,11 @@ class SoakTest(ManagerCase):
 
     def operate(self) -> None:
         kinds: dict[Callable[[], None], float] = {
-            self.spawn: 25,
-            self.destroy: 25,
-            self.connect: 30,
-            self.acquire: 8,
-            self.release: 8,
+            lambda: self.work.change_nodelet(SOAKED): 85,
+            self.work.change_claim: 16,
             self.reload: 2,
             self.specify: 2,
             self.load_a_failing_one: 1,
-            self.spawn_script: 3,
-            self.spawn_isolated: 1.5,
             self.run_node: 0.3,
             self.launch: 0.1,
             self.stop: 0.4,
@@ -129,63 +113,18 @@ class SoakTest(ManagerCase):
             if self.refused < 10:
                 print(f"{operation.__name__}: {error}", flush=True)
 
-    def spawn(self, label: str = "", isolated: bool = False) -> None:
-        if len(self.nodelets) >= NODELETS:
-            self.destroy()
-        label = label or self.random.choice(PLAIN)
-        # Names come again, as on a robot.
-        name = f"/{label}_{self.random.randrange(40)}"
-        if name in self.nodelets:
-            return
-        config = {} if label == "script" else self.topics(label)
-        self.client.spawn(label, name, config, isolated=isolated)
-        self.nodelets[name] = label
-
-    def spawn_script(self) -> None:
-        self.spawn("script")
-
-    def spawn_isolated(self) -> None:
-        self.spawn(isolated=True)
-
-    def topics(self, label: str) -> dict[str, str]:
-        ports = ["out"] if label == "counter" else ["in", "out"]
-        return {port: f"/t{self.random.randrange(12)}" for port in ports}
-
-    def destroy(self) -> None:
-        if self.nodelets:
-            name = self.random.choice(sorted(self.nodelets))
-            self.client.destroy(name)
-            del self.nodelets[name]
-
-    def connect(self) -> None:
-        names = sorted(name for name, label in self.nodelets.items() if label != "script")
+    def reload(self) -> None:
+        """Unload a nodelet behind the manager's back."""
+        names = [
+            name
+            for name, made in sorted(self.work.promises.nodelets.items())
+            if made.label in ("relay", "heavy") and not made.is_protected
+        ]
         if names:
             name = self.random.choice(names)
-            self.client.set_config(name, self.topics(self.nodelets[name]))
-
-    def acquire(self) -> None:
-        if len(self.claims) >= CLAIMS:
-            self.release()
-        goal = self.random.choice([GOAL, "Filtered(ball)", "Raw(?which)"])
-        self.claims.append(self.client.acquire_stream(StreamRequest(goal)).claim_id)
-
-    def release(self) -> None:
-        if self.claims:
-            self.client.release_stream(self.claims.pop(self.random.randrange(len(self.claims))))
-
-    def reload(self) -> None:
-        """Unload and load a nodelet behind the manager's back."""
-        names = sorted(name for name, label in self.nodelets.items() if label != "script")
-        if not names:
-            return
-        name = self.random.choice(names)
-        found = self.manager.nodelet(name)
-        if found is None:
-            return
-        services = graph.ManagerServices(found.manager)
-        services.unload(name)
-        del self.nodelets[name]
-        eventually(lambda: self.manager.nodelet(name) is None, 10.0, f"{name} is forgotten")
+            graph.ManagerServices(self.manager.nodelet(name).manager).unload(name)
+            del self.work.promises.nodelets[name]
+            self.manager.is_gone(name)
 
     def specify(self) -> None:
         """Add or remove a transformation."""
@@ -228,13 +167,7 @@ class SoakTest(ManagerCase):
     def rest(self) -> None:
         """End everything, and wait until the manager has done so too."""
         self.end_processes()
-        for claim in self.claims:
-            self.client.release_stream(claim)
-        self.claims.clear()
-        for name in sorted(self.nodelets):
-            with contextlib.suppress(DyKnowError):
-                self.client.destroy(name)
-        self.nodelets.clear()
+        self.work.undo()
         eventually(
             lambda: not self.client.get_model().nodelets,
             30.0,
@@ -263,25 +196,13 @@ class SoakTest(ManagerCase):
             found[f"{name} memory"] = process.memory_info().rss
             found[f"{name} descriptors"] = process.num_fds()
             found[f"{name} threads"] = process.num_threads()
-        found["at the master"] = len(self.at_the_master())
+        found["at the master"] = len(everything())
         found["state files"] = len(list(Path(self.manager.state).rglob("*")))
         logs = Path(os.environ["ROS_HOME"], "log")
         # Files that ROS writes for each node are not ours; ours of the last that ended are kept.
         outputs = [file for each in logs.glob("dyknow-*") for file in each.iterdir()]
         found["outputs of children"] = max(0, len(outputs) - KEPT_OUTPUTS)
         return found
-
-    def at_the_master(self) -> set[str]:
-        """Return the registrations and the parameters, but those that roslaunch leaves."""
-        parts = rosgraph.Master(rospy.get_name()).getSystemState()
-        registered = {
-            f"{kind} {topic} of {node}"
-            for kind, part in zip(("publisher", "subscriber", "service"), parts)
-            for topic, nodes in part
-            for node in nodes
-        }
-        parameters = rospy.get_param_names()
-        return registered | {each for each in parameters if not each.startswith("/roslaunch/")}
 
 
 if __name__ == "__main__":

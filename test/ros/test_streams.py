@@ -2,7 +2,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Streams on request: the services, the Python client, the command line."""
+"""Streams on request: acquired, and kept while their parts are lost or do harm.
+
+Limits are far from what a busy machine does by itself: 5 s of age or silence, a tenth of a rate.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,44 @@ import time
 
 import rospy
 import rostest
-from manager_suite import eventually
-from processes import DYKNOW, Running, finished
+from dyknow_msgs.srv import GetCounts
+from geometry_msgs.msg import PointStamped
+from graph import Heard
+from manager_suite import CHILD
+from nodelet.srv import NodeletUnload
+from processes import eventually
 from std_msgs.msg import Header
-from stream_suite import GOAL, SENSOR, StreamCase
+from stream_suite import CAMERA, GOAL, SPARE_FILTER, StreamCase, transformation
 
 import dyknow
-from dyknow.errors import Refused
-from dyknow.model.streams import NO_MESSAGE, ClaimState
+from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState, StreamRequest
+
+LIMIT = 5.0  # s, of an age or a silence; what is late is twice as old
+TOPIC = "/scanner/points"
+SCANNER = (
+    f'<transformation type="topic"><label>scanner</label><source>{TOPIC}</source>'
+    '<ports><port type="out" datatype="geometry_msgs/PointStamped">out</port></ports>'
+    '<tags><tag port="out">Scan(ball)</tag></tags></transformation>'
+)
+AGING = (
+    "<transformations>"
+    + transformation("eye", "Stamped", "Seen(ball)")
+    + transformation("lagging", "Lagging", "Smooth(ball)", "Seen(ball)")
+    + transformation("last", "Lagging", "Place(ball)", "Smooth(ball)")
+    + "</transformations>"
+)
+CLIENT = (
+    "<transformation><label>client</label><source>dyknow_manager_test/Client</source>"
+    '<params><param name="tag" type="string">Filtered(ball)</param></params>'
+    '<ports><port type="out">out</port></ports></transformation>'
+)
+MAPS = (
+    "<transformations>"
+    + transformation("map", "Counter", "Map(here)")
+    + transformation("spare map", "Counter", "Map(here)", cost=3)
+    + CAMERA.replace("<label>camera", "<label>twin")  # as good as the camera
+    + "</transformations>"
+)
 
 
 class AcquireTest(StreamCase):
@@ -28,8 +61,7 @@ class AcquireTest(StreamCase):
             self.assertEqual(stream.state, ClaimState.ACTIVE)
             self.assertEqual(stream.datatype, "std_msgs/Header")
             self.assertEqual(stream.spawned, ("/camera_1", "/filter_1", "/tracker_1"))
-            flow = self.flow(stream.topic)
-            flow.wait()
+            self.enter(Heard(stream.topic)).flows()
             self.settled(manager)
             shown = self.claim(manager, stream.claim_id)
             self.assertEqual(shown.client_id, rospy.get_name())
@@ -37,88 +69,174 @@ class AcquireTest(StreamCase):
             self.assertGreater(shown.expires, rospy.get_time())
             eventually(lambda: stream.detail == "", 5.0, "the first message has come")
         self.assertEqual(stream.state, ClaimState.RELEASED)
-        eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
+        self.is_cleared(manager)
+        eventually(lambda: len(events) > 2, 5.0, "the last event is heard")
         self.assertEqual(
-            [(event.after.state, event.after.detail) for event in events.all],
+            [(event.after.state, event.after.detail) for event in events],
             [
                 (ClaimState.ACTIVE, NO_MESSAGE),
                 (ClaimState.ACTIVE, ""),
                 (ClaimState.RELEASED, "released"),
             ],
         )
-        self.assertIsNone(events.all[0].before)
+        self.assertIsNone(events[0].before)
 
     def test_a_nodelet_acquires_streams_too(self):
         manager = self.tracking()
-        manager.client.add_transformation(
-            "<transformation><label>client</label><source>dyknow_manager_test/Client</source>"
-            '<params><param name="tag" type="string">Filtered(ball)</param></params>'
-            '<ports><port type="out">out</port></ports></transformation>'
-        )
+        manager.client.add_transformation(CLIENT)
         manager.client.spawn("client", "/client", {"out": "/seen"})
-        self.flow("/seen").wait()
-        claims = manager.claims()
-        self.assertEqual([each.tag for each in claims], ["Filtered(ball)"])
+        self.enter(Heard("/seen")).flows()
+        self.assertEqual([each.tag for each in manager.claims()], ["Filtered(ball)"])
         manager.client.destroy("/client")
-        eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
+        self.is_cleared(manager)
 
-    def test_a_claim_is_pending_until_a_sensor_appears(self):
+    def test_a_topic_that_appears_ages_and_disappears(self):
         manager = self.tracking()
-        for label in ("camera", "ceiling"):
-            manager.client.remove_transformation(label)
-        manager.client.add_transformation(SENSOR)
+        manager.client.add_transformation(SCANNER)
+        age = 0.0
+
+        def publish(event):
+            stamp = rospy.Time.now() - rospy.Duration(age) if age >= 0 else rospy.Time()
+            scanner.publish(PointStamped(header=Header(stamp=stamp)))
+
+        def becomes(state, detail):
+            self.become(manager, stream.claim_id, state)
+            eventually(
+                lambda: detail in self.claim(manager, stream.claim_id).detail,
+                20.0,
+                detail,
+                lambda: self.claim(manager, stream.claim_id),
+            )
+            eventually(lambda: stream.state is state, 5.0, "the client is told")
+
         news = []
-        with dyknow.acquire(GOAL, pending=True, on_event=news.append) as stream:
+        request = {"pending": True, "max_age": LIMIT, "on_event": news.append}
+        with dyknow.acquire("Scan(ball)", PointStamped, **request) as stream:
             self.assertEqual((stream.state, stream.topic), (ClaimState.PENDING, ""))
-            self.assertIn("Raw(?camera)", stream.detail)
-            self.assertFalse(stream.wait_until_active(0.3))
-            sensor = rospy.Publisher("/sensor/raw", Header, queue_size=1)
-            timer = rospy.Timer(rospy.Duration(0.05), lambda event: sensor.publish(Header()))
+            self.assertIn("Scan(ball)", stream.detail)
+            scanner = rospy.Publisher(TOPIC, PointStamped, queue_size=10)
+            timer = rospy.Timer(rospy.Duration(0.05), publish)
             self.addCleanup(timer.shutdown)
-            self.assertTrue(stream.wait_until_active(20.0))
-            self.flow(stream.topic).wait()
-            self.settled(manager)
-            self.assertIs(news[-1].after.state, ClaimState.ACTIVE)
+            self.assertTrue(stream.wait_until_active(400.0))
+            self.enter(Heard(stream.topic, PointStamped)).flows()
+            self.delivers(manager, stream.claim_id)
+            eventually(lambda: news[-1].after.state is ClaimState.ACTIVE, 5.0, "it is told")
+            age = 2 * LIMIT
+            becomes(ClaimState.DEGRADED, f"topic {TOPIC} delays the stream by 1")
+            age = 0.0
+            becomes(ClaimState.ACTIVE, "")
+            age = -1.0
+            becomes(ClaimState.ACTIVE, UNKNOWN_AGE)
             timer.shutdown()
             timer.join()
-            sensor.unregister()
-            self.become(manager, stream.claim_id, ClaimState.PENDING)
-            eventually(lambda: stream.state is ClaimState.PENDING, 2.0, "the client is told")
+            scanner.unregister()
+            becomes(ClaimState.PENDING, "Scan(ball)")
 
-
-class CommandTest(StreamCase):
-    """``dyknow`` in a shell, without a node."""
-
-    def run_it(self, *words):
-        code, output = finished([*DYKNOW, *words])
-        self.assertEqual(code, 0, output)
-        return output
-
-    def test_a_stream_held_by_a_shell(self):
+    def test_a_nodelet_manager_tells_the_age_of_one_message_for_each_question(self):
         manager = self.tracking()
-        self.assertIn("filter.out [?camera=own] (new, cost 1)", self.run_it("plan", GOAL))
-        self.assertIn("digraph", self.run_it("plan", GOAL, "--dot"))
-        found = manager.client.find_bindings("Raw(?camera)", "std_msgs/Header")
-        self.assertEqual(found, ("?camera=ceiling", "?camera=own"))
-        with self.assertRaisesRegex(Refused, "expected Functor"):
-            manager.client.find_bindings("Raw(")
-        with Running(*DYKNOW, "acquire", GOAL) as shell:
-            shell.wait_for("held until Ctrl-C")
-            (claim,) = manager.claims()
-            self.assertIn(claim.topic, shell.output)
-            manager.client.destroy("/filter_1")
-            shell.wait_for("active: mended")
-            self.assertIn(claim.claim_id, self.run_it("streams"))
-            manager.kill()
-            shell.wait_for("waiting for it")
-            manager.start()
-            shell.wait_for("the manager is back")
-            time.sleep(11.0)  # longer than the lease
-            self.become(manager, claim.claim_id, ClaimState.ACTIVE)
-            shell.stop()
-            self.assertEqual(shell.exit_code(10.0), 0)
-            self.assertIn(f"released {claim.claim_id}", shell.output)
-        self.assertEqual(manager.claims(), [])
+        manager.client.add_transformation(AGING)
+        manager.client.spawn("eye", "/eye", {"out": "/seen"})
+        manager.client.spawn("lagging", "/lagging", {"in": "/seen", "out": "/smooth"})
+        manager.client.spawn("camera", "/camera", {"out": "/number"})
+        proxy = rospy.ServiceProxy(f"{CHILD}/get_counts", GetCounts)
+
+        def age(nodelet, port):
+            counts = {each.nodelet: each.ports for each in proxy([]).nodelets}
+            return next(each.age for each in counts[nodelet] if each.port == port)
+
+        first = age("/eye", "out")
+        self.assertNotEqual(first, first, "NaN until the first question")
+        eventually(lambda: 0 <= age("/eye", "out") < LIMIT, 5.0, "the source is measured")
+        self.tell("/lagging", "late")
+        late = lambda: 2 * LIMIT <= age("/lagging", "out") < 3 * LIMIT  # noqa: E731
+        eventually(late, 5.0, "the delay is measured")
+        for unknown in (age("/lagging", "in"), age("/camera", "out")):
+            self.assertNotEqual(unknown, unknown, "NaN")
+
+
+class PartsTest(StreamCase):
+    """Something happens to a part of a stream; its client keeps listening to the same topic."""
+
+    def test_parts_that_are_destroyed_unloaded_or_killed(self):
+        manager = self.tracking()
+        events = self.events()
+        with dyknow.acquire(GOAL, Header) as stream:
+            topic, flow = stream.topic, self.enter(Heard(stream.topic))
+            flow.flows()
+
+            def loses(label, cause, lose):
+                since, victim = len(events), self.nodelet_of(manager, label)
+                lose(victim)
+                events.mended(cause.format(victim), since)
+                self.become(manager, stream.claim_id, ClaimState.ACTIVE)
+                flow.flows()
+                self.settled(manager)
+                self.assertEqual(stream.topic, topic)
+                eventually(lambda: stream.state is ClaimState.ACTIVE, 2.0, "the client knows")
+                events.is_one_loss(since)
+
+            unload = rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)
+            loses("tracker", "{} is gone", manager.client.destroy)
+            loses("filter", "{} is gone", unload)
+            loses("camera", "", lambda victim: manager.kill_child())
+
+    def test_a_process_that_hangs_makes_no_other_part_change(self):
+        manager = self.tracking()
+        manager.client.add_transformation(MAPS)
+        manager.client.spawn("map", "/atlas", {"out": "/atlas/map"}, isolated=True)
+        near, far = (
+            manager.client.acquire_stream(StreamRequest(tag, max_silence=LIMIT))
+            for tag in (GOAL, "Map(here)")
+        )
+        self.assertEqual(far.topic, "/atlas/map")
+        for claim in (near, far):
+            self.delivers(manager, claim.claim_id)
+        before, events = self.claim(manager, near.claim_id), self.events()
+        flow = self.enter(Heard(far.topic))
+        with manager.child_stopped("/atlas_nodelet_manager"):
+            stopped = time.monotonic()
+            self.assertIn("/atlas", events.mended().reason)
+            flow.flows()  # another node publishes there
+            self.become(manager, far.claim_id, ClaimState.ACTIVE)
+            # For longer than a stream may be silent.
+            eventually(lambda: time.monotonic() > stopped + LIMIT + 2.0, 10.0, "time passes")
+        self.settled(manager)
+        self.assertEqual(self.claim(manager, near.claim_id), before)
+        self.assertEqual(events.changes(claim_id=near.claim_id), [])
+        events.is_one_loss(claim_id=far.claim_id)
+
+
+class HarmTest(StreamCase):
+    """A part that harms a stream is replaced, once, and no other part."""
+
+    def harm(self, tag, label, order, said, **limit):
+        """Make one part of a stream misbehave by an order."""
+        manager = self.tracking(own=True)  # it remembers for a while what did harm
+        manager.client.add_transformation(AGING)
+        manager.client.add_transformation(SPARE_FILTER)
+        with dyknow.acquire(tag, client_id="keen", **limit) as stream:
+            self.delivers(manager, stream.claim_id)
+            events = self.events()
+            harmful = self.nodelet_of(manager, label)
+            others = set(stream.nodelets) - {harmful}
+            self.tell(harmful, order)
+            self.assertRegex(events.mended().reason, f"{harmful} {said}")
+            self.delivers(manager, stream.claim_id)
+            self.assertLessEqual(others, set(stream.nodelets))
+            self.assertNotIn(harmful, stream.nodelets)
+            self.settled(manager)
+            events.is_one_loss()
+
+    def test_a_part_that_delays_the_stream(self):
+        said = "delays the stream by 1.* s old, at most 5 s was asked for"
+        self.harm("Place(ball)", "lagging", "late", said, max_age=LIMIT)
+
+    def test_a_part_that_slows_down(self):
+        said = "is too slow.*at least 3 Hz are demanded"
+        self.harm(GOAL, "filter", "slow", said, min_rate=3.0)
+
+    def test_a_part_whose_callback_raises_is_silent(self):
+        self.harm(GOAL, "filter", "raise", "", max_silence=LIMIT)
 
 
 if __name__ == "__main__":

@@ -12,22 +12,21 @@ import time
 import graph  # first: it makes the test package known
 import rospy
 import rostest
-from graph import PEER, Ended, Manager, call
-from processes import HELD_UP, TellingCase, eventually, finished
+from graph import Manager, call, peer
+from processes import HELD_UP, NODELET, TellingCase, eventually, finished
 from std_msgs.msg import Header
 
 
 class EndTest(TellingCase):
     def setUp(self):
-        self.manager = Manager("/manager")
-        self.addCleanup(self.manager.__exit__)
+        self.manager = self.enter(Manager("/manager"))
 
     def assert_ends(self, *shut_down):
         """It ends in order, and has shut down each of the nodelets once."""
         begin = time.monotonic()
         self.assertEqual(self.manager.exit_code(20.0), 0, self.manager.output)
         self.assertLess(time.monotonic() - begin, HELD_UP)
-        self.assertFalse(any(graph.registrations("/manager").values()))
+        self.assertEqual(graph.registered("/manager"), set())
         output = self.manager.output
         self.assertNotIn("Traceback", output)
         self.assertNotIn("for the 2. time", output)
@@ -76,30 +75,25 @@ class EndTest(TellingCase):
     def test_in_the_middle_of_on_init(self):
         rospy.set_param("/go_on", False)
         words = ("load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=slow")
-        client = Ended(*graph.NODELET, *words)
-        self.addCleanup(client.__exit__)
+        client = self.run_process(*NODELET, *words)
         eventually(lambda: "/slow/get_config" in graph.services_of("/manager"), 10.0, "it waits")
         self.manager.stop()
         self.assert_ends()
         self.assertEqual(client.exit_code(20.0), 255)
 
     def test_in_the_middle_of_set_config(self):
-        peer = Ended(*PEER, "talk", "100", "/a")
-        self.addCleanup(peer.__exit__)
+        talker = self.run_process(*peer("talk", "100", "/a"))
         eventually(lambda: graph.nodes_on("/a")[0], 10.0, "it is registered")
-        peer.stop(signal.SIGSTOP)
+        talker.stop(signal.SIGSTOP)
         self.manager.load("Relay", "/n")
-        client = Ended("rosservice", "call", "/n/set_config", "[{port: in, topic: /a}]")
-        self.addCleanup(client.__exit__)
+        self.run_process("rosservice", "call", "/n/set_config", "[{port: in, topic: /a}]")
         eventually(lambda: "/manager" in graph.nodes_on("/a")[1], 10.0, "it is being made")
         self.manager.stop()
         self.assert_ends()
 
     def test_under_load(self):
-        peer = Ended(*PEER, "talk", "500", "/a")
-        listener = Ended(*PEER, "listen", "/b")
-        for process in (peer, listener):
-            self.addCleanup(process.__exit__)
+        self.run_process(*peer("talk", "500", "/a"))
+        listener = self.run_process(*peer("listen", "/b"))
         self.manager.load("Relay", "/n", {"/in": "/a", "/out": "/b"})
         listener.wait_for("/b ")
         self.manager.stop()

@@ -5,11 +5,8 @@
 
 from __future__ import annotations
 
-import collections
 import ctypes
-import multiprocessing
 import os
-import signal
 import time
 
 import rospy
@@ -97,7 +94,6 @@ class Fatal(Relay):
         "abort": os.abort,
         "segfault": lambda: ctypes.string_at(0),
         "exit": lambda: os._exit(3),
-        "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
         "shutdown": lambda: rospy.signal_shutdown("a nodelet wants it"),
     }
 
@@ -124,23 +120,11 @@ class Fatal(Relay):
             self.ways[way]()
 
 
-class Forks(dyknow.Nodelet):
-    """Has a process of its own beside it, and says so in ~pid."""
-
-    def on_init(self):
-        self.nh = dyknow.NodeHandle(self.node_handle)
-        self.process = multiprocessing.get_context("fork").Process(
-            target=time.sleep, args=(1000.0,), daemon=True
-        )
-        self.process.start()
-        self.nh.set_param("~pid", self.process.pid)
-
-
 class Moody(Relay):
     """Relays until the topic ~order says otherwise, and again when it says `work`.
 
-    `raise` and `silent` are what they say; when it is `slow` it relays every fourth message, and
-    when it is to `hang` its callback ends when the parameter /let_go is true.
+    `raise` and `silent` are what they say; when it is `slow` it relays every twentieth message,
+    and when it is to `hang` its callback ends when the parameter /let_go is true.
     """
 
     def on_init(self):
@@ -158,7 +142,7 @@ class Moody(Relay):
             raise RuntimeError("the lens is dirty")
         while self.mood == "hang" and not rospy.get_param("/let_go", False):
             time.sleep(0.05)
-        if self.mood == "work" or (self.mood == "slow" and message.seq % 4 == 0):
+        if self.mood == "work" or (self.mood == "slow" and message.seq % 20 == 0):
             self.out.publish(message)
 
 
@@ -175,23 +159,21 @@ class Stamped(dyknow.Nodelet):
 
 
 class Lagging(dyknow.Nodelet):
-    """Relays points; from when the topic ~order says `late` on, eight messages late."""
+    """Relays points; from when the topic ~order says `late` on, as if they were 10 s older."""
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)
-        self.held = collections.deque()
-        self.late_by = 0
+        self.delay = 0.0
         self.out = self.nh.Publisher("out", PointStamped, queue_size=1000)
         self.input = self.nh.Subscriber("in", PointStamped, self.on_message, queue_size=1000)
         self.order = self.private_node_handle.Subscriber("order", String, self.on_order)
 
     def on_order(self, message):
-        self.late_by = 8 if message.data == "late" else 0
+        self.delay = 10.0 if message.data == "late" else 0.0
 
     def on_message(self, message):
-        self.held.append(message)
-        while len(self.held) > self.late_by:
-            self.out.publish(self.held.popleft())
+        stamp = message.header.stamp - self.nh.Duration(self.delay)
+        self.out.publish(PointStamped(header=Header(stamp=stamp)))
 
 
 class Client(dyknow.Nodelet):

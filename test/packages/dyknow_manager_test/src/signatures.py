@@ -71,11 +71,10 @@ def _is(term: str, wanted: str, kinds: Kinds) -> bool:
 
 def sign(message: Any, name: str, number: int, tags: Sequence[str]) -> Any:
     """Write into a message whose it is and what its stream supplies."""
-    header = getattr(message, "header", message)
-    header.frame_id = json.dumps({"by": name, "number": number, "tags": list(tags)})
+    message.frame_id = json.dumps({"by": name, "number": number, "tags": list(tags)})
     return message
 
 
 def signature(message: Any) -> dict[str, Any]:
     """Read what ``sign`` wrote."""
-    return json.loads(getattr(message, "header", message).frame_id)
+    return json.loads(message.frame_id)

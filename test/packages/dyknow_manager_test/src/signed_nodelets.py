@@ -10,8 +10,7 @@ import json
 import os
 
 import signatures
-from roslib.message import get_message_class
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 import dyknow
 
@@ -22,7 +21,7 @@ class Signed(dyknow.Nodelet):
     What it received last at its in-ports says what the variables in the signatures stand for.
     While these have no names, or several, nothing is published.
 
-    Parameters: ~ports (JSON, a list of name, direction, datatype and tags), ~kinds (JSON, what is
+    Parameters: ~ports (JSON, a list of name, direction and tag), ~kinds (JSON, what is
     a kind of what), ~rate (Hz) and ~report, a file that gets a line for each message that meets no
     demand. A file beside it, with the ending ``mixed``, gets one for each message that is of
     another individual than what was received since the last reconfiguration.
@@ -40,28 +39,25 @@ class Signed(dyknow.Nodelet):
         self.remembered = [{}]
         self.nh.set_reconfigure_callback(self.forget)
         demands = []
-        for name, direction, datatype, tags in json.loads(self.nh.get_param("~ports")):
-            message_class = get_message_class(datatype)
+        for name, direction, tag in json.loads(self.nh.get_param("~ports")):
             if direction == "out":
-                publisher = self.nh.Publisher(name, message_class, queue_size=10)
-                self.outputs.append((publisher, message_class, tags))
+                self.outputs.append((self.nh.Publisher(name, Header, queue_size=10), tag))
                 continue
-            leads = bool(tags) and not demands
-            demands += tags
-            receive = functools.partial(self.receive, name, tags, leads)
-            self.nh.Subscriber(name, message_class, receive, queue_size=10)
+            receive = functools.partial(self.receive, name, tag, not demands)
+            demands.append(tag)
+            self.nh.Subscriber(name, Header, receive, queue_size=10)
         if not demands:
             self.timer = self.nh.Timer(
                 self.nh.Duration(1.0 / self.rate), lambda event: self.publish()
             )
         self.orders = self.node_handle.Subscriber("/orders", String, self.on_order, queue_size=100)
 
-    def receive(self, port, tags, leads, message):
+    def receive(self, port, tag, leads, message):
         found = signatures.signature(message)
-        ways = signatures.ways(found["tags"], tags, self.kinds) if tags else []
+        ways = signatures.ways(found["tags"], [tag], self.kinds)
         if not ways:
             with open(self.report, "a") as file:
-                file.write(f"{self.name}.{port} demands {tags}, got {found}\n")
+                file.write(f"{self.name}.{port} demands {tag}, got {found}\n")
         self.remember(port, found, ways)
         self.names[port] = ways[0] if ways else {}
         if leads:
@@ -89,11 +85,10 @@ class Signed(dyknow.Nodelet):
         self.number += 1
         said = {pair for names in self.names.values() for pair in names.items()}
         names = dict(said)
-        for publisher, message_class, tags in self.outputs if len(names) == len(said) else ():
-            tags = [signatures.filled(tag, names) for tag in tags]
-            if "?" in "".join(tags):
-                continue
-            publisher.publish(signatures.sign(message_class(), self.name, self.number, tags))
+        for publisher, tag in self.outputs if len(names) == len(said) else ():
+            tag = signatures.filled(tag, names)
+            if "?" not in tag:
+                publisher.publish(signatures.sign(Header(), self.name, self.number, [tag]))
 
     def on_order(self, message):
         name, order = message.data.split()

@@ -96,6 +96,7 @@ class Features(Puppet):
     def sleep(self, seconds):
         """The time that passed for the nodelet while it slept."""
         start = self.nh.get_time()
+        rospy.loginfo("%s sleeps", self.name)
         self.nh.sleep(self.nh.Duration(seconds))
         return self.nh.get_time() - start
 
