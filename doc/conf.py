@@ -22,7 +22,7 @@ release = version = _package.findtext("version")
 # The pages in Markdown; Ubuntu 20.04 has the older of the two.
 extensions = [
     "myst_parser" if importlib.util.find_spec("myst_parser") else "recommonmark",
-    "command_help",
+    "generated",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
 ]
