@@ -1,13 +1,19 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The directive ``command-help``: what ``dyknow COMMAND --help`` prints, taken from its parser."""
+"""Directives for the parts of pages that are generated.
+
+``command-help`` takes the help of a command from its parser, ``node-help`` that of a node, and
+``interface-files`` shows the commented message or service files of a folder.
+"""
 
 import argparse
+from pathlib import Path
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
 
+from dyknow.cli import node_help
 from dyknow.cli.main import build_parser
 
 
@@ -47,7 +53,40 @@ class CommandHelp(Directive):
         return f"[{option}]"
 
 
+class NodeHelp(Directive):
+    """The help of the node whose constant in ``dyknow.cli.node_help`` it names."""
+
+    required_arguments = 1
+
+    def run(self):
+        """Return the nodes."""
+        text = getattr(node_help, self.arguments[0])
+        return [nodes.literal_block(text, text, language="text")]
+
+
+class InterfaceFiles(Directive):
+    """A section for each file of a folder, which is given relative to the page."""
+
+    required_arguments = 1
+
+    def run(self):
+        """Return the nodes."""
+        folder = Path(self.state.document.current_source).parent / self.arguments[0]
+        return [self._section(path) for path in sorted(folder.iterdir())]
+
+    def _section(self, path):
+        self.state.document.settings.record_dependencies.add(str(path))
+        text = path.read_text(encoding="utf-8")
+        block = nodes.literal_block(text, text, language="text")
+        section = nodes.section("", nodes.title(text=path.stem), block)
+        section["names"].append(nodes.fully_normalize_name(path.stem))
+        self.state.document.note_implicit_target(section, section)
+        return section
+
+
 def setup(app):
-    """Register the directive."""
+    """Register the directives."""
     app.add_directive("command-help", CommandHelp)
+    app.add_directive("node-help", NodeHelp)
+    app.add_directive("interface-files", InterfaceFiles)
     return {"parallel_read_safe": True}
