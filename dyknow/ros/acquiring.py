@@ -216,11 +216,14 @@ def acquire(
             parts count as broken.
         min_rate: Hz; a part that keeps the stream slower is replaced. 0: any rate will do.
         max_age: seconds that messages may be old when they are published, by the stamps in their
-            headers; a part that makes them older is replaced. 0: any age will do.
-        exclude: labels of transformations that must not be used, or a single one.
+            headers; a part that makes them older is replaced. 0: any age will do. A type without
+            a header is refused.
+        exclude: labels of transformations that must not be used, or a single one; an unknown
+            label is only a warning.
         prefer: concepts or labels, or a single one, to use where there is a choice.
         avoid: concepts or labels, or a single one, to use only where there is no choice.
-        budget: seconds for the improvement of the plan; 0: the manager's default.
+        budget: seconds for the improvement of the plan, at most 60; 0: the manager's default,
+            0.1. Other streams are repaired and other clients served meanwhile.
         pending: also accept a stream that cannot be made yet; see ``wait_until_active``.
         lease: the most seconds that the claim outlives this process.
         on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a

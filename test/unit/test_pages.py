@@ -18,11 +18,11 @@ from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow_benchmark.main import MEASUREMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
-API, REQUIREMENTS, SECURITY = (
+API, STREAMS, REQUIREMENTS, SECURITY = (
     (ROOT / "doc" / page).read_text(encoding="utf-8")
-    for page in ("api.rst", "requirements.rst", "security.md")
+    for page in ("api.rst", "streams.rst", "requirements.rst", "security.md")
 )
-SHOWN = re.findall(r"^\.\. auto\w+:: (\S+)$(?:\n +:members:(.*))?", API, re.MULTILINE)
+SHOWN = re.findall(r"^\.\. auto\w+:: (\S+)$(?:\n +:members:(.*))?", API + STREAMS, re.MULTILINE)
 
 
 def find(path):
