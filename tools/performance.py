@@ -5,9 +5,10 @@
 
 Without arguments everything is measured, which takes most of an hour; the machine should have
 nothing else to do. Arguments choose: `chain`, `images`, ..., or `page` to measure nothing and
-fill in what is there. Between the marks `<!-- begin MEASUREMENT/FILE -->` and `<!-- end -->` of
-the page stands what `FILE.csv` of the last run of that measurement says; with `every` for the
-measurement those of all that were run, one below the other.
+fill in what is there. Between the marks `<!-- begin MEASUREMENT/FILE COLUMN... -->` and
+`<!-- end -->` of the page stand these columns of `FILE.csv` of the last run of that measurement
+(all columns if none is named); with `every` for the measurement those of all that were run, one
+below the other.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "leak": ("leak",),
     "idle": ("idle",),
 }
-MARKED = re.compile(r"(<!-- begin (\w+)/(\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(r"(<!-- begin (\w+)/(\w+)((?: \w+)*) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def main(names: Sequence[str]) -> int:
@@ -68,7 +69,7 @@ def main(names: Sequence[str]) -> int:
 
 def filled(mark: re.Match[str]) -> str:
     """The marked part of the page with the last results, or unchanged where there are none."""
-    begin, measurement, file, present, end = mark.groups()
+    begin, measurement, file, columns, present, end = mark.groups()
     if measurement == "every":
         header, rows = every(file, present)
         if not rows:
@@ -77,6 +78,9 @@ def filled(mark: re.Match[str]) -> str:
         header, *rows = read(path)
     else:
         return mark[0]
+    if columns:
+        chosen = [header.index(name) for name in columns.split()]
+        header, *rows = [[line[index] for index in chosen] for line in (header, *rows)]
     shape = SHAPES.get(file, as_it_is)
     return f"{begin}\n{shape(header, rows)}\n\n{end}"
 

@@ -25,3 +25,15 @@ def test_the_targets_of_all_measurements_are_in_one_table(tmp_path, monkeypatch)
         "| `chain` | of chain | met |",
         "| `images` | of images | met |",
     ]
+
+
+def test_a_table_has_the_columns_that_its_mark_names(tmp_path, monkeypatch):
+    monkeypatch.setattr(performance, "RESULTS", tmp_path)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "images.csv").write_text("payload,hops,p99_us\ntime,50,1.5\n")
+    text = "<!-- begin images/images p99_us payload -->\nold\n<!-- end -->"
+    assert performance.MARKED.sub(performance.filled, text).splitlines()[2:-2] == [
+        "| p99 us | payload |",
+        "| --- | --- |",
+        "| 1.5 | time |",
+    ]
