@@ -25,7 +25,7 @@ _OTHERS = re.compile(r" \[[^\[\]]*\]\Z")
 
 
 def write_demand(tags: Iterable[str], *others: str) -> str:
-    """Write what one stream has to be: all its tags, and what else is asked unless it is empty."""
+    """Write the demand on one stream: its tags, and the further demands that are not empty."""
     text = " & ".join(sorted(map(_quoted, tags)))
     asked = ", ".join(filter(None, others))
     return f"{text} [{asked}]" if asked else text

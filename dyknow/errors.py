@@ -62,7 +62,7 @@ class InvalidName(DyKnowError):
 
 
 class TypeMismatch(DyKnowError):
-    """A topic is live with one type and was asked for with another."""
+    """A topic is live with another type than the wanted one."""
 
     def __init__(self, topic: str, wanted: str, present: str) -> None:
         self.topic = topic
@@ -168,7 +168,7 @@ class HostTimeout(HostError):
 
 
 class Refused(DyKnowError):
-    """A DyKnow manager or a proxy that was asked for something answered no; it says why."""
+    """A DyKnow manager or a proxy refused a request; the text says why."""
 
 
 class ManagerUnreachable(DyKnowError):
@@ -176,7 +176,7 @@ class ManagerUnreachable(DyKnowError):
 
 
 class NodeletUnreachable(DyKnowError):
-    """A nodelet's proxy does not answer; whether it did what was asked for is not known."""
+    """A nodelet's proxy does not answer; it may or may not have served the request."""
 
 
 class StoreError(DyKnowError):
@@ -311,7 +311,7 @@ class Protected(NodeletError):
 
 
 class ProtectedFromUnloading(NodeletError):
-    """A nodelet manager was asked to unload a nodelet that a DyKnow manager protects."""
+    """A request to unload a nodelet that a DyKnow manager protects."""
 
     def __init__(self, name: str) -> None:
         super().__init__(
@@ -428,7 +428,7 @@ class NoPlanFound(StreamError):
 
 
 class StreamTypeMismatch(StreamError):
-    """A stream turned out to have another type than was asked for.
+    """A stream turned out to have another type than the requested one.
 
     Attributes:
         label: the transformation that supplies it.

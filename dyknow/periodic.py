@@ -161,7 +161,7 @@ class ControlLoop:
         found = self._keys.get(key)
         if found is None:
             return 0
-        if found.wanted <= found.begun:  # else its next round is asked for already
+        if found.wanted <= found.begun:  # else its next round is requested already
             with self._changed:
                 found.wanted = found.begun + 1
                 self._changed.notify_all()
@@ -214,7 +214,7 @@ class ControlLoop:
             self._round(key)
 
     def close(self, timeout: float = 0.0) -> None:
-        """Begin no further round; wait at most ``timeout`` s for those that run."""
+        """Start no further round; wait at most ``timeout`` s for those that run."""
         with self._changed:
             self._closed = True
             threads = self._threads
@@ -293,7 +293,7 @@ class PeriodicWorker:
         logger: logging.Logger = _log,
         clock: Clock = STEADY,
     ) -> None:
-        """``period``: seconds to the next round, or asked after each; ``pause``: at least."""
+        """``period``: seconds to the next round, or returns them; ``pause``: at least."""
 
         def round_() -> float | None:
             work()

@@ -62,7 +62,7 @@ class ProcessState:
 class Crash:
     """A process that ended by a fault of its own: a native crash, ``_exit``.
 
-    A process that was asked to end, or was killed, did not crash.
+    A process that ended on request, or was killed, did not crash.
 
     Attributes:
         manager: its name.

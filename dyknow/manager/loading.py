@@ -49,10 +49,10 @@ class Loading:
     def place(self, record: Record, near: Iterable[str] = ()) -> str:
         """Return the nodelet manager of a nodelet that is made or brought back, started if needed.
 
-        It is the one where it was, or was asked for. If there is none, it is the one that runs
+        It is the one where it was, or that the spawn names. Without one, it is the one that runs
         most neighbours of the nodelet on its topics and those ``near`` it, since messages go by
         reference there; else the one with fewest nodelets. One without live ports is used only if
-        it was asked for, or if the host can start no other.
+        the spawn names it, or if the host can start no other.
         """
         kind = record.kind.host
         if record.isolated:

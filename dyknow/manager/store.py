@@ -10,7 +10,7 @@ change survives when the manager is killed. No fault of the file stops an operat
 - *Trouble*: the file cannot be read or written now (disk full, read-only, locked by another
   program). It is left alone, and written as soon as that works; ``trouble`` explains it.
 - *Damage*: the contents differ from the last write, as sqlite or a checksum says. The file is set
-  aside and written anew from memory or, at the start, from the newest good backup. Two backups
+  aside and written again from memory or, at the start, from the newest good backup. Two backups
   are beside the file, the last good states of it.
 """
 

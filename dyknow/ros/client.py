@@ -137,7 +137,7 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     def nodelet_managers(self) -> list[str]:
         return self._nodes_with("/load_nodelet")
 
-    # Streams; connections for what is asked often are kept, so that a later renewal of a lease
+    # Streams; connections for frequent calls are kept, so that a later renewal of a lease
     # needs no master
 
     def acquire_stream(

@@ -103,5 +103,5 @@ class ClaimContext:
     world: Callable[[], World]
 
     def transaction(self) -> Transaction:
-        """Begin to change nodelets for claims."""
+        """Open a transaction that changes nodelets for claims."""
         return Transaction(self.manager, self.connector, self.monitor.is_reachable)

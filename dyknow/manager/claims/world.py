@@ -101,7 +101,7 @@ class World:
         described: Mapping[str, tuple[Transformation, ...]],
         late: Late = NOWHERE,
     ) -> None:
-        """Begin without nodelets and clients; ports may be on ``late`` topics, too."""
+        """A world without nodelets and clients; ports may be on ``late`` topics, too."""
         self.records: Mapping[str, Record] = {}
         self.claims: tuple[Claim, ...] = ()
         self.described = described

@@ -140,7 +140,7 @@ class Search:
         least: dict[Pattern, int],
         below: int | None = None,
     ) -> None:
-        """Begin with the goal.
+        """Start the search at the goal.
 
         Args:
             request: the problem.
@@ -278,7 +278,7 @@ class Search:
             self._push(key, subgoal, label, (), self._begin_use, subgoal)
 
     def _begin_use(self, subgoal: Subgoal) -> None:
-        """Begin the cheapest action that is left to supply a subgoal."""
+        """Expand the cheapest action that is left to supply a subgoal."""
         if subgoal.is_done:
             return
         key, _, _, action, offer = subgoal.uses.pop()

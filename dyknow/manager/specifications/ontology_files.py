@@ -80,7 +80,7 @@ class OntologyFiles:
     ) -> None:
         """Read the files, or raise OntologyFileError.
 
-        The catalogues are asked before those that lie beside the files.
+        The catalogues take precedence over those that lie beside the files.
         """
         self._limits = limits
         self._read_catalogues: dict[str, _Catalogue] = {}

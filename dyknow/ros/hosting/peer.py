@@ -131,10 +131,10 @@ class Peer(ABC):
 
     @abstractmethod
     def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
-        """Note that a list failed; raises an error if it is not to be asked again now."""
+        """Note that a list failed; raises an error if it is not to be requested again now."""
 
     def _found(self, presence: Presence, client: ListClient | None = None) -> None:
-        """Note which process it is now, or that there is none; another one gets connections anew.
+        """Note which process it is now, or that there is none; another one gets new connections.
 
         The old ones may be to a process that hangs, and that bears the name no more.
         """
