@@ -9,12 +9,10 @@ into its array; a published message must not be changed any more.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 
 if TYPE_CHECKING:
     import numpy.typing
@@ -23,18 +21,9 @@ if TYPE_CHECKING:
 else:
     Pixels = np.ndarray  # the numpy of Ubuntu 20.04 has no numpy.typing
 
-#: Where real camera frames may lie: beside the checkout.
-SHARED_FRAMES = Path(__file__).resolve().parents[2] / "shared" / "data" / "robocup_msl"
-_SUFFIXES = (".jpg", ".jpeg", ".png")
-
 #: Channels of the encodings with 8 bits a channel that the demonstration uses; a pixel of yuv422
 #: has Y and one of U and V.
 CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3, "yuv422": 2}
-
-
-def image_files(folder: Path) -> list[Path]:
-    """Image files of a folder, sorted."""
-    return sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
 
 
 def channels_of(encoding: str) -> int:
@@ -65,24 +54,3 @@ def blank(header: Any, height: int, width: int, encoding: str) -> Any:
     """Make a black image whose ``array_of`` can be written to, until it is published."""
     step = width * channels_of(encoding)
     return Image(header, height, width, encoding, 0, step, bytearray(height * step))
-
-
-def image_of(pixels: Pixels, encoding: str) -> Any:
-    """Make an image with a copy of ``pixels`` and an empty header."""
-    height, width = pixels.shape[:2]
-    image = blank(Header(), height, width, encoding)
-    array_of(image)[...] = pixels
-    return image
-
-
-def with_header(header: Any, image: Any) -> Any:
-    """Make a message with the pixels of ``image``, shared with it, and another header."""
-    return Image(
-        header,
-        image.height,
-        image.width,
-        image.encoding,
-        image.is_bigendian,
-        image.step,
-        image.data,
-    )

@@ -27,16 +27,9 @@ from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
+from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.messages import model_from
-from dyknow_demo.processes import (
-    MANAGER,
-    START_TIMEOUT,
-    Processes,
-    check_real_time,
-    find_master,
-    forget_parameters,
-    start_manager,
-)
+from dyknow_demo.processes import MANAGER, own_processes, running, tell
 from dyknow_demo.soccer.world import SoccerWorld
 from dyknow_demo.telling import Track, changes, draw, to_dot
 
@@ -45,6 +38,7 @@ OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
 #: Labels of the robot's own tracking nodelets, which are kept and re-wired.
 TRACKING = ("image_subsampler", "ball_detector", "localization")
 
+_SECONDS = 8.0  # s for each act
 _PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
 _PATIENCE = 15.0  # s for the manager's own work
@@ -62,74 +56,54 @@ def play(options: argparse.Namespace) -> bool:
     Raises:
         DyKnowError: something failed.
     """
-    with Processes() as processes:
-        _tell(f"ROS master: {find_master(processes)}")
-        check_real_time()
-        with _manager(options.manager) as (client, check):
-            rospy.init_node("dyknow_demo", anonymous=True, disable_signals=True)
-            try:
-                _wait_for_library(client, check)
-                _tell(f"asked for: {TAG}, and never without it for {options.max_silence:g} s")
-                request = StreamRequest(TAG, PointStamped._type)
-                _tell(client.acquire_stream(request, dry_run=True).plan)
-                return _Story(client, options, check).run()
-            finally:
-                rospy.signal_shutdown("the demonstration is over")
+    with own_processes() as processes, _manager(processes, options.manager) as client:
+        rospy.init_node("dyknow_demo", anonymous=True, disable_signals=True)
+        try:
+            tell(f"asked for: {TAG}, and never without it for {options.max_silence:g} s")
+            request = StreamRequest(TAG, PointStamped._type)
+            tell(client.acquire_stream(request, dry_run=True).plan)
+            return _Story(client, options, processes.check).run()
+        finally:
+            rospy.signal_shutdown("the demonstration is over")
 
 
 @contextlib.contextmanager
-def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
-    """Use a manager, or start one; yields its client and a check that raises if it has ended."""
+def _manager(processes: Processes, name: str) -> Iterator[ManagerClient]:
+    """Use a manager, or start one; it has the transformations of the story."""
     client = ManagerClient(name or MANAGER)
     if name:
-        _tell(f"manager: {client.manager}")
-        yield client, lambda: None
+        tell(f"manager: {client.manager}")
+        _wait(processes.check, lambda: _is_ready(client), f"{client.manager} knows soccer.xml")
+        yield client
         return
-    if _labels(client):
-        raise DyKnowError(f"{MANAGER} runs at this master already: another demonstration?")
     examples = Path(rospkg.RosPack().get_path("dyknow")) / "examples"
+    parameters = {
+        "state_dir": processes.folder,
+        "ontologies": examples / "ontologies" / "soccer.ttl",
+        "transformations": examples / "transformations" / "soccer.xml",
+        "orphan_timeout": _ORPHAN_TIMEOUT,
+    }
+    words = [f"_{key}:={value}" for key, value in parameters.items()]
+    with running(processes, "manager", lambda: _is_ready(client), "dyknow.cli.manager", *words):
+        yield client
+
+
+def _is_ready(client: ManagerClient) -> bool:
+    """Whether a manager answers, and has the transformations of the story."""
     try:
-        with Processes() as processes:
-            pid = start_manager(
-                processes,
-                lambda: bool(_labels(client)),
-                ontologies=examples / "ontologies" / "soccer.ttl",
-                transformations=examples / "transformations" / "soccer.xml",
-                orphan_timeout=_ORPHAN_TIMEOUT,
-            )
-            _tell(f"manager: {MANAGER}, process {pid}")
-            try:
-                yield client, processes.check
-            except DyKnowError:
-                processes.check(patience=0.5)  # a process that ended is the better explanation
-                raise
-    finally:
-        forget_parameters()
+        labels = {each.label for each in client.get_model(_PERIOD).transformations}
+    except (HostError, PeerTimeout):
+        return False
+    return {OWN_CAMERA, OTHER_CAMERA, *TRACKING} <= labels
 
 
-def _wait_for_library(client: ManagerClient, check: Callable[[], None]) -> None:
-    """Wait until a manager answers and has the transformations of the story."""
-    end = time.monotonic() + START_TIMEOUT
-    while missing := sorted({OWN_CAMERA, OTHER_CAMERA, *TRACKING} - (_labels(client) or set())):
+def _wait(check: Callable[[], None], condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + _PATIENCE
+    while not condition():
         check()
         if time.monotonic() > end:
-            raise DyKnowError(
-                f"{client.manager} does not know {', '.join(missing)}: it needs "
-                "examples/transformations/soccer.xml and examples/ontologies/soccer.ttl"
-            )
+            raise DyKnowError(f"not within {_PATIENCE:g} s: {what}")
         time.sleep(_LOOK)
-
-
-def _labels(client: ManagerClient) -> set[str] | None:
-    """Labels of the transformations of a manager; None if it does not answer."""
-    try:
-        return {each.label for each in client.get_model(_PERIOD).transformations}
-    except (HostError, PeerTimeout):
-        return None
-
-
-def _tell(text: str) -> None:
-    print(text, flush=True)
 
 
 class _Story:
@@ -176,7 +150,7 @@ class _Story:
 
     def _act(self, camera: str, act: str, title: str) -> None:
         """Follow the ball for a while; then check which nodelets do the work, and draw them."""
-        end = time.monotonic() + self._options.seconds
+        end = time.monotonic() + (self._options.seconds or _SECONDS)
         while time.monotonic() < end:
             time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
             self._check()
@@ -191,11 +165,11 @@ class _Story:
         needed = frozenset(self._stream.nodelets)
         dot = to_dot(title, model, self._first, needed, self._topic, self._space)
         files = draw(dot, self._options.pictures.absolute(), f"soccer_{act}")
-        _tell("drawn: " + ", ".join(str(file) for file in files))
+        tell("drawn: " + ", ".join(str(file) for file in files))
 
     def _leave(self) -> str:
         """Remove the robot's camera; returns its specification."""
-        _tell("\nThe battery runs low: the robot leaves to recharge, and its camera goes.")
+        tell("\nThe battery runs low: the robot leaves to recharge, and its camera goes.")
         model = self._client.get_model()
         gone = next(each for each in model.transformations if each.label == OWN_CAMERA)
         self._client.remove_transformation(OWN_CAMERA)
@@ -210,15 +184,12 @@ class _Story:
         return gone.to_xml()
 
     def _return(self, camera: str) -> None:
-        _tell("\nThe robot is back, and its camera can be used again.")
+        tell("\nThe robot is back, and its camera can be used again.")
         self._reasons.clear()
         self._client.add_transformation(camera)
-        self._wait(
-            lambda: any("cheaper" in reason for reason in self._reasons),
-            "an event tells of the cheaper way",
-        )
+        _wait(self._check, self._is_cheaper, "an event about the cheaper way")
         self._report()
-        _tell("It is not taken by itself. The client asks for it: replan.")
+        tell("It is not taken by itself. The client asks for it: replan.")
         answer = self._client.replan_stream(self._stream.claim_id)
         self._say(f"replanned: new {', '.join(answer.spawned)}, the rest re-wired")
         self._wait_for_images_of(OWN_CAMERA)
@@ -228,21 +199,21 @@ class _Story:
         if self._stream.topic != self._topic:
             self._problems.append(f"the topic has changed to {self._stream.topic}")
         problems = dict.fromkeys([*self._problems, *whole.shortcomings(limit)])
-        _tell(
+        tell(
             f"\n{whole.count} positions on {self._topic}, error {whole.median:.3f} m at the "
             f"median; longest pause {whole.pause:.2f} s of {limit:g} s that are allowed."
         )
         for problem in problems:
-            _tell(f"Not as promised: {problem}.")
+            tell(f"Not as promised: {problem}.")
         if not problems:
             kept = ", ".join(sorted(self._tracking.values()))
-            _tell(f"The same nodelets tracked the ball all the time: {kept}.")
+            tell(f"The same nodelets tracked the ball all the time: {kept}.")
         return not problems
 
     # Inside
 
     def _say(self, text: str) -> None:
-        _tell(f"{time.monotonic() - self._began:6.2f} s  {text}")
+        tell(f"{time.monotonic() - self._began:6.2f} s  {text}")
 
     def _report(self) -> None:
         """Print how well the tracking went since the last report."""
@@ -254,6 +225,9 @@ class _Story:
             f"error {latest.median:.3f} m (at most {latest.worst:.3f})  "
             f"pause {latest.pause:.2f} s  {_feeding(self._model)}"
         )
+
+    def _is_cheaper(self) -> bool:
+        return any("cheaper" in reason for reason in self._reasons)
 
     def _on_event(self, event: StreamEvent) -> None:
         self._reasons.append(event.reason)
@@ -269,15 +243,8 @@ class _Story:
         self._track.note(time.monotonic(), stamp, point.x, point.y)
 
     def _wait_for_images_of(self, camera: str) -> None:
-        self._wait(lambda: _feeding(self._model) == camera, f"the images are of {camera}")
-
-    def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        end = time.monotonic() + _PATIENCE
-        while not condition():
-            if time.monotonic() > end:
-                raise DyKnowError(f"not within {_PATIENCE:g} s: {what}")
-            self._check()
-            time.sleep(_LOOK)
+        what = f"the images are of {camera}"
+        _wait(self._check, lambda: _feeding(self._model) == camera, what)
 
 
 def _feeding(model: Model | None) -> str:

@@ -21,13 +21,16 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from dyknow_demo.images import SHARED_FRAMES, Pixels, image_files
+from dyknow_demo.images import Pixels
 from dyknow_demo.soccer.finder import YELLOW, Box, find_balls
 from dyknow_demo.soccer.geometry import Array
 from dyknow_demo.soccer.learnt import Region, best_regions, regions
 from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import pack, yuv_from_bgr
 
+#: Where real camera frames may lie: beside the checkout.
+SHARED_FRAMES = Path(__file__).resolve().parents[3] / "shared" / "data" / "robocup_msl"
+_SUFFIXES = (".jpg", ".jpeg", ".png")
 #: Wanted precision of the finds, in the validation that sets the threshold.
 PRECISION = 0.88
 _THRESHOLDS = np.round(np.arange(0.1, 0.97, 0.02), 2)
@@ -83,7 +86,8 @@ def read_frames(folder: Path) -> list[AnnotatedFrame]:
     Raises:
         ValueError: an annotation does not have that form; the message names file and line.
     """
-    files = [(image, image.with_suffix(".txt")) for image in image_files(folder)]
+    images = sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
+    files = [(image, image.with_suffix(".txt")) for image in images]
     return [AnnotatedFrame(image, _balls(text)) for image, text in files if text.is_file()]
 
 

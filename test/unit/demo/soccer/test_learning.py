@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow_demo.images import SHARED_FRAMES
 from dyknow_demo.soccer import learn, learnt
-from dyknow_demo.soccer.learn import planes_from_bgr, read_frames
+from dyknow_demo.soccer.learn import SHARED_FRAMES, planes_from_bgr, read_frames
 from dyknow_demo.soccer.learnt import regions
 from dyknow_demo.soccer.nodelets import BallDetector
 
