@@ -5,42 +5,35 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from dataclasses import dataclass, field
-from typing import Callable, Hashable, Mapping, Sequence, TypeVar
+from statistics import median
+from typing import Callable, Hashable, Iterator, Mapping, NamedTuple, Sequence, TypeVar
 
 import rospy
-from std_msgs.msg import Empty, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
-from dyknow.locks import state_condition
-from dyknow_benchmark.session import (
-    START_PATIENCE,
-    MeasurementFailed,
-    RunningManager,
-    Session,
-    executable,
-    say,
-    steps,
-)
+from dyknow.ros.process.programs import find_program
+from dyknow_benchmark.session import MeasurementFailed, Session, offers, say, steps, wait_until
 
 #: Descriptions of the kinds, in the order in which they are shown.
 KINDS: dict[str, str] = {
     "dyknow": "DyKnow nodelets: ports, through the proxy",
     "nodelet": "plain Python nodelets of the same nodelet manager: topics, no proxy",
-    "function": "Python functions that call each other",
     "node": "rospy nodes, a process each",
     "script": "the same rospy nodes, unchanged, as scripts in DyKnow's nodelet manager",
     "cpp_nodelet": "C++ nodelets in the stock nodelet manager",
     "cpp_live": "the same C++ nodelets with live ports, in DyKnow's nodelet manager",
     "cpp_node": "C++ nodes, a process each",
 }
-#: Kinds of nodelets: their nodelet manager, and the prefix of the names of their classes.
-NODELETS = {
-    "dyknow": ("python", ""),
-    "nodelet": ("python", "Plain"),
-    "cpp_nodelet": ("cpp", "Cpp"),
-    "cpp_live": ("cpp_live", "Cpp"),
+#: Where the kinds that are nodelets run.
+MANAGERS = {
+    **dict.fromkeys(("dyknow", "nodelet", "script"), "python"),
+    "cpp_nodelet": "cpp",
+    "cpp_live": "cpp_live",
 }
 
 #: Seconds between an order to send and the first message, so that the order has arrived.
@@ -49,6 +42,8 @@ _LEAD = 0.1
 _TAIL = 1.0
 #: Messages at the start of every block that do not count, and those that do, in turns.
 WARM_UP, _BLOCK = 5, 50
+#: Messages of each chain in a pair.
+PAIR = 25
 
 K = TypeVar("K", bound=Hashable)
 
@@ -64,6 +59,16 @@ class Block:
 
     sent: int = 0
     latencies: dict[int, list[float]] = field(default_factory=dict)
+
+    def median(self, hop: int) -> float:
+        """Median latency at a hop.
+
+        Raises:
+            MeasurementFailed: no message came there.
+        """
+        if not self.latencies[hop]:
+            raise MeasurementFailed(f"no message came to hop {hop} of a chain")
+        return median(self.latencies[hop])
 
     def add(self, other: Block) -> None:
         """Put the messages of ``other`` to these."""
@@ -81,12 +86,10 @@ class Order:
     frequency: float
 
 
-def blocks_of(messages: int, frequency: float, turns: int = 0) -> list[Order]:
-    """Divide messages into blocks of nearly the same size, as many as there are turns."""
-    turns = turns or -(-messages // _BLOCK)
-    size, rest = divmod(messages, turns)
-    sizes = [size + (number < rest) for number in range(turns)]
-    return [Order(WARM_UP, each, frequency) for each in sizes if each]
+def blocks_of(messages: int, frequency: float) -> list[Order]:
+    """Divide messages into blocks."""
+    sizes = (min(_BLOCK, messages - sent) for sent in range(0, messages, _BLOCK))
+    return [Order(WARM_UP, size, frequency) for size in sizes]
 
 
 def in_turns(
@@ -116,33 +119,37 @@ def alternating(chains: Mapping[K, Chain], orders: Sequence[Order]) -> dict[K, B
     return blocks
 
 
+def paired(chains: Mapping[K, Chain], order: Order, pairs: int) -> Iterator[Mapping[K, Block]]:
+    """Yield blocks of chains that send at the same time; which is the first alternates."""
+    keys = list(chains)
+    for number in steps(range(pairs), "pairs", "pair"):
+        some = keys if number % 2 == 0 else keys[::-1]
+        yield alternating({key: chains[key] for key in some}, [order])
+
+
 class Chain:
-    """A chain that is set up, by its control topics."""
+    """A chain that is set up, by its control namespace."""
 
     def __init__(self, session: Session, control: str, hops: Sequence[int]) -> None:
         """Connect to a chain whose ``hops`` report, and let a message go all the way through.
 
         Raises:
-            MeasurementFailed: no message comes through.
+            DyKnowError: no message comes through.
         """
         self.control = control
-        self._changed = state_condition("reports")
-        self._arrivals: dict[int, dict[float, float]] = {hop: {} for hop in sorted(hops)}
+        services = {hop: f"{control}/report_{hop}" for hop in sorted(hops)}
+        self._reports = {
+            hop: rospy.ServiceProxy(service, Trigger, persistent=True)
+            for hop, service in services.items()
+        }
         self._send = rospy.Publisher(f"{control}/send", Float64MultiArray, queue_size=10)
-        self._collect = rospy.Publisher(f"{control}/collect", Empty, queue_size=10)
-        rospy.Subscriber(f"{control}/report", Float64MultiArray, self._on_report)
-        end = time.monotonic() + START_PATIENCE
-        missing = list(hops)
-        while missing:
+
+        def is_whole() -> bool:
             session.check()
-            if time.monotonic() > end:
-                raise MeasurementFailed(
-                    f"chain {control}: no message came to hops {missing} "
-                    f"within {START_PATIENCE:g} s"
-                )
-            start = self.begin(Order(0, 1, 10.0))
-            self._await(start, 1, 0.3)
-            missing = [hop for hop, seen in self._since(start).items() if not seen]
+            is_offered = all(map(offers, services.values()))
+            return is_offered and all(self.run(Order(0, 1, 10.0)).latencies.values())
+
+        wait_until(is_whole, f"a message at the hops {hops} of chain {control}")
 
     def run(self, order: Order) -> Block:
         """Send messages and collect the arrivals."""
@@ -157,37 +164,19 @@ class Chain:
 
     def finish(self, order: Order, start: float) -> Block:
         """Wait for the end of an order that ``begin`` sent, and collect the arrivals."""
-        total = order.warm_up + order.count
+        total, before = order.warm_up + order.count, -1
+        arrivals: dict[int, dict[float, float]] = {hop: {} for hop in self._reports}
         time.sleep(max(0.0, start + total / order.frequency - time.time()))
-        self._await(start, total, _TAIL)
-        return select(self._since(start), order)
-
-    def _await(self, first: float, count: int, patience: float) -> None:
-        """Collect until all hops saw ``count`` messages, or nothing new came for a while."""
-
-        def seen() -> list[int]:
-            return [len(each) for each in self._since(first).values()]
-
-        end, before = time.monotonic() + patience, -1
-        while time.monotonic() < end and min(seen()) < count:
-            self._collect.publish(Empty())
-            with self._changed:
-                self._changed.wait(0.05)
-            if sum(seen()) != before:
-                before, end = sum(seen()), time.monotonic() + patience
-
-    def _since(self, first: float) -> dict[int, dict[float, float]]:
-        with self._changed:
-            return {
-                hop: {stamp: latency for stamp, latency in seen.items() if stamp >= first}
-                for hop, seen in self._arrivals.items()
-            }
-
-    def _on_report(self, report: Float64MultiArray) -> None:
-        with self._changed:
-            seen = self._arrivals.get(report.layout.data_offset, {})
-            seen.update(zip(report.data[::2], report.data[1::2]))
-            self._changed.notify_all()
+        while True:
+            for hop, report in self._reports.items():
+                new = json.loads(report().message)
+                arrivals[hop].update((stamp, each) for stamp, each in new if stamp >= start)
+            counts = [len(each) for each in arrivals.values()]
+            if sum(counts) != before:
+                before, end = sum(counts), time.monotonic() + _TAIL
+            if min(counts) >= total or time.monotonic() > end:
+                return select(arrivals, order)
+            time.sleep(0.02)
 
 
 def select(arrivals: Mapping[int, Mapping[float, float]], order: Order) -> Block:
@@ -207,6 +196,29 @@ def select(arrivals: Mapping[int, Mapping[float, float]], order: Order) -> Block
     )
 
 
+class ChainPart(NamedTuple):
+    """A part of a chain, as ``parts`` describes it: a hop, or the source, which has number 0."""
+
+    control: str
+    payload: str
+    hop: int
+    record: bool = False
+
+    @property
+    def program(self) -> str:
+        return "hop" if self.hop else "source"
+
+    @property
+    def node(self) -> str:
+        """Name of the nodelet, if it is one."""
+        return f"{self.control}/part_{self.hop}"
+
+    @property
+    def remappings(self) -> dict[str, str]:
+        topics = (f"{self.control}/hop_{number}" for number in (self.hop, self.hop - 1))
+        return dict(zip(("out", "in") if self.hop else ("out",), topics))
+
+
 def build(
     session: Session,
     kind: str,
@@ -219,83 +231,39 @@ def build(
 
     Args:
         session: where it runs; nodelets share one manager of their language.
-        kind: a key of ``KINDS``, or ``mixed``: DyKnow nodelets and C++ ones with live ports by
-            turns.
+        kind: a key of ``KINDS``.
         length: number of hops.
         record: hops that report; the last one if none is named.
         payload: content of the messages: ``time``, or a size of images.
         name: suffix of the namespace, for several chains of one kind and payload.
 
     Raises:
-        MeasurementFailed: it does not come up.
+        DyKnowError: it does not come up.
     """
-    say(f"setting up {length} hops of {payload}: {KINDS.get(kind, kind)}")
+    say(f"setting up {length} hops of {payload}: {KINDS[kind]}")
     control = f"/benchmark/{kind}_{payload}{name}"
     record = record or [length]
-    hops = range(length, 0, -1)  # the last first, so that each finds its listener
-    if kind in (*NODELETS, "mixed"):
-        kinds = (kind, kind) if kind in NODELETS else ("cpp_live", "dyknow")
-        for hop in hops:
-            load_hop(session, kinds[hop % 2], control, hop, hop in record, payload)
-        place, prefix = NODELETS[kinds[1]]
-        session.nodelet_manager(place).load(
-            f"{control}/source",
-            f"dyknow_benchmark/{prefix}ChainSource",
-            {f"{control}/out": f"{control}/hop_0"},
-            control=control,
-            payload=payload,
-        )
-    elif kind == "function":
-        _start(session, "function", control, payload, length, record)
-    elif kind == "cpp_node":
-        program = executable("dyknow", "benchmark_chain")
-        for hop in hops:
-            topics = [f"in:={control}/hop_{hop - 1}", f"out:={control}/hop_{hop}"]
-            is_recorded = str(hop in record).lower()
-            parameters = [f"_control:={control}", f"_hop:={hop}", f"_record:={is_recorded}"]
-            session.start([program, "hop", *topics, *parameters])
-        session.start([program, "source", f"out:={control}/hop_0", f"_control:={control}"])
-    else:
-        start = {"node": _start, "script": load_script}[kind]
-        for hop in hops:
-            start(session, "hop", control, payload, hop, record)
-        start(session, "source", control, payload, 0, ())
+    for hop in range(length, -1, -1):  # the last first, so that each finds its listener
+        add_part(session, kind, ChainPart(control, payload, hop, hop in record))
     return Chain(session, control, record)
 
 
-def load_hop(
-    session: Session, kind: str, control: str, hop: int, record: bool, payload: str = "time"
-) -> RunningManager:
-    """Load one hop of a chain of nodelets; returns where it runs."""
-    place, prefix = NODELETS[kind]
-    manager = session.nodelet_manager(place)
-    manager.load(
-        f"{control}/nodelet_{hop}",
-        f"dyknow_benchmark/{prefix}ChainHop",
-        {f"{control}/in": f"{control}/hop_{hop - 1}", f"{control}/out": f"{control}/hop_{hop}"},
-        control=control,
-        payload=payload,
-        hop=hop,
-        record=record,
-    )
-    return manager
-
-
-def _words(part: str, control: str, payload: str, hop: int, record: Sequence[int]) -> list[str]:
-    options = ["--control", control, "--payload", payload, "--hop", str(hop), "--record"]
-    return [part, *options, *map(str, record)]
-
-
-def load_script(
-    session: Session, part: str, control: str, payload: str, hop: int, record: Sequence[int]
-) -> None:
-    """Load a part of a chain that is a script: a hop, with its number, or the source."""
-    words = ["dyknow/benchmark_node", *_words(part, control, payload, hop, record)]
-    session.nodelet_manager().load(f"{control}/{part}_{hop}", "dyknow/Script", my_argv=words)
-
-
-def _start(
-    session: Session, part: str, control: str, payload: str, hop: int, record: Sequence[int]
-) -> None:
-    words = _words(part, control, payload, hop, record)
-    session.start([sys.executable, "-m", "dyknow_benchmark.parts", *words])
+def add_part(session: Session, kind: str, part: ChainPart) -> None:
+    """Load a part of a chain into its nodelet manager, or start its process."""
+    parameters = {**part._asdict(), "plain": kind == "nodelet"}
+    if kind in MANAGERS:
+        language = "Cpp" if kind.startswith("cpp") else ""
+        node_type, words = f"dyknow_benchmark/{language}Chain{part.program.title()}", []
+        if kind == "script":
+            node_type, words = "dyknow/Script", ["dyknow/benchmark_node", part.program]
+        topics = {f"{part.control}/{port}": topic for port, topic in part.remappings.items()}
+        manager = session.nodelet_manager(MANAGERS[kind])
+        manager.load(part.node, node_type, topics, words, **parameters)
+        return
+    given = {f"_{key}": value for key, value in parameters.items()}
+    arguments = [f"{key}:={value}" for key, value in {**part.remappings, **given}.items()]
+    if kind == "cpp_node":
+        command = [find_program("dyknow", "benchmark_chain")]
+    else:
+        command = [sys.executable, "-m", "dyknow_benchmark.parts"]
+    session.run([*command, part.program, *arguments])

@@ -7,76 +7,42 @@ from __future__ import annotations
 
 import threading
 import uuid
+from functools import partial
 from typing import Any
 
 from std_msgs.msg import Empty, Header, UInt64
 
 import dyknow
-from dyknow_benchmark.parts import (
-    Hop,
-    MessageSource,
-    SwitchedIn,
-    SwitchedOut,
-    listen_collect,
-    payload_of,
-)
+from dyknow_benchmark.parts import Part, SwitchedIn, SwitchedOut, offer_report
 
 
 class ChainSource(dyknow.Nodelet):
-    """Publishes stamped messages on the port ``out`` as ordered.
+    """Publishes stamped messages on ``out``.
 
-    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time, or a size).
+    The parameters are those of ``parts``, and ``~plain`` (false): topics instead of ports.
     """
 
     def on_init(self) -> None:
         """Set up the port and listen for orders."""
-        handle = self._handle()
-        payload = payload_of(handle.get_param("~payload", "time"))
-        publisher = handle.Publisher("out", payload.datatype, queue_size=10)
-        self._source = MessageSource(publisher.publish, payload)
-        self._source.listen(self.node_handle, handle.get_param("~control"))
+        self._source = _part(self).source()
 
     def on_shutdown(self) -> None:
         """Stop sending."""
         self._source.stop()
 
-    def _handle(self) -> Any:
-        return dyknow.NodeHandle(self.node_handle)
-
 
 class ChainHop(dyknow.Nodelet):
-    """Forwards stamped messages from the port ``in`` to the port ``out``.
-
-    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time, or a size),
-    ``~hop`` (its number, from 1), ``~record`` (whether to report how long messages took).
-    """
+    """Forwards stamped messages from ``in`` to ``out``, with parameters as ``ChainSource``."""
 
     def on_init(self) -> None:
         """Set up the ports."""
-        handle = self._handle()
-        payload = payload_of(handle.get_param("~payload", "time"))
-        publisher = handle.Publisher("out", payload.datatype, queue_size=10)
-        number, record = handle.get_param("~hop", 0), handle.get_param("~record", False)
-        hop = Hop(number, record, publisher.publish, payload)
-        hop.listen(self.node_handle, handle.get_param("~control", ""))
-        handle.Subscriber("in", payload.datatype, hop.receive, queue_size=10)
-
-    def _handle(self) -> Any:
-        return dyknow.NodeHandle(self.node_handle)
+        _part(self).hop()
 
 
-class PlainChainSource(ChainSource):
-    """``ChainSource`` without the proxy: ``out`` is a topic."""
-
-    def _handle(self) -> Any:
-        return self.node_handle
-
-
-class PlainChainHop(ChainHop):
-    """``ChainHop`` without the proxy: ``in`` and ``out`` are topics."""
-
-    def _handle(self) -> Any:
-        return self.node_handle
+def _part(nodelet: dyknow.Nodelet) -> Part:
+    handle = nodelet.node_handle
+    is_plain = handle.get_param("~plain", False)
+    return Part(handle if is_plain else dyknow.NodeHandle(handle), handle)
 
 
 class Burner(dyknow.Nodelet):
@@ -130,26 +96,23 @@ class SwitchSource(dyknow.Nodelet):
 class SwitchSink(dyknow.Nodelet):
     """Checks the messages at ``in`` (to be switched) and at ``left`` and ``right`` (to stay).
 
-    Parameters: ``~control`` (namespace of the control topics). It reports ``in``
-    as hop 0, and the other two as hop 1.
+    Services: ``~report_in`` and, for the other two, ``~report_out``.
     """
 
     def on_init(self) -> None:
         """Set up the ports."""
         handle = dyknow.NodeHandle(self.node_handle)
-        switched_in, switched_out = SwitchedIn(), SwitchedOut()
-        control = handle.get_param("~control")
-        listen_collect(self.node_handle, control, 0, switched_in.collect)
-        listen_collect(self.node_handle, control, 1, switched_out.collect)
-        handle.Subscriber("in", UInt64, lambda m: switched_in.receive(m.data), queue_size=1000)
+        in_, out = SwitchedIn(), SwitchedOut()
+        for port, watch in (("in", in_), ("out", out)):
+            offer_report(handle, f"~report_{port}", watch.collect)
+        handle.Subscriber("in", UInt64, lambda m: in_.receive(m.data), queue_size=1000)
         for side in ("left", "right"):
-            handle.Subscriber(
-                side,
-                UInt64,
-                lambda m, side: switched_out.receive(side, m.data),
-                callback_args=side,
-                queue_size=1000,
-            )
+            receive = partial(self._receive, out, side)
+            handle.Subscriber(side, UInt64, receive, queue_size=1000)
+
+    @staticmethod
+    def _receive(watch: SwitchedOut, side: str, message: UInt64) -> None:
+        watch.receive(side, message.data)
 
 
 class SignedRelay(dyknow.Nodelet):

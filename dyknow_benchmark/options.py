@@ -6,46 +6,46 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, Callable, NamedTuple, Sequence
+from pathlib import Path
+from typing import Any, Callable
 
 from dyknow_benchmark.parts import payload_of
 from dyknow_benchmark.results import Results
 
-Run = Callable[[argparse.Namespace], Results]
+Run = Callable[[argparse.Namespace, Results], None]
 
+#: Where the files of the chain go without ``--out``: half an hour is not to be lost.
+OUT = Path("figure4")
 #: Help of the options that several measurements have.
-_HELP = {"rate": "Hz", "messages": "of each"}
-
-
-class Measurement(NamedTuple):
-    """A measurement and its options: their names, with argparse's words for each."""
-
-    run: Run
-    options: dict[str, dict[str, Any]]
-
-    def add_to(self, commands: Any, name: str) -> argparse.ArgumentParser:
-        """Declare the command of the measurement."""
-        help_, _, description = (self.run.__doc__ or "").partition("\n")
-        text = help_.rstrip(".")
-        text = text[:1].lower() + text[1:]
-        parser: argparse.ArgumentParser = commands.add_parser(
-            name, help=text, description=f"{text}. {description}"
-        )
-        for option, words in self.options.items():
-            parser.add_argument(f"--{option}", **words)
-        return parser
-
+_HELP = {"rate": "Hz; ", "messages": "of each; "}
 
 #: Measurements by name, in the order in which they are declared.
-MEASUREMENTS: dict[str, Measurement] = {}
+MEASUREMENTS: dict[str, Run] = {}
+
+PARSER = argparse.ArgumentParser(
+    prog="rosrun dyknow benchmark",
+    description="Measures DyKnow beside its peers. Each measurement but plan starts a ROS master "
+    "and processes of its own, on the loopback interface, and ends them. Without a name it is "
+    "chain.",
+)
+_COMMANDS = PARSER.add_subparsers(dest="command", metavar="MEASUREMENT", required=True)
 
 
 def measurement(**options: Any) -> Callable[[Run], Run]:
     """Declare a measurement, with the defaults of its options or argparse's words for them."""
 
     def declare(run: Run) -> Run:
-        words = {name: _words(name, given) for name, given in options.items()}
-        MEASUREMENTS[run.__name__] = Measurement(run, words)
+        name, (first, _, description) = run.__name__, (run.__doc__ or "").partition("\n")
+        text = first[:1].lower() + first[1:].rstrip(".")
+        parser = _COMMANDS.add_parser(name, help=text, description=f"{text}. {description}")
+        for option, given in options.items():
+            parser.add_argument(f"--{option}", **_words(option, given))
+        out = OUT if name == "chain" else None
+        where = f"write the files here (default: {out})" if out else "write CSV files here"
+        parser.add_argument("--out", type=Path, metavar="DIR", default=out, help=where)
+        text = "exit with 1 if a target is not met"
+        parser.add_argument("--check", action="store_true", help=text)
+        MEASUREMENTS[name] = run
         return run
 
     return declare
@@ -54,13 +54,12 @@ def measurement(**options: Any) -> Callable[[Run], Run]:
 def _words(name: str, given: Any) -> dict[str, Any]:
     if isinstance(given, dict):
         return given
-    shown = " ".join(map(str, given)) if isinstance(given, list) else "%(default)s"
-    words: dict[str, Any] = {"default": given}
-    words["help"] = f"{_HELP[name]} (default: {shown})" if name in _HELP else f"default: {shown}"
-    if isinstance(given, list):
-        words.update(nargs="+", metavar="N")
-        given = given[0]
-    return {**words, "type": rate if isinstance(given, float) else positive}
+    several = isinstance(given, list)
+    shown = " ".join(map(str, given)) if several else "%(default)s"
+    first = given[0] if several else given
+    read = {int: positive, float: rate, str: payload}[type(first)]
+    words = {"default": given, "type": read, "help": f"{_HELP.get(name, '')}default: {shown}"}
+    return {**words, "nargs": "+", "metavar": "N"} if several else words
 
 
 def positive(text: str) -> int:
@@ -79,22 +78,10 @@ def rate(text: str) -> float:
     return value
 
 
-def size(text: str) -> str:
-    """Read the size of an image, such as 640x480."""
-    if text == "time":
-        raise argparse.ArgumentTypeError("expected a size such as 640x480, not time")
-    return payload(text)
-
-
 def payload(text: str) -> str:
-    """Read the content of messages: ``time``, or a size of images."""
+    """Read the content of messages: ``time``, or the size of images, such as 640x480."""
     try:
         payload_of(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return text
-
-
-def choice(some: Sequence[str], default: Sequence[str] | None, text: str) -> dict[str, Any]:
-    """Declare an option that takes some of the names."""
-    return {"nargs": "+", "choices": some, "metavar": "KIND", "default": default, "help": text}

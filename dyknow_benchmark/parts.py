@@ -3,21 +3,23 @@
 
 """The parts of a chain: a source that stamps messages, and hops that forward them.
 
-They know neither rospy nor nodelets: the same code runs in every kind of chain, so that only the
-transport differs. Nothing is reported while messages flow; each hop keeps its records until they
-are collected. Times are those of the machine's clock, which all processes of a machine share.
+The same code runs in every kind of chain, as nodelets or as nodes, so that only the transport
+differs. Nothing is reported while messages flow. Times are those of the machine's clock, which all
+processes of a machine share.
 
-Below a control namespace there are three topics, the same for the parts in C++ (``cpp/chain.h``):
-``send`` (Float64MultiArray: count, frequency in Hz, start in s since the epoch), ``collect``
-(Empty) and ``report`` (Float64MultiArray: stamp in s, latency in us, …; ``layout.data_offset`` is
-the hop).
+A part, here and in C++ (``cpp/chain.h``), receives on ``in`` and publishes on ``out``. Its private
+parameters are ``~control``, a namespace, and for a hop ``~hop``, its number, and ``~record``,
+whether it reports. In the namespace a source listens to ``send`` (Float64MultiArray: count,
+frequency in Hz, start in s since the epoch), and hop n offers ``report_n`` (Trigger, with JSON:
+stamps in s and latencies in us since the last report). Parts in Python also have ``~payload``:
+``time``, or a size of images.
 
-``python3 -m dyknow_benchmark.parts`` runs the parts that are rospy nodes.
+``benchmark_node PART`` is a part as a rospy node.
 """
 
 from __future__ import annotations
 
-import argparse
+import json
 import operator
 import re
 import threading
@@ -27,12 +29,10 @@ from typing import Any, Callable, NamedTuple
 import genpy
 import rospy
 from sensor_msgs.msg import Image
-from std_msgs.msg import Empty, Float64MultiArray, Time
+from std_msgs.msg import Float64MultiArray, Time
+from std_srvs.srv import Trigger, TriggerResponse
 
 Publish = Callable[[Any], None]
-
-#: Reports that may wait: all parts of a process report on one connection at the same time.
-_REPORTS = 1000
 
 
 class Payload(NamedTuple):
@@ -77,16 +77,9 @@ class MessageSource:
         self._publish = publish
         self._payload = payload
         self._stopped = threading.Event()
+        self.stop = self._stopped.set
 
-    def listen(self, api: Any, control: str) -> None:
-        """Send when the control topic says so; ``api`` is rospy or a NodeHandle."""
-        api.Subscriber(f"{control}/send", Float64MultiArray, self._on_send, queue_size=10)
-
-    def stop(self) -> None:
-        """Publish no more."""
-        self._stopped.set()
-
-    def _on_send(self, order: Float64MultiArray) -> None:
+    def start(self, order: Float64MultiArray) -> None:
         threading.Thread(target=self._send, args=order.data, name="source", daemon=True).start()
 
     def _send(self, count: float, frequency: float, start: float) -> None:
@@ -102,60 +95,88 @@ class MessageSource:
 
 
 class Hop:
-    """Compares the stamp of each message with the time at which it arrives, and forwards it."""
+    """Compares the stamp of each message with the time at which it arrives, and forwards it.
 
-    __slots__ = ("_arrivals", "_latency", "_publish", "_record", "_stamp_of", "hop")
+    Args:
+        is_recorded: whether to keep all arrivals for ``collect``; otherwise the latest latency.
+        payload: its messages.
+        publish: forwards a message.
+    """
 
-    def __init__(self, hop: int, record: bool, publish: Publish, payload: Payload) -> None:
-        """Prepare a hop.
+    __slots__ = ("_arrivals", "_is_recorded", "_latency", "_publish", "_stamp_of")
 
-        Args:
-            hop: its number, from 1.
-            record: whether to keep all arrivals for ``collect``; otherwise the latest latency.
-            publish: forwards a message.
-            payload: its messages.
-        """
-        self.hop = hop
-        self._publish = publish
+    def __init__(self, is_recorded: bool, payload: Payload, publish: Publish) -> None:
+        self._is_recorded = is_recorded
         self._stamp_of = payload.stamp_of
-        self._record = record
+        self._publish = publish
         self._latency = 0
         self._arrivals: list[tuple[genpy.Time, int]] = []
 
     def receive(self, message: Any) -> None:
-        """Take a message that arrives now and forward it."""
         now = time.time_ns()
         stamp = self._stamp_of(message)
         self._latency = latency = now - stamp.secs * 1_000_000_000 - stamp.nsecs
-        if self._record:
+        if self._is_recorded:
             self._arrivals.append((stamp, latency))
         self._publish(message)
 
-    def listen(self, api: Any, control: str) -> None:
-        """Report the arrivals, if they are recorded, when the control topic asks for them."""
-        if self._record:
-            listen_collect(api, control, self.hop, self._collect)
-
-    def _collect(self) -> list[float]:
+    def collect(self) -> list[tuple[float, float]]:
+        """Return stamps (s) and latencies (us) since the last time."""
         arrivals = self._arrivals[:]  # more may come meanwhile
         del self._arrivals[: len(arrivals)]
-        return [each for stamp, took in arrivals for each in (stamp.to_sec(), took / 1000)]
+        return [(stamp.to_sec(), took / 1000) for stamp, took in arrivals]
 
 
-def listen_collect(api: Any, control: str, hop: int, collect: Callable[[], list[float]]) -> None:
-    """Report numbers as a hop when the control topic asks; ``api`` is rospy or a NodeHandle."""
-    publisher = api.Publisher(f"{control}/report", Float64MultiArray, queue_size=_REPORTS)
+class Part:
+    """Sets up a part of a chain.
 
-    def on_collect(request: Empty) -> None:
-        report = Float64MultiArray(data=collect())
-        report.layout.data_offset = hop
-        publisher.publish(report)
+    Args:
+        api: makes ``in`` and ``out``, which are ports or topics, and has the parameters.
+        topics: makes the topics of the control namespace.
+    """
 
-    api.Subscriber(f"{control}/collect", Empty, on_collect, queue_size=10)
+    def __init__(self, api: Any, topics: Any) -> None:
+        self._api, self._topics = api, topics
+        self._payload = payload_of(api.get_param("~payload", "time"))
+        self._control = api.get_param("~control")
+
+    def source(self) -> MessageSource:
+        """Send on ``out`` as ordered."""
+        source = MessageSource(self._out(), self._payload)
+        topic = f"{self._control}/send"
+        self._topics.Subscriber(topic, Float64MultiArray, source.start, queue_size=10)
+        return source
+
+    def hop(self) -> None:
+        """Forward from ``in`` to ``out``."""
+        is_recorded = self._api.get_param("~record")
+        hop = Hop(is_recorded, self._payload, self._out())
+        if is_recorded:
+            number = self._api.get_param("~hop")
+            offer_report(self._topics, f"{self._control}/report_{number}", hop.collect)
+        datatype = self._payload.datatype
+        self._api.Subscriber("in", datatype, hop.receive, queue_size=10, tcp_nodelay=True)
+
+    def _out(self) -> Publish:
+        publisher = self._api.Publisher(
+            "out", self._payload.datatype, queue_size=10, tcp_nodelay=True
+        )
+        publish: Publish = publisher.publish
+        return publish
 
 
-class _SwitchWatch:
-    """Finds lost and doubled messages by their numbers, at a port that is switched."""
+def offer_report(api: Any, service: str, collect: Callable[[], Any]) -> None:
+    """Offer a service that answers what ``collect`` returns, as JSON."""
+    api.Service(service, Trigger, lambda request: TriggerResponse(True, json.dumps(collect())))
+
+
+class SwitchWatch:
+    """Finds lost and doubled messages by their numbers, at a port that is switched.
+
+    Attributes:
+        lost: messages that should have come and did not.
+        doubled: messages that came again, or too late.
+    """
 
     def __init__(self, clock: Callable[[], int] = time.time_ns) -> None:
         self._clock = clock
@@ -165,7 +186,7 @@ class _SwitchWatch:
         self.doubled = 0
 
     def changed(self) -> None:
-        """Note that this is the first message of the new topic."""
+        """Note the first message of the new topic."""
         self._changes.append(self._clock() / 1e9)
 
     def collect(self) -> list[float]:
@@ -173,7 +194,7 @@ class _SwitchWatch:
         return [self.lost, self.doubled, *self._changes]
 
 
-class SwitchedIn(_SwitchWatch):
+class SwitchedIn(SwitchWatch):
     """An in-port that is switched between the topic of even and that of odd numbers.
 
     The numbers of one topic must follow each other without a gap until the switch, and those of
@@ -185,7 +206,6 @@ class SwitchedIn(_SwitchWatch):
         self._latest = [-2, -1]
 
     def receive(self, number: int) -> None:
-        """Take the next number."""
         if number <= self._latest[number % 2]:
             self.doubled += 1
             return
@@ -202,7 +222,7 @@ class SwitchedIn(_SwitchWatch):
             self.lost += (number - before) // 2 - 1
 
 
-class SwitchedOut(_SwitchWatch):
+class SwitchedOut(SwitchWatch):
     """Two in-ports, to one of which an out-port is connected: every number comes exactly once."""
 
     _side = ""
@@ -221,38 +241,10 @@ class SwitchedOut(_SwitchWatch):
 
 
 def main() -> None:
-    """Run a source, a hop, or a whole chain of hops that call each other, as a rospy node."""
-    parser = argparse.ArgumentParser(description="One process of a chain that is measured.")
-    parser.add_argument("part", choices=["function", "source", "hop"])
-    parser.add_argument("--control", required=True, help="namespace of the control topics")
-    parser.add_argument("--payload", default="time", help="time or WIDTHxHEIGHT")
-    parser.add_argument("--hop", type=int, default=1, help="number of the hop, or of hops")
-    parser.add_argument("--record", type=int, nargs="*", default=[], help="hops that report")
-    arguments = parser.parse_args(rospy.myargv()[1:])
-    rospy.init_node(f"benchmark_{arguments.part}", anonymous=True)
-    control, payload = arguments.control, payload_of(arguments.payload)
-
-    def publish_as(number: int) -> Publish:
-        topic, datatype = f"{control}/hop_{number}", payload.datatype
-        publisher = rospy.Publisher(topic, datatype, queue_size=10, tcp_nodelay=True)
-        publish: Publish = publisher.publish
-        return publish
-
-    def make_hop(number: int, publish: Publish) -> Publish:
-        hop = Hop(number, number in arguments.record, publish, payload)
-        hop.listen(rospy, control)
-        return hop.receive
-
-    if arguments.part == "hop":
-        receive = make_hop(arguments.hop, publish_as(arguments.hop))
-        topic, datatype = f"{control}/hop_{arguments.hop - 1}", payload.datatype
-        rospy.Subscriber(topic, datatype, receive, queue_size=10, tcp_nodelay=True)
-    else:
-        first: Publish = lambda message: None  # noqa: E731
-        for number in range(arguments.hop, 0, -1) if arguments.part == "function" else ():
-            first = make_hop(number, first)
-        source = first if arguments.part == "function" else publish_as(0)
-        MessageSource(source, payload).listen(rospy, control)
+    """Run a part as a rospy node: a ``source`` or a ``hop``."""
+    part = rospy.myargv()[1]
+    rospy.init_node(f"benchmark_{part}", anonymous=True)
+    getattr(Part(rospy, rospy), part)()
     rospy.spin()
 
 

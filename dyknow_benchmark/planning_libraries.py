@@ -13,7 +13,7 @@ are 21 devices in each of many rooms, and a demand is about one room.
 from __future__ import annotations
 
 import random
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, Sequence
 
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.model.transformation import IN, OUT, Port, Transformation
@@ -26,7 +26,6 @@ _ALTERNATIVES = 10
 _INDIVIDUALS = 5
 #: Devices in a room.
 _DEVICES = 21
-_MOST_COST = 20
 
 
 class Things:
@@ -41,40 +40,63 @@ class Things:
         return name
 
 
-class PlanningLibrary(NamedTuple):
+class PlanningLibrary:
     """A library, and demands of several sorts.
 
     Attributes:
         transformations: those to plan with.
         demands: tags by their sort: ``ground``, ``variable`` or ``class``.
-        ontology: subsumption of names.
+        ontology: subsumption of names; without one there are no demands for a class.
     """
 
-    transformations: list[Transformation]
-    demands: dict[str, list[str]]
-    ontology: Subsumption = NO_ONTOLOGY
+    def __init__(self, seed: int = 0, ontology: Subsumption = NO_ONTOLOGY) -> None:
+        """Begin an empty library; the seed is for its random choices."""
+        self.chance = random.Random(seed)
+        self.ontology = ontology
+        self.transformations: list[Transformation] = []
+        self.demands: dict[str, Sequence[str]] = {}
+
+    def add(self, needs: Sequence[str], supplied: str, cost: int = 0) -> None:
+        """Add a transformation; 0 stands for a random cost."""
+        ports = [Port(f"in{k}", IN, "", (need,)) for k, need in enumerate(needs)]
+        ports.append(Port("out", OUT, "std_msgs/Header", (supplied,)))
+        label, cost = f"t{len(self.transformations)}", cost or self.chance.randint(1, 20)
+        self.transformations.append(
+            Transformation(label, "dyknow/Relay", cost=cost, ports=tuple(ports))
+        )
+
+    def demand(self, ground: Sequence[str], variable: Sequence[str], *of_class: str) -> None:
+        """Set the demands."""
+        self.demands = {"ground": ground, "variable": variable}
+        if self.ontology is not NO_ONTOLOGY:
+            self.demands["class"] = of_class
 
 
 def deep(count: int) -> PlanningLibrary:
     """Write chains of 100 transformations, each of which needs the one before."""
-    library = [
-        _ground(number, [number - 1] if number % _DEPTH else [], number % 19 + 1)
-        for number in range(count)
-    ]
-    return PlanningLibrary(library, _last_streams(count))
+    library = PlanningLibrary()
+    for number in range(count):
+        needs = [f"Stream(x{number - 1})"] if number % _DEPTH else []
+        library.add(needs, f"Stream(x{number})", number % 19 + 1)
+    return _with_last_streams(library)
 
 
 def dense(count: int) -> PlanningLibrary:
     """Write 100 layers whose transformations need one to three of the layer before."""
-    chance = random.Random(2)
-    width = max(1, count // _DEPTH)
-    library = []
+    library, width = PlanningLibrary(2), max(1, count // _DEPTH)
+    chance = library.chance
     for number in range(count):
         below = (number // width - 1) * width
         needs = [below + chance.randrange(width) for _ in range(chance.randint(1, 3))]
-        cost = chance.randint(1, _MOST_COST)
-        library.append(_ground(number, needs if below >= 0 else [], cost))
-    return PlanningLibrary(library, _last_streams(count))
+        inputs = [f"Stream(x{need})" for need in needs] if below >= 0 else []
+        library.add(inputs, f"Stream(x{number})")
+    return _with_last_streams(library)
+
+
+def _with_last_streams(library: PlanningLibrary) -> PlanningLibrary:
+    last = len(library.transformations) - 1
+    library.demand([f"Stream(x{max(0, last - each)})" for each in range(9)], ["Stream(?x)"] * 3)
+    return library
 
 
 def rules(count: int, variables: int, ontology: Subsumption = NO_ONTOLOGY) -> PlanningLibrary:
@@ -87,7 +109,8 @@ def rules(count: int, variables: int, ontology: Subsumption = NO_ONTOLOGY) -> Pl
             ``Kind(?x, ?y)`` of the layer below and ``Kind(?y, ?z)`` of the lowest one.
         ontology: subsumption of names.
     """
-    chance = random.Random(variables)
+    library = PlanningLibrary(variables, ontology)
+    chance = library.chance
     names = [f"one{number}" for number in range(_INDIVIDUALS)]
     width = max(1, count // (_LAYERS * _ALTERNATIVES))
     inputs, output = (
@@ -95,63 +118,48 @@ def rules(count: int, variables: int, ontology: Subsumption = NO_ONTOLOGY) -> Pl
         (["?y, ?x", "?x, ?y"], "?x, ?y"),
         (["?x, ?y", "?y, ?z"], "?x, ?z"),
     )[variables - 1]
-    library = []
+    arguments = 1 if variables == 1 else 2
     for number in range(count):
         layer = min(number // (width * _ALTERNATIVES), _LAYERS - 1)
         kind = f"Kind{layer}x{number % width}"
-        cost = chance.randint(1, _MOST_COST)
+        cost = chance.randint(1, 20)
         if not layer:
-            some = chance.sample(names, 1 if variables == 1 else 2)
-            library.append(_make(number, [], f"{kind}({', '.join(some)})", cost))
+            library.add([], f"{kind}({', '.join(chance.sample(names, arguments))})", cost)
             continue
-        fewest = 2 if variables > 2 else 1
         needs: list[str] = []
-        for args in inputs[: chance.randint(fewest, 2)]:
+        for args in inputs[: chance.randint(2 if variables > 2 else 1, 2)]:
             below = 0 if needs and variables > 2 else layer - 1
             needs.append(f"Kind{below}x{chance.randrange(width)}({args})")
-        library.append(_make(number, needs, f"{kind}({output})", cost))
-    goals = [f"Kind{_LAYERS - 1}x{number % width}" for number in range(3)]
-    one = names[:1] if variables == 1 else names[:2]
-    demands = {
-        "ground": [f"{goal}({', '.join(one)})" for goal in goals],
-        "variable": [f"{goal}({', '.join(['?a', '?b'][: len(one)])})" for goal in goals],
-        "class": [f"{goal}({', '.join(['Thing'] * len(one))})" for goal in goals],
-    }
-    if ontology is NO_ONTOLOGY:
-        del demands["class"]
-    return PlanningLibrary(library, demands, ontology)
+        library.add(needs, f"{kind}({output})", cost)
+    ground, variable, of_class = (
+        [f"Kind{_LAYERS - 1}x{number % width}({', '.join(args)})" for number in range(3)]
+        for args in (names[:arguments], ["?a", "?b"][:arguments], ["Thing"] * arguments)
+    )
+    library.demand(ground, variable, *of_class)
+    return library
 
 
 def individuals(count: int, ontology: Subsumption = NO_ONTOLOGY) -> PlanningLibrary:
     """Write many cameras on robots, and few transformations that work on any of them."""
-    chance = random.Random(4)
-    robots = max(1, count // 10)
-    library = []
+    library, robots = PlanningLibrary(4, ontology), max(1, count // 10)
     for number in range(count - robots - 12):
-        cost = chance.randint(1, _MOST_COST)
-        library.append(_make(number, [], f"Raw(cam{number}, robot{number % robots})", cost))
+        library.add([], f"Raw(cam{number}, robot{number % robots})")
     for number in range(robots):
-        tag = f"Pose(robot{number})"
-        library.append(_make(len(library), [], tag, chance.randint(1, _MOST_COST)))
+        library.add([], f"Pose(robot{number})")
     steps = ["Raw", *[f"Filtered{number}" for number in range(8)]]
     for before, after in zip(steps, steps[1:]):
-        library.append(_make(len(library), [f"{before}(?c, ?r)"], f"{after}(?c, ?r)", 1))
+        library.add([f"{before}(?c, ?r)"], f"{after}(?c, ?r)", 1)
     last = steps[-1]
-    for needs, supplied in (
-        ([f"{last}(?c, ?r)", "Pose(?r)"], "Located(?c, ?r)"),
-        (["Raw(?a, ?r)", "Raw(?b, ?r)"], "Stereo(?a, ?b)"),
-        (["Stereo(?a, ?b)", "Pose(?r)", f"{last}(?a, ?r)"], "Depth(?a, ?r)"),
-        (["Depth(?a, ?r)", "Located(?b, ?r)"], "Fused(?r)"),
-    ):
-        library.append(_make(len(library), needs, supplied, 1))
-    demands = {
-        "ground": ["Located(cam3, robot3)", "Depth(cam4, robot4)", "Fused(robot5)"],
-        "variable": ["Located(?c, robot3)", "Depth(?c, ?r)", "Fused(?r)"],
-        "class": ["Located(Thing, robot3)", "Depth(Thing, Thing)", "Fused(Thing)"],
-    }
-    if ontology is NO_ONTOLOGY:
-        del demands["class"]
-    return PlanningLibrary(library, demands, ontology)
+    library.add([f"{last}(?c, ?r)", "Pose(?r)"], "Located(?c, ?r)", 1)
+    library.add(["Raw(?a, ?r)", "Raw(?b, ?r)"], "Stereo(?a, ?b)", 1)
+    library.add(["Stereo(?a, ?b)", "Pose(?r)", f"{last}(?a, ?r)"], "Depth(?a, ?r)", 1)
+    library.add(["Depth(?a, ?r)", "Located(?b, ?r)"], "Fused(?r)", 1)
+    library.demand(
+        ["Located(cam3, robot3)", "Depth(cam4, robot4)", "Fused(robot5)"],
+        ["Located(?c, robot3)", "Depth(?c, ?r)", "Fused(?r)"],
+        *("Located(Thing, robot3)", "Depth(Thing, Thing)", "Fused(Thing)"),
+    )
+    return library
 
 
 def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
@@ -161,29 +169,19 @@ def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
         count: transformations.
         needs_power: whether the streams of devices need another one.
     """
-    chance = random.Random(5)
-    parts = 3 if needs_power else 2
-    devices = max(1, (count - 2) // parts)
-    library: list[Transformation] = []
+    library = PlanningLibrary(5)
+    devices = max(1, (count - 2) // (3 if needs_power else 2))
     for number in range(devices):
-        needs = [f"Power(dev{number})"] if needs_power else []
-        pair = f"Pair(dev{number}, dev{(7 * number + 1) % devices})"
-        library.append(_make(len(library), needs, pair, chance.randint(1, _MOST_COST)))
-        scan = f"Scan(dev{number}, room{number // _DEVICES})"
-        library.append(_make(len(library), [], scan, chance.randint(1, _MOST_COST)))
-        if needs_power:
-            library.append(_make(len(library), [], f"Power(dev{number})", 1))
-    for supplied, inputs in (
-        ("Surveyed(?r)", ["Pair(?a, ?b)", "Scan(?a, ?r)"]),
-        ("Joined(?r)", ["Pair(?a, ?b)", "Pair(?b, ?c)", "Scan(?c, ?q)", "Scan(?a, ?r)"]),
-    ):
-        library.append(_make(len(library), inputs, supplied, 1))
-    goals = ["Surveyed", "Joined"]
-    demands = {
-        "ground": [f"{goal}(room0)" for goal in goals],
-        "variable": [f"{goal}(?r)" for goal in goals],
-    }
-    return PlanningLibrary(library, demands)
+        power = [f"Power(dev{number})"] if needs_power else []
+        library.add(power, f"Pair(dev{number}, dev{(7 * number + 1) % devices})")
+        library.add([], f"Scan(dev{number}, room{number // _DEVICES})")
+        for supplied in power:
+            library.add([], supplied, 1)
+    library.add(["Pair(?a, ?b)", "Scan(?a, ?r)"], "Surveyed(?r)", 1)
+    inputs = ["Pair(?a, ?b)", "Pair(?b, ?c)", "Scan(?c, ?q)", "Scan(?a, ?r)"]
+    library.add(inputs, "Joined(?r)", 1)
+    library.demand(["Surveyed(room0)", "Joined(room0)"], ["Surveyed(?r)", "Joined(?r)"])
+    return library
 
 
 LIBRARIES: dict[str, Callable[[int], PlanningLibrary]] = {
@@ -198,18 +196,3 @@ LIBRARIES: dict[str, Callable[[int], PlanningLibrary]] = {
     "rooms": rooms,
     "rooms with power": lambda count: rooms(count, True),
 }
-
-
-def _last_streams(count: int) -> dict[str, list[str]]:
-    tags = [f"Stream(x{max(0, count - 1 - number)})" for number in range(9)]
-    return {"ground": tags, "variable": ["Stream(?x)"] * 3}
-
-
-def _ground(number: int, needs: Sequence[int], cost: int) -> Transformation:
-    return _make(number, [f"Stream(x{need})" for need in needs], f"Stream(x{number})", cost)
-
-
-def _make(number: int, needs: Sequence[str], supplied: str, cost: int) -> Transformation:
-    ports = [Port(f"in{k}", IN, "", (need,)) for k, need in enumerate(needs)]
-    ports.append(Port("out", OUT, "std_msgs/Header", (supplied,)))
-    return Transformation(f"t{number}", "dyknow/Relay", cost=cost, ports=tuple(ports))

@@ -9,31 +9,35 @@ import csv
 import math
 import os
 import platform
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Callable, NamedTuple, Sequence, Union
 
 import psutil
 
+from dyknow.cli.output import columns
+
 Cell = Union[str, int, float]
 Row = Sequence[Cell]
 Rows = Sequence[Row]
 
+
+def spread(unit: str) -> tuple[str, ...]:
+    """Columns of ``Summary.spread``, for values in a unit."""
+    return tuple(f"{each}_{unit}" for each in ("mean", "median", "p99", "max"))
+
+
 #: Columns of ``Summary.arrivals``, for latencies in us.
-ARRIVALS = ("messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
-#: Columns of ``Summary.spread``, for times in ms.
-SPREAD = ("mean_ms", "median_ms", "p99_ms", "max_ms")
+ARRIVALS = ("messages", "lost", *spread("us"))
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Times of some events, in the unit they were measured in; zero when there are none.
+class Summary(NamedTuple):
+    """Values in the unit they were measured in; zero when there are none.
 
     ``p99`` is the smallest value that at least 99 % do not exceed.
     """
 
-    count: int = 0
+    number: int = 0
     mean: float = 0.0
     median: float = 0.0
     p99: float = 0.0
@@ -51,12 +55,12 @@ class Summary:
 
     @property
     def spread(self) -> tuple[float, ...]:
-        """Cells under ``SPREAD``."""
-        return (self.mean, self.median, self.p99, self.max)
+        """Cells under ``spread``."""
+        return self[1:]
 
     def arrivals(self, sent: int) -> tuple[float, ...]:
         """Cells under ``ARRIVALS``, where these are the latencies of messages that were sent."""
-        return (self.count, sent - self.count, *self.spread)
+        return (self.number, sent - self.number, *self.spread)
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float]:
@@ -79,27 +83,6 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
     return ordered[rank], ordered[count - 1 - rank]
 
 
-class Verdict(NamedTuple):
-    """One quantity, with its unit if it has one, beside its target."""
-
-    what: str
-    measured: float
-    limit: float
-    at_least: bool = False
-
-    @property
-    def met(self) -> bool:
-        """Whether the target is reached."""
-        return self.measured >= self.limit if self.at_least else self.measured <= self.limit
-
-    @property
-    def row(self) -> Sequence[Cell]:
-        """A row of the table of targets."""
-        sign = ">=" if self.at_least else "<="
-        met = "met" if self.met else "NOT met"
-        return (self.what, self.measured, f"{sign} {self.limit:g}", met)
-
-
 class ResultTable(NamedTuple):
     """Rows that are shown under a title and written to ``NAME.csv``."""
 
@@ -113,21 +96,23 @@ class Results:
     """Results of one measurement, in the order in which they are shown.
 
     Attributes:
-        verdicts: the targets that apply.
         tables: the measured quantities.
+        targets: each quantity that has one, with its value, its target, and whether that is met.
+        met: whether all are.
         pictures: names, and functions that draw them into a file.
     """
 
     def __init__(self) -> None:
         """Note the load of the machine, which is shown for the time from now on."""
-        self.verdicts: list[Verdict] = []
         self.tables: list[ResultTable] = []
+        self.targets: list[Row] = []
+        self.met = True
         self.pictures: list[tuple[str, Callable[[Path], None]]] = []
         psutil.cpu_percent()
         self._load_average = os.getloadavg()[0]
         self._machine: Rows = ()
 
-    def end(self) -> Results:
+    def end(self) -> None:
         """Note the load until now."""
         self._machine = (
             ("processor", _processor()),
@@ -138,41 +123,33 @@ class Results:
             ("load_average_after", os.getloadavg()[0]),
             ("busy_percent", float(psutil.cpu_percent())),
         )
-        return self
-
-    @property
-    def met(self) -> bool:
-        """Whether every target that applies is reached."""
-        return all(verdict.met for verdict in self.verdicts)
 
     def table(self, name: str, title: str, header: Sequence[str], rows: Rows) -> None:
-        """Add a table."""
         self.tables.append(ResultTable(name, title, header, list(rows)))
 
     def verdict(self, what: str, measured: float, limit: float, at_least: bool = False) -> None:
-        """Add a target that applies."""
-        self.verdicts.append(Verdict(what, measured, limit, at_least))
+        """Add a quantity that has a target."""
+        is_met = measured >= limit if at_least else measured <= limit
+        target = f"{'>=' if at_least else '<='} {limit:g}"
+        self.targets.append((what, measured, target, "met" if is_met else "NOT met"))
+        self.met = self.met and is_met
 
     def show(self) -> str:
         """Lay everything out for the terminal."""
-        *tables, targets = self._all_tables()
-        parts = [f"{each.title}\n{render(each.header, each.rows)}" for each in tables]
-        shown = render(targets.header, targets.rows)
-        parts.append(
-            f"targets\n{shown if targets.rows else 'no target applies to what was measured'}"
-        )
-        return "\n\n".join(parts)
+        tables = self._all_tables()
+        if not self.targets:
+            tables[-1] = ResultTable("", "no target applies to what was measured", (), ())
+        return "\n\n".join("\n".join([each.title, *_lines(each)]) for each in tables)
 
     def write(self, directory: Path) -> list[Path]:
-        """Write all files into a directory, which is made if need be; returns their paths."""
-        directory.mkdir(parents=True, exist_ok=True)
+        """Write all files into a directory; returns their paths."""
         written = []
         for each in self._all_tables():
             written.append(directory / f"{each.name}.csv")
             with written[-1].open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(each.header)
-                writer.writerows([_text(cell) for cell in row] for row in each.rows)
+                writer.writerows(_texts(row) for row in each.rows)
         for name, draw in self.pictures:
             for suffix in (".png", ".svg"):
                 written.append(directory / (name + suffix))
@@ -180,44 +157,25 @@ class Results:
         return written
 
     def _all_tables(self) -> list[ResultTable]:
-        targets = [verdict.row for verdict in self.verdicts]
         return [
             *self.tables,
             ResultTable("machine", "the machine", ("what", "value"), self._machine),
-            ResultTable("targets", "targets", ("what", "measured", "target", "met"), targets),
+            ResultTable("targets", "targets", ("what", "measured", "target", "met"), self.targets),
         ]
 
 
-def render(header: Sequence[str], rows: Rows) -> str:
-    """Lay rows out in columns: text to the left, numbers to the right."""
-    texts = [list(header)] + [[_text(cell) for cell in row] for row in rows]
-    widths = [max(len(line[column]) for line in texts) for column in range(len(header))]
-    texts.insert(1, ["-" * width for width in widths])
-    is_number = [
-        bool(rows) and not any(isinstance(row[column], str) for row in rows)
-        for column in range(len(header))
-    ]
-    lines = [
-        [f"{cell:{'>' if right else '<'}{width}}" for cell, width, right in zip(*line)]
-        for line in ((text, widths, is_number) for text in texts)
-    ]
-    return "\n".join("  ".join(line).rstrip() for line in lines)
+def _lines(table: ResultTable) -> list[str]:
+    """Lay a table out in columns: text to the left, numbers to the right."""
+    by_column = list(zip(*table.rows))
+    right = [n for n, cells in enumerate(by_column) if not any(isinstance(c, str) for c in cells)]
+    return columns([table.header, *map(_texts, table.rows)], right)
 
 
-def obstacle(directory: Path) -> str:
-    """Return why files cannot be written into a directory; empty if they can."""
-    there = next(each for each in (directory, *directory.parents) if each.exists())
-    if not there.is_dir():
-        return f"{there} is not a folder"
-    if not os.access(there, os.W_OK | os.X_OK):
-        return f"no permission to write into {there}"
-    return ""
+def _texts(row: Row) -> list[str]:
+    def text(cell: Cell) -> str:
+        return f"{cell:.{3 if abs(cell) < 100 else 1}f}" if isinstance(cell, float) else str(cell)
 
-
-def _text(cell: Cell) -> str:
-    if isinstance(cell, float):
-        return f"{cell:.3f}" if abs(cell) < 100 else f"{cell:.1f}"
-    return str(cell)
+    return [text(cell) for cell in row]
 
 
 def _processor() -> str:

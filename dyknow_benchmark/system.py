@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
+from functools import partial
 from statistics import median
 from typing import Callable, NamedTuple, Sequence
 
@@ -17,107 +19,92 @@ from nodelet.srv import NodeletUnload
 from std_msgs.msg import Empty, Header
 
 import dyknow
-from dyknow.locks import state_lock
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, Plan
 from dyknow.manager.specifications.tags import parse_tag
-from dyknow_benchmark.chains import load_hop
-from dyknow_benchmark.options import measurement, rate
+from dyknow.model.client import BaseManagerClient
+from dyknow_benchmark.options import measurement
 from dyknow_benchmark.planning_libraries import LIBRARIES
-from dyknow_benchmark.results import Results
+from dyknow_benchmark.results import Results, Row, Summary, spread
 from dyknow_benchmark.session import (
     MANAGER,
     NODELET_MANAGER,
     Session,
     kill,
     say,
+    seconds,
     steps,
     wait_until,
 )
 
-#: Seconds for the manager to come to rest, those in which nothing changes, and questions.
-_REST, _QUIET, _QUESTIONS = 2.0, 5.0, 50
+#: Seconds in which nothing changes, and questions.
+_QUIET, _QUESTIONS = 5.0, 50
 #: Seconds that a plan may take, and one over more transformations than `_LARGE`; those to load.
 _PLAN, _LARGE_PLAN, _LOAD = 0.1, 3.0, 2.0
 _LARGE = 10_000
 _GOAL, _SOURCE = "Signed(x)", "/source"
-
-
-def _spread(values: Sequence[float]) -> tuple[float, float, float]:
-    """Minimum, median and maximum."""
-    return min(values), median(values), max(values)
-
-
-@measurement(nodelets=50, seconds={"type": rate, "default": 30.0, "help": "default: %(default)g"})
-def idle(arguments: argparse.Namespace) -> Results:
-    """CPU time of a nodelet manager whose nodelets have nothing to do."""
-    with Session() as session:
-        for hop in range(arguments.nodelets, 0, -1):
-            manager = load_hop(session, "dyknow", "/benchmark/idle", hop, False)
-        time.sleep(_REST)
-        results = Results()
-        say(f"watching {arguments.nodelets} nodelets for {arguments.seconds:g} s")
-        begin, before = time.monotonic(), manager.process.cpu_times()
-        time.sleep(arguments.seconds)
-        seconds, after = time.monotonic() - begin, manager.process.cpu_times()
-    used = after.user + after.system - before.user - before.system
-    header = ("nodelets", "seconds", "cpu_seconds", "cpu_percent")
-    row = (arguments.nodelets, seconds, used, 100.0 * used / seconds)
-    results.table("idle", "an idle nodelet manager", header, [row])
-    return results
+_SIGNED = """
+<transformations>
+  <transformation><label>signed source</label><source>dyknow/Source</source>
+    <params><param name="rate" type="double">100</param></params>
+    <ports><port type="out" datatype="std_msgs/Header">out</port></ports>
+    <tags><tag port="out">Unsigned(x)</tag></tags></transformation>
+  <transformation><label>way ${N}</label><source>dyknow_benchmark/SignedRelay</source>
+    <args><arg label="N">{WAYS}</arg></args>
+    <ports><port type="in">in</port><port type="out">out</port></ports>
+    <tags><tag port="in">Unsigned(x)</tag><tag port="out">Signed(x)</tag></tags></transformation>
+</transformations>
+"""
 
 
 @measurement(nodelets=500)
-def model(arguments: argparse.Namespace) -> Results:
+def model(arguments: argparse.Namespace, results: Results) -> None:
     """Spawn many nodelets, request the model, and check that it is quiet."""
-    spawns: list[float] = []
-    answers: list[float] = []
     heard: list[Model] = []
     with Session() as session:
         client = session.dyknow_manager()
-        results = Results()
-        for number in steps(range(arguments.nodelets), "spawning", "nodelet"):
-            begin = time.monotonic()
-            client.spawn("relay", f"/n{number}", {"in": f"/t{number}", "out": f"/t{number + 1}"})
-            spawns.append(1e3 * (time.monotonic() - begin))
+        numbers = steps(range(arguments.nodelets), "spawning", "nodelet")
+        spawns = [1e3 * seconds(partial(spawn_relay, client, number)) for number in numbers]
         get_model = rospy.ServiceProxy(f"{MANAGER}/get_model", GetModel, persistent=True)
-        for _ in range(_QUESTIONS):
-            begin = time.monotonic()
-            nodelets = len(get_model().model.nodelets)
-            answers.append(1e3 * (time.monotonic() - begin))
+        answers = [1e3 * seconds(get_model) for _ in range(_QUESTIONS)]
+        nodelets = len(get_model().model.nodelets)
         subscriber = rospy.Subscriber(f"{MANAGER}/model", Model, heard.append)
         wait_until(lambda: bool(heard), "the model, which is latched")
         heard.clear()
         say(f"listening for {_QUIET:g} s while nothing changes")
         time.sleep(_QUIET)
         subscriber.unregister()
-    header = ("what", "count", "min_ms", "median_ms", "max_ms")
     found = {"spawn": spawns, "GetModel": answers}
-    rows = [(what, len(times), *_spread(times)) for what, times in found.items()]
-    results.table("model", f"{arguments.nodelets} nodelets in one nodelet manager", header, rows)
+    rows: list[Row] = [
+        (what, len(times), *Summary.of(times).spread) for what, times in found.items()
+    ]
+    title = f"{arguments.nodelets} nodelets in one nodelet manager"
+    results.table("model", title, ("what", "count", *spread("ms")), rows)
     results.verdict("spawn, median in ms", median(spawns), 30.0)
     results.verdict("GetModel, median in ms", median(answers), 50.0)
     results.verdict("~model published while nothing changed", float(len(heard)), 0.0)
     results.verdict("nodelets in the model", float(nodelets), arguments.nodelets, at_least=True)
-    return results
+
+
+def spawn_relay(client: BaseManagerClient, number: int) -> None:
+    """Spawn a relay behind the one before."""
+    client.spawn("relay", f"/n{number}", {"in": f"/t{number}", "out": f"/t{number + 1}"})
 
 
 @measurement(transformations=[10_000, 100_000])
-def plan(arguments: argparse.Namespace) -> Results:
+def plan(arguments: argparse.Namespace, results: Results) -> None:
     """Load many transformations into a planner, and plan over them.
 
     It needs no ROS master. A small library may have no plan; to find that out is measured too.
     """
-    results, rows = Results(), []
+    rows = []
     for count in arguments.transformations:
         slowest, loadings = [], []
         for name, make in LIBRARIES.items():
             say(f"library '{name}' of {count} transformations")
             library = make(count)
-            begin = time.monotonic()
             planner = Planner(library.ontology)
-            planner.add(library.transformations)
-            loadings.append(time.monotonic() - begin)
+            loadings.append(seconds(partial(planner.add, library.transformations)))
             for sort, tags in library.demands.items():
                 times, found = [], 0
                 for tag in tags:
@@ -134,40 +121,37 @@ def plan(arguments: argparse.Namespace) -> Results:
     header = ("library", "demand", "transformations", "steps")
     times_header = ("load_s", "first_s", "median_s", "max_s")
     results.table("plan", "plans over large libraries", (*header, *times_header), rows)
-    return results
 
 
 class _Listener:
-    """When each text of a stream's headers was heard first and last, in this process."""
+    """Hears headers on topics, in this process.
+
+    Attributes:
+        last: when each topic, and each text of a header, was heard last.
+        first: when each text was heard first.
+        latest: the latest text.
+    """
 
     def __init__(self, topics: Sequence[str]) -> None:
-        self._lock = state_lock("messages of streams")
-        self._first: dict[str, float] = {}
-        self._last: dict[str, float] = dict.fromkeys(topics, 0.0)
+        self.first: dict[str, float] = {}
+        self.last: dict[str, float] = {}
         self.latest = ""
+        self._topics = topics
         for topic in topics:
             rospy.Subscriber(topic, Header, self._hear, callback_args=topic, tcp_nodelay=True)
 
     def _hear(self, message: Header, topic: str) -> None:
-        with self._lock:
-            self.latest = message.frame_id
-            for name in (message.frame_id, topic):
-                self._last[name] = time.monotonic()
-                self._first.setdefault(name, self._last[name])
+        now, text = time.monotonic(), message.frame_id
+        self.first.setdefault(text, now)
+        self.last[text] = self.last[topic] = now
+        self.latest = text
 
-    def span(self, name: str) -> tuple[float, float]:
-        """When a topic, or a text, was heard first and last."""
-        with self._lock:
-            return self._first[name], self._last[name]
-
-    def all_since(self, moment: float) -> bool:
-        """Whether every topic was heard after a moment."""
-        with self._lock:
-            return all(last > moment for name, last in self._last.items() if name[:1] == "/")
+    def heard_all_since(self, moment: float) -> bool:
+        return all(self.last.get(topic, 0.0) > moment for topic in self._topics)
 
 
 @measurement(nodelets=20, kills=5)
-def recover(arguments: argparse.Namespace) -> Results:
+def recover(arguments: argparse.Namespace, results: Results) -> None:
     """Time from kill -9 of the nodelet manager until every stream is back.
 
     Each kill follows as soon as the streams are back from the last, so the times include the
@@ -178,24 +162,21 @@ def recover(arguments: argparse.Namespace) -> Results:
         client = session.dyknow_manager()
         client.spawn("source", "/source", {"out": "/t0"})
         for number in range(arguments.nodelets - 1):
-            client.spawn("relay", f"/n{number}", {"in": f"/t{number}", "out": f"/t{number + 1}"})
+            spawn_relay(client, number)
         streams = _Listener([f"/t{number}" for number in range(arguments.nodelets)])
-        wait_until(lambda: streams.all_since(0.1), "every stream to flow")
-        results = Results()
+        wait_until(partial(streams.heard_all_since, 0.0), "every stream to flow")
         for number in range(arguments.kills):
             say(f"kill -9 of the nodelet manager, {number + 1} of {arguments.kills}")
             killed = time.monotonic()
             kill(NODELET_MANAGER)
             # Messages that are still in sockets are not of the new nodelets.
-            since = killed + 0.3
-            wait_until(lambda since=since: streams.all_since(since), "the streams")  # type: ignore[misc]
+            wait_until(partial(streams.heard_all_since, killed + 0.3), "the streams")
             times.append(time.monotonic() - killed)
             say(f"all streams back after {times[-1]:.2f} s")
-    header = ("nodelets", "kills", "min_s", "median_s", "max_s")
-    row = (arguments.nodelets, arguments.kills, *_spread(times))
+    header = ("nodelets", "kills", *spread("s"))
+    row = (arguments.nodelets, arguments.kills, *Summary.of(times).spread)
     results.table("recover", "recovery of a killed nodelet manager", header, [row])
     results.verdict("all streams back, longest in s", max(times), 3.0)
-    return results
 
 
 def _unload(nodelet: str) -> None:
@@ -236,7 +217,7 @@ _FAILURES = {
 
 
 @measurement(failures=5)
-def failover(arguments: argparse.Namespace) -> Results:
+def failover(arguments: argparse.Namespace, results: Results) -> None:
     """From the failure of a part of a claimed stream to its replacement.
 
     The time is counted from the failure to the replacement's first message on the client's topic,
@@ -245,17 +226,17 @@ def failover(arguments: argparse.Namespace) -> Results:
     rows, count = [], arguments.failures
     with Session() as session:
         client = session.dyknow_manager()
-        client.add_transformation(_ways(3 * count + 2))
+        # As many ways as there are failures: a failed one is left alone for a while.
+        ways = ";".join(map(str, range(3 * count + 2)))
+        client.add_transformation(_SIGNED.replace("WAYS", ways))
         # The source of the stream survives, in a process of its own.
         client.spawn("signed source", _SOURCE, {"out": "/raw"}, isolated=True)
-        results = Results()
         for kind, failure in _FAILURES.items():
             times = _fail(kind, failure, count)
-            rows.append((kind, count, *_spread(times)))
+            rows.append((kind, count, *Summary.of(times).spread))
             results.verdict(f"{kind}: replaced, median in s", median(times), failure.target)
-    header = ("failure", "failures", "min_s", "median_s", "max_s")
+    header = ("failure", "failures", *spread("s"))
     results.table("failover", "failover of a claimed stream", header, rows)
-    return results
 
 
 def _fail(kind: str, failure: _Failure, count: int) -> list[float]:
@@ -272,24 +253,33 @@ def _fail(kind: str, failure: _Failure, count: int) -> list[float]:
             (part,) = set(stream.nodelets) - {_SOURCE}
             failure.fail(part)
             failed = time.monotonic()
-            wait_until(lambda life=life: listener.latest != life, "the replacement")  # type: ignore[misc]
-            begin = min(failed, listener.span(life)[1])
-            times.append(listener.span(listener.latest)[0] - begin - failure.silence)
+            wait_until(partial(_is_replaced, listener, life), "the replacement")
+            begin = min(failed, listener.last[life])
+            times.append(listener.first[listener.latest] - begin - failure.silence)
     return times
 
 
-def _ways(count: int) -> str:
-    """As many ways as there are failures: a failed one is left alone for a while."""
-    ways = "".join(
-        f"<transformation><label>way {number}</label><source>dyknow_benchmark/SignedRelay</source>"
-        '<ports><port type="in">in</port><port type="out">out</port></ports>'
-        f'<tags><tag port="in">Unsigned(x)</tag><tag port="out">{_GOAL}</tag></tags>'
-        "</transformation>"
-        for number in range(count)
-    )
-    return (
-        "<transformations><transformation><label>signed source</label>"
-        '<source>dyknow/Source</source><params><param name="rate" type="double">100</param>'
-        '</params><ports><port type="out" datatype="std_msgs/Header">out</port></ports>'
-        f'<tags><tag port="out">Unsigned(x)</tag></tags></transformation>{ways}</transformations>'
-    )
+def _is_replaced(listener: _Listener, life: str) -> bool:
+    return listener.latest != life
+
+
+@measurement(nodelets=500)
+def window(arguments: argparse.Namespace, results: Results) -> None:
+    """How long the window keeps hands waiting, with many nodelets.
+
+    The window runs without a screen, in this process. It is opened, its nodelets come back after
+    kill -9 of their nodelet manager, and of the DyKnow manager too, and it is zoomed and moved. A
+    gap is the time between two turns of the window's event loop, or two frames.
+    """
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    from dyknow_benchmark import window_hands  # only here: not every robot has Qt
+
+    count = arguments.nodelets
+    rows = window_hands.use(count)
+    header = ("nodelets", "what", "frames", "frames_per_s", "median_ms", "longest_ms")
+    results.table("window", "gaps between two turns of the window", header, rows)
+    what = f"{count} nodelets, real manager"
+    longest = max(row.longest_ms for row in rows)
+    slowest = min(row.fps for row in rows if row.is_moved)
+    results.verdict(f"{what}: longest gap in ms", longest, 200.0)
+    results.verdict(f"{what}: fewest frames a second", slowest, 30.0, at_least=True)

@@ -8,16 +8,14 @@ from __future__ import annotations
 import contextlib
 import itertools
 import statistics
-import threading
 import time
-from dataclasses import replace
 from typing import Callable, Iterator, NamedTuple, Sequence
 
 from python_qt_binding.QtCore import QTimer
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
-from dyknow.model.graph import Model, NodeletStatus, State
+from dyknow.model.graph import State
 from dyknow_benchmark.session import (
     MANAGER,
     NODELET_MANAGER,
@@ -27,13 +25,10 @@ from dyknow_benchmark.session import (
     steps,
 )
 from dyknow_rqt.canvas.view import GraphView
-from dyknow_rqt.example_graphs import spawn_relay, tree
+from dyknow_rqt.example_graphs import spawn_relay
 from dyknow_rqt.ros_remote import RosRemote
-from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
-#: Seconds between two nodelets that come back in the simulated manager.
-_PACE = 0.01
 _PATIENCE = 180.0
 #: Seconds that something must hold for it to be over.
 _REST = 2.0
@@ -44,7 +39,6 @@ _FRAMES = 60
 class Row(NamedTuple):
     """A row of the table: an action, and its gaps."""
 
-    manager: str
     nodelets: int
     what: str
     frames: int
@@ -58,75 +52,27 @@ class Row(NamedTuple):
         return self.what.startswith(("zoom", "pan", "point"))
 
 
-@contextlib.contextmanager
-def application() -> Iterator[None]:
-    """An application without a screen."""
+def use(count: int) -> list[Row]:
+    """Open a window on a manager, kill the hosts of its nodelets, and see them come back."""
     application = QApplication.instance() or QApplication(["benchmark"])
-    yield
-    application.processEvents()
-
-
-class _Returning(SimulatedRemote):
-    """A simulated manager whose nodelets are lost and come back one after the other."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__()
-        self.client = tree(count).client
-        self._model = self.client.get_graph()
-
-    def graph(self) -> Model:
-        """Return the last model."""
-        return self._model
-
-    def come_back(self) -> None:
-        """Restart the nodelets: none has ports at first, then one after the other runs again."""
-        running = self._model.nodelets
-        nodelets = [replace(each, state=State.STARTING, ports=()) for each in running]
-        self._tell(nodelets)
-        for number, each in enumerate(running):
-            time.sleep(_PACE)
-            nodelets[number] = each
-            self._tell(nodelets)
-
-    def _tell(self, nodelets: Sequence[NodeletStatus]) -> None:
-        revision = self._model.revision + 1
-        self._model = replace(self._model, revision=revision, nodelets=tuple(nodelets))
-        self.client.on_model(self._model)
-
-
-def simulated(count: int) -> list[Row]:
-    """Open a window on a simulated manager, let its nodelets come back, and move the view."""
-    remote = _Returning(count)
-    with _window(DyKnowWidget(remote)) as window:
-        rows = [_row("simulated", count, "open", _gaps(lambda: _is_whole(window, count)))]
-        thread = threading.Thread(target=remote.come_back, daemon=True)
-        thread.start()
-        gaps = _gaps(lambda: not thread.is_alive() and _is_whole(window, count))
-        rows.append(_row("simulated", count, "nodelets come back", gaps))
-        rows += [_row("simulated", count, *moved) for moved in _moves(window)]
-    return rows
-
-
-def real(count: int) -> list[Row]:
-    """Open a window on a real manager, kill the hosts of its nodelets, and see them come back."""
     rows = []
-    with Session() as session:
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(Session())
         client = session.dyknow_manager()
         for number in steps(range(count), "spawning", "nodelet"):
             spawn_relay(client, number)
-        with _window(DyKnowWidget(RosRemote(MANAGER))) as window:
-            gaps = _gaps(lambda: _is_whole(window, count))
-            rows.append(_row("real", count, "open", gaps))
-            for what, nodes in (
-                ("nodelet manager killed", [NODELET_MANAGER]),
-                ("both managers killed", [MANAGER, NODELET_MANAGER]),
-            ):
-                kill(*nodes)
-                if MANAGER in nodes:
-                    session.start_manager()
-                gaps = _gaps(_is_whole_again(window, count))
-                rows.append(_row("real", count, what, gaps))
-            rows += [_row("real", count, *moved) for moved in _moves(window)]
+        window = stack.enter_context(_window(DyKnowWidget(RosRemote(MANAGER))))
+        rows.append(_row(count, "open", _gaps(lambda: _is_whole(window, count))))
+        for what, nodes in (
+            ("nodelet manager killed", [NODELET_MANAGER]),
+            ("both managers killed", [MANAGER, NODELET_MANAGER]),
+        ):
+            kill(*nodes)
+            if MANAGER in nodes:
+                session.start_manager()
+            rows.append(_row(count, what, _gaps(_is_whole_again(window, count))))
+        rows += [_row(count, *moved) for moved in _moves(window)]
+    application.processEvents()
     return rows
 
 
@@ -226,7 +172,7 @@ def _drag(view: GraphView) -> None:
     bar.setValue(bar.value() + 20)
 
 
-def _row(manager: str, count: int, what: str, ticks: Sequence[float]) -> Row:
+def _row(count: int, what: str, ticks: Sequence[float]) -> Row:
     gaps = [1e3 * (after - before) for before, after in zip(ticks, ticks[1:])]
     fps = len(gaps) / (ticks[-1] - ticks[0])
-    return Row(manager, count, what, len(gaps), fps, statistics.median(gaps), max(gaps))
+    return Row(count, what, len(gaps), fps, statistics.median(gaps), max(gaps))

@@ -42,8 +42,6 @@ COMMANDS: dict[str, Sequence[str]] = {
     "recover": ("recover",),
     "failover": ("failover",),
     "window": ("window",),
-    "leak": ("leak",),
-    "idle": ("idle",),
 }
 MARKED = re.compile(r"(<!-- begin (\w+)/(\w+)((?: \w+)*) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 

@@ -79,20 +79,18 @@ class BenchmarkTest(TellingCase):
             # Without a name, the chain is measured.
             "every_kind": (
                 *("--kinds", *KINDS, "--hops", 1, 3),
-                *("--rate", 200, "--messages", 6, "--repeats", 2),
+                *("--rate", 200, "--messages", 6),
             ),
             "images": ("images", "--hops", 2, "--messages", 4, "--sizes", "640x480", "1920x1080"),
             "busy": ("busy", "--hops", 2, "--messages", 4),
             "outside": ("outside", "--hops", 3, "--messages", 4, "--listened", 0, 2),
-            "footprint": ("footprint", "--nodelets", 5, "--nodes", 2),
+            "footprint": ("footprint", "--nodelets", 5, "--nodes", 2, "--seconds", 1),
             "scripts": ("scripts", "--messages", 4, "--scripts", 3, "--size", "320x240"),
             "cpp": ("cpp", "--hops", 3, "--pairs", 2, "--switches", 4),
-            "idle": ("idle", "--nodelets", 3, "--seconds", 1),
             "model": ("model", "--nodelets", 5),
             "recover": ("recover", "--nodelets", 3, "--kills", 1),
-            "window": ("window", "--nodelets", 4, "--restored", 4),
+            "window": ("window", "--nodelets", 4),
             "rewire": ("rewire", "--switches", 40, "--rate", 500),
-            "leak": ("leak", "--cycles", 5),
             "failover": ("failover", "--failures", 1),
         }
         with ThreadPoolExecutor(4) as pool:
@@ -111,10 +109,8 @@ class BenchmarkTest(TellingCase):
             ("busy", "busy", "burner lost", zeros("none", "same manager", "own manager")),
             ("outside", "outside", "listened lost", zeros("0", "2")),
             ("scripts", "scripts", "kind lost", zeros("script", "node", "dyknow")),
-            ("cpp", "cpp_chains", "chain lost", zeros("cpp_nodelet", "cpp_live", "mixed")),
             ("cpp", "cpp_ports", "pairs", ["2", "2"]),
             ("cpp", "cpp_switches", "switches", ["4", "4"]),
-            ("idle", "idle", "nodelets", ["3"]),
             ("model", "model", "count", ["5", "50"]),
             ("recover", "recover", "nodelets kills", [("3", "1")]),
             ("failover", "failover", "failures", ["1", "1", "1"]),
@@ -150,26 +146,20 @@ class BenchmarkTest(TellingCase):
             self.assertEqual(processes, "3" if alone else "0", kind)
         each = dict(self.column("footprint", "footprint", "kind", "kib_each"))
         self.assertGreater(float(each["node"]), float(each["dyknow"]))
-        real = self.column("window", "window", "manager", "what")
-        done = [what for manager, what in real if manager == "real"]
-        self.assertEqual(
-            done[:3], ["open", "nodelet manager killed", "both managers killed"], real
-        )
-        for what, before, after in self.column("leak", "leak", "what", "before", "after"):
-            if what in ("file_descriptors", "threads", "registrations"):
-                self.assertLessEqual(int(after), int(before), what)
+        done = self.column("window", "window", "what")[:3]
+        self.assertEqual(done, ["open", "nodelet manager killed", "both managers killed"])
 
     def test_an_interrupted_measurement_ends_its_processes(self):
         mark = f"DYKNOW_BENCHMARK_TEST={self.id()}"
         name, _, value = mark.partition("=")
         process = subprocess.Popen(
-            self.command("idle", "--nodelets", 1, "--seconds", 600),
+            self.command("model", "--nodelets", 1),
             env={**os.environ, name: value},
             stderr=subprocess.PIPE,
             text=True,
         )
         try:
-            while "watching" not in process.stderr.readline():
+            while "listening" not in process.stderr.readline():
                 self.assertIsNone(process.poll())
             process.send_signal(signal.SIGTERM)
             process.communicate(timeout=30)

@@ -8,13 +8,12 @@ import random
 
 import pytest
 
-from dyknow_benchmark import arrival
-from dyknow_benchmark.arrival import ChainPlan, plan_of, tell_chain
-from dyknow_benchmark.chains import Block, Order, select
-from dyknow_benchmark.main import FAILED, OUT, main, parser, with_measurement
-from dyknow_benchmark.options import MEASUREMENTS
+from dyknow_benchmark.arrival import report_chain
+from dyknow_benchmark.chains import KINDS, Block, Order, select
+from dyknow_benchmark.main import FAILED, main, parse
+from dyknow_benchmark.options import MEASUREMENTS, OUT
 from dyknow_benchmark.parts import SwitchedIn, SwitchedOut, payload_of
-from dyknow_benchmark.results import ARRIVALS, Results, Summary, Verdict, median_interval
+from dyknow_benchmark.results import ARRIVALS, Results, Summary, median_interval
 from dyknow_benchmark.switching import delays
 
 
@@ -23,49 +22,50 @@ def read(path):
         return list(csv.reader(file))
 
 
-def measured(frequency=100.0, hops=(1, 50), pairs=20):
-    kinds = ["dyknow", "nodelet", "cpp_nodelet"]
-    plan = ChainPlan(kinds, hops, frequency, 4, 2, pairs)
+def report(found, frequency=100.0, hops=(1, 50), pairs=20):
+    """Report a chain of which one message of four is lost."""
     factor = {"dyknow": 2.0, "nodelet": 1.9, "cpp_nodelet": 10.0}
-    blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
+    blocks = {
+        kind: Block(4, {each: [times * each] * 3 for each in hops})
+        for kind, times in factor.items()
+    }
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
+    report_chain(found, frequency, blocks, differences)
+    found.end()
+
+
+def reported(*args, **kwds):
     found = Results()
-    tell_chain(found, plan, blocks, differences)
-    return found.end()
-
-
-@pytest.fixture
-def run_chain(monkeypatch):
-    """Let a function take the place of the measurement."""
-    return lambda run: monkeypatch.setitem(
-        MEASUREMENTS, "chain", MEASUREMENTS["chain"]._replace(run=run)
-    )
+    report(found, *args, **kwds)
+    return found
 
 
 @pytest.mark.parametrize("place", ["taken", "taken/folder"])
 def test_a_place_that_cannot_be_written_to_is_refused_before_anything_is_measured(
-    place, tmp_path, run_chain, capsys
+    place, tmp_path, monkeypatch, capsys
 ):
     (tmp_path / "taken").touch()
-    run_chain(lambda arguments: pytest.fail("it is measured"))
+    monkeypatch.setitem(MEASUREMENTS, "chain", lambda *_: pytest.fail("it is measured"))
     assert main(["--out", str(tmp_path / place)]) == FAILED
-    assert f"{tmp_path / 'taken'} is not a folder" in capsys.readouterr().err
+    assert str(tmp_path / "taken") in capsys.readouterr().err
 
 
-def test_what_cannot_be_written_in_the_end_was_shown_and_is_one_line(tmp_path, run_chain, capsys):
-    def run(arguments):
-        (tmp_path / "taken").touch()
-        return measured()
+def test_what_cannot_be_written_in_the_end_was_shown_and_is_one_line(
+    tmp_path, monkeypatch, capsys
+):
+    def run(arguments, results):
+        report(results)
+        (tmp_path / "figure4.csv").mkdir()
 
-    run_chain(run)
-    assert main(["--out", str(tmp_path / "taken")]) == FAILED
+    monkeypatch.setitem(MEASUREMENTS, "chain", run)
+    assert main(["--out", str(tmp_path)]) == FAILED
     shown = capsys.readouterr()
     assert "targets" in shown.out
-    assert shown.err.startswith(f"benchmark: cannot write to {tmp_path / 'taken'}: ")
+    assert shown.err.startswith("benchmark: ") and str(tmp_path / "figure4.csv") in shown.err
 
 
 def test_figure_4_and_the_overhead_are_written_as_tables_and_drawn(tmp_path):
-    written = measured().write(tmp_path)
+    written = reported().write(tmp_path)
     assert {path.name for path in written} == {
         "figure4.csv", "overhead.csv", "machine.csv", "targets.csv", "figure4.png", "figure4.svg",
     }  # fmt: skip
@@ -87,38 +87,36 @@ def test_figure_4_and_the_overhead_are_written_as_tables_and_drawn(tmp_path):
     ("frequency", "limit"), [(1.0, 0.35), (5.0, 0.35), (50.0, 0.35), (100.0, 0.25), (200.0, 0.25)]
 )
 def test_the_target_depends_on_the_frequency(frequency, limit):
-    ratio, added = measured(frequency).verdicts
-    assert (ratio.measured, ratio.limit, ratio.met) == (pytest.approx(0.2), limit, True)
-    assert (added.measured, added.limit, added.met) == (pytest.approx(0.0145), 0.02, True)
+    ratio, added = reported(frequency).targets
+    assert ratio[1:] == (pytest.approx(0.2), f"<= {limit}", "met")
+    assert added[1:] == (pytest.approx(0.0145), "<= 0.02", "met")
 
 
 def test_targets_are_for_50_hops_only():
-    found = measured(hops=(1, 10))
-    assert found.verdicts == []
-    assert "no target applies" in found.show()
-    assert found.met
+    found = reported(hops=(1, 10))
+    assert found.met and "no target applies" in found.show()
 
 
-def test_a_verdict_says_whether_the_target_is_met():
-    assert Verdict("x", 2.0, 2.0).met and Verdict("x", 20.0, 20.0, at_least=True).met
-    assert not Verdict("x", 2.1, 2.0).met and not Verdict("x", 19.9, 20.0, at_least=True).met
-    assert Verdict("x", 19.9, 20.0, at_least=True).row == ("x", 19.9, ">= 20", "NOT met")
+def test_a_target_is_met_up_to_its_limit():
     found = Results()
-    found.verdict("x", 1, 2)
+    found.verdict("x", 2.0, 2.0)
+    found.verdict("x", 20.0, 20.0, at_least=True)
     assert found.met
-    found.verdict("x", 3, 2)
-    assert not found.met
+    for measured, limit, at_least in ((2.1, 2.0, False), (19.9, 20.0, True)):
+        found = Results()
+        found.verdict("x", measured, limit, at_least)
+        assert not found.met
+    assert found.targets == [("x", 19.9, ">= 20", "NOT met")]
 
 
-def test_a_chain_that_delivered_nothing_has_rows_but_no_verdict():
-    plan = ChainPlan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
+def test_a_chain_that_delivered_nothing_has_rows_but_no_target():
     found = Results()
-    tell_chain(found, plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {})
+    report_chain(found, 5.0, {kind: Block(4, {50: []}) for kind in ("dyknow", "cpp_nodelet")}, {})
     assert [tuple(row[:4]) for row in found.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
         ("cpp_nodelet", 50, 0, 4),
     ]
-    assert found.verdicts == []
+    assert found.targets == []
 
 
 def test_the_warm_up_is_left_out_at_every_hop_alike():
@@ -128,49 +126,38 @@ def test_the_warm_up_is_left_out_at_every_hop_alike():
     assert block == Block(2, {1: [12.0, 13.0], 2: [22.0, 23.0]})
 
 
-def test_without_options_the_setting_is_the_papers():
-    plan = plan_of(parser().parse_args(["chain"]))
-    assert plan == arrival.PAPER
-    assert (plan.hops, plan.frequency, plan.messages) == (
-        (1, 2, 5, 10, 20, 50),
-        5.0,
-        1000,
-    )
-    assert set(plan.kinds) == {
-        "dyknow", "nodelet", "node", "cpp_nodelet", "cpp_node", "function",
-    }  # fmt: skip
-
-
-def test_without_a_name_the_measurement_is_the_chain(capsys):
-    assert with_measurement([]) == ["chain"]
-    assert with_measurement(["--quick"]) == ["chain", "--quick"]
-    assert with_measurement(["images", "--quick"]) == ["images", "--quick"]
-    assert with_measurement(["--help"]) == ["--help"]
-    with pytest.raises(SystemExit):
-        parser().parse_args(with_measurement(["chains"]))
-    assert "invalid choice: 'chains'" in capsys.readouterr().err
-
-
-def test_the_chain_is_never_measured_for_nothing():
-    assert parser().parse_args(["chain"]).out == OUT
-    assert parser().parse_args(["idle"]).out is None
-
-
-def test_options_go_over_the_quick_setting():
-    arguments = ["chain", "--quick", "--kinds", "node", "dyknow", "--hops", "3", "1", "3"]
-    plan = plan_of(parser().parse_args(arguments))
-    assert (plan.kinds, plan.hops) == (("dyknow", "node"), (1, 3))
-    assert plan.frequency == arrival.QUICK.frequency
+@pytest.mark.parametrize(
+    ("words", "command", "rate", "messages"),
+    [
+        ("", "chain", 5.0, 1000),
+        ("--quick", "chain", 100.0, 400),
+        ("--rate 7 --quick", "chain", 7.0, 400),
+        ("images --messages 3", "images", 20.0, 3),
+    ],
+)
+def test_without_a_name_the_measurement_is_the_chain_of_the_paper(words, command, rate, messages):
+    found = parse(words.split())
+    assert (found.command, found.rate, found.messages) == (command, rate, messages)
+    assert found.out == (OUT if command == "chain" else None)
+    if command == "chain":
+        assert found.hops == [1, 2, 5, 10, 20, 50]
+        assert found.kinds == [each for each in KINDS if each not in ("script", "cpp_live")]
 
 
 @pytest.mark.parametrize(
-    "wrong", [["--hops", "0"], ["--kinds", "nodes"], ["--messages", "x"], ["--rate", "0"]]
+    ("words", "said"),
+    [
+        ("chains", "invalid choice: 'chains'"),
+        *((f"chain {each}", each.split()[0]) for each in ("--hops 0", "--kinds nodes")),
+        *((f"chain {each}", each.split()[0]) for each in ("--messages x", "--rate 0")),
+        ("images --sizes 4x", "640x480"),
+    ],
 )
-def test_a_wrong_option_is_refused(wrong, capsys):
+def test_a_wrong_option_is_refused(words, said, capsys):
     with pytest.raises(SystemExit) as error:
-        parser().parse_args(["chain", *wrong])
+        parse(words.split())
     assert error.value.code == 2
-    assert wrong[0] in capsys.readouterr().err
+    assert said in capsys.readouterr().err
 
 
 def test_a_payload_is_a_time_or_images_of_a_size():
@@ -185,15 +172,12 @@ def test_a_payload_is_a_time_or_images_of_a_size():
 # Statistics
 
 
-def test_a_summary_of_no_values_is_all_zero():
-    assert Summary.of([]) == Summary(0, 0.0, 0.0, 0.0, 0.0)
-
-
 def test_a_summary_does_not_depend_on_the_order():
     values = [float(each) for each in range(1, 201)]
     shuffled = values[:]
     random.Random(1).shuffle(shuffled)
     assert Summary.of(shuffled) == Summary.of(values) == Summary(200, 100.5, 100.5, 198.0, 200.0)
+    assert Summary.of([]) == Summary(0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -212,13 +196,6 @@ def ticking():
     return lambda: next(ticks)
 
 
-def taken_in(numbers):
-    watch = SwitchedIn(ticking())
-    for number in numbers:
-        watch.receive(number)
-    return watch
-
-
 @pytest.mark.parametrize(
     ("numbers", "lost", "doubled", "changes"),
     [
@@ -234,8 +211,9 @@ def taken_in(numbers):
     ],
 )
 def test_an_in_port_that_is_switched(numbers, lost, doubled, changes):
-    watch = taken_in(numbers)
-    assert (watch.lost, watch.doubled) == (lost, doubled)
+    watch = SwitchedIn(ticking())
+    for number in numbers:
+        watch.receive(number)
     assert watch.collect() == [lost, doubled, *map(float, range(changes))]
 
 
