@@ -4,6 +4,6 @@
 """The soccer case study: where is the ball on the field?
 
 ``geometry``; the simulated truth, ``world``, and the cameras' view of it, ``rendering``; the
-robot's vision, ``planes``, ``finder``, ``learnt`` and ``sighting``; the ``nodelets`` around all
+robot's vision, ``finder``, ``learnt`` and ``sighting``; the ``nodelets`` around all
 that. ``evaluate`` and ``learn`` measure it.
 """

@@ -10,10 +10,9 @@ from typing import Sequence
 
 import numpy as np
 
-from dyknow_demo.images import Pixels
+from dyknow_demo.images import Pixels, pyramid
 from dyknow_demo.soccer import geometry
 from dyknow_demo.soccer.finder import ORANGE, find_balls
-from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, best_sighting
 from dyknow_demo.soccer.world import BALL_RADIUS, SoccerWorld
@@ -36,10 +35,8 @@ def measure(name: str, seed: int, times: Sequence[float]) -> tuple[int, list[flo
     world, camera = SoccerWorld(seed), CAMERAS[name]
     view = FieldCamera(camera, seed)
     frame: Pixels = np.empty((camera.height, camera.width, 2), np.uint8)
-    believed, place = (
-        geometry.floor_from_camera(geometry.CEILING_HEIGHT, math.pi / 2),
-        geometry.CEILING_PLACE,
-    )
+    believed = geometry.floor_from_camera(geometry.CEILING_HEIGHT, math.pi / 2)
+    place = geometry.CEILING_PLACE
     pose, frames, distances = world.field_from_ceiling_camera(), 0, []
     for number, time in enumerate(times):
         if name == "bottom_camera":

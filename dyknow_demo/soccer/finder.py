@@ -88,16 +88,10 @@ def find_balls(
     _, rows, columns = pyramid[fine].shape
     found: list[Find] = []
     for window in _windows(colour.mask(pyramid[coarse], _SLACK)):
-        left, top, right, bottom = (coarse // fine * each for each in window)
-        left, top, right, bottom = (
-            max(left, 0),
-            max(top, 0),
-            min(right, columns),
-            min(bottom, rows),
-        )
-        for outline in outlines_in(
-            colour.mask(pyramid[fine][:, top:bottom, left:right]), (left, top)
-        ):
+        wider = np.array(window) * (coarse // fine)
+        left, top, right, bottom = np.clip(wider, 0, [columns, rows] * 2).tolist()
+        mask = colour.mask(pyramid[fine][:, top:bottom, left:right])
+        for outline in outlines_in(mask, (left, top)):
             find = _find(outline, (columns, rows), fine)
             if find is not None and find.score >= roundness:
                 found.append(find)

@@ -29,7 +29,6 @@ _BODY_FROM_OPTICAL: Array = np.array(
 
 
 def shift(x: float, y: float, z: float) -> Array:
-    """Translate."""
     matrix: Array = np.eye(4)
     matrix[:3, 3] = (x, y, z)
     return matrix
@@ -49,7 +48,6 @@ def turn(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def inverse(matrix: Array) -> Array:
-    """Invert a rigid transformation."""
     result: Array = np.eye(4)
     result[:3, :3] = matrix[:3, :3].T
     result[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]

@@ -21,11 +21,10 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from dyknow_demo.images import Pixels
+from dyknow_demo.images import Pixels, pyramid
 from dyknow_demo.soccer.finder import YELLOW, Box, find_balls
 from dyknow_demo.soccer.geometry import Array
 from dyknow_demo.soccer.learnt import Region, best_regions, regions
-from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import pack, yuv_from_bgr
 
 #: Where real camera frames may lie: beside the checkout.
@@ -179,7 +178,6 @@ def example_of(frame: AnnotatedFrame, number: int) -> Example:
 
 
 def _lit(pixels: Pixels, generator: np.random.Generator) -> Pixels:
-    """Show the picture in another light."""
     gains = np.exp(generator.normal(0.0, _GAIN, 3))
     gamma = float(np.exp(generator.normal(0.0, _GAMMA)))
     curve = 255 * np.linspace(0.0, 1.0, 256) ** gamma

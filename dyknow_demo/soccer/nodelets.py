@@ -19,11 +19,10 @@ import dyknow
 from dyknow.errors import BadParameter
 from dyknow.ros.parameters import get_positive
 from dyknow_demo import images
-from dyknow_demo.images import Pixels
+from dyknow_demo.images import Pixels, blank_planes, planes_of, shrink
 from dyknow_demo.soccer import geometry, learnt
 from dyknow_demo.soccer.finder import COLOURS, Find, find_balls
 from dyknow_demo.soccer.geometry import Array
-from dyknow_demo.soccer.planes import blank_planes, planes_of, shrink
 from dyknow_demo.soccer.rendering import FieldCamera
 from dyknow_demo.soccer.sighting import Geometry, History, Sighting, best_sighting
 from dyknow_demo.soccer.world import BALL_RADIUS, HEADING_ERROR, PLACE_ERROR, SoccerWorld
@@ -33,29 +32,49 @@ FIELD = "field"
 _LEARNT = "learnt"
 
 
-class SimulatedCamera(dyknow.Nodelet):
+class Simulated(dyknow.Nodelet):
+    """Publishes part of the simulated world.
+
+    Parameters:
+        ~rate (double): times a second.
+        ~seed (int, 0): of the simulated world.
+    """
+
+    default_rate: float
+
+    def on_init(self) -> None:
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.seed = int(self.nh.get_param("~seed", 0))
+        rate = get_positive(self.nh, "~rate", self.default_rate, "Hz")
+        self.world = SoccerWorld(self.seed)
+        self.declare()
+        self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
+
+    def declare(self) -> None:
+        """Declare the ports."""
+        raise NotImplementedError
+
+    def on_timer(self, event: Any) -> None:
+        """Publish on all ports."""
+        raise NotImplementedError
+
+
+class SimulatedCamera(Simulated):
     """Publishes a camera's view of the world, with its intrinsics.
 
     Ports:
         image (out): sensor_msgs/Image, yuv422 (YUV 4:2:2 in the order UYVY).
         camera_info (out): sensor_msgs/CameraInfo, with each frame.
 
-    Parameters:
-        ~rate (double): frames a second.
-        ~seed (int, 0): of the simulated world.
+    Parameters, besides those of all simulated nodelets:
         ~frame_id (string, the nodelet's name): of the optical frame.
     """
 
     camera: geometry.Pinhole
-    default_rate: float
 
-    def on_init(self) -> None:
-        """Declare the ports and start the timer."""
-        self.nh = dyknow.NodeHandle(self.node_handle)
-        seed = int(self.nh.get_param("~seed", 0))
-        rate = get_positive(self.nh, "~rate", self.default_rate, "Hz")
+    def declare(self) -> None:
         self.frame_id = str(self.nh.get_param("~frame_id", self.name.rpartition("/")[2]))
-        self.world, self.view, self.count = SoccerWorld(seed), FieldCamera(self.camera, seed), 0
+        self.view, self.count = FieldCamera(self.camera, self.seed), 0
         k = self.camera.matrix
         self.intrinsics = {
             "height": self.camera.height,
@@ -68,14 +87,12 @@ class SimulatedCamera(dyknow.Nodelet):
         }
         self.image_pub = self.nh.Publisher("image", Image, queue_size=5)
         self.info_pub = self.nh.Publisher("camera_info", CameraInfo, queue_size=5)
-        self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
 
     def pose(self, time: float) -> Array:
         """True pose of the optical frame on the field."""
         raise NotImplementedError
 
     def on_timer(self, event: Any) -> None:
-        """Publish one frame."""
         stamp = self.nh.Time.now()
         header, time = Header(self.count, stamp, self.frame_id), stamp.to_sec()
         self.info_pub.publish(CameraInfo(header=header, **self.intrinsics))
@@ -92,7 +109,6 @@ class BottomCamera(SimulatedCamera):
     camera, default_rate = geometry.BOTTOM_CAMERA, 20.0
 
     def pose(self, time: float) -> Array:
-        """Pose of the camera as the robot walks and turns its head."""
         return self.world.field_from_bottom_camera(time)
 
 
@@ -106,49 +122,37 @@ class CeilingCamera(SimulatedCamera):
 
     camera, default_rate = geometry.CEILING_CAMERA, 15.0
 
-    def on_init(self) -> None:
-        """Declare the ports and start the timer."""
-        handle = dyknow.NodeHandle(self.node_handle)
-        self.pose_pub = handle.Publisher("pose", PoseWithCovarianceStamped, queue_size=5)
-        super().on_init()
+    def declare(self) -> None:
+        self.pose_pub = self.nh.Publisher("pose", PoseWithCovarianceStamped, queue_size=5)
+        super().declare()
 
     def pose(self, time: float) -> Array:
-        """Pose of the camera, which does not move."""
         return self.world.field_from_ceiling_camera()
 
     def on_timer(self, event: Any) -> None:
-        """Publish the place of the camera's frame, and one frame."""
         self.pose_pub.publish(_place_message(self.nh.Time.now(), geometry.CEILING_PLACE, 0.0, 0.0))
         super().on_timer(event)
 
 
-class NaoBody(dyknow.Nodelet):
+class NaoBody(Simulated):
     """Publishes the joint angles and the self-localization of a simulated NAO.
 
     Self-localization by the field's lines is not simulated, only its result: the true place with
-    slowly changing errors of a few centimetres.
+    slowly changing errors of a few centimetres. ``~rate`` is 50 if it is not set.
 
     Ports:
         joint_states (out): sensor_msgs/JointState: HeadYaw, HeadPitch and a leg's pitch joints,
             with the resolution of the NAO's encoders.
         pose (out): geometry_msgs/PoseWithCovarianceStamped, of the robot's frame on the field.
-
-    Parameters:
-        ~rate (double, 50): messages a second on each port.
-        ~seed (int, 0): of the simulated world.
     """
 
-    def on_init(self) -> None:
-        """Declare the ports and start the timer."""
-        self.nh = dyknow.NodeHandle(self.node_handle)
-        rate = get_positive(self.nh, "~rate", 50.0, "Hz")
-        self.world = SoccerWorld(int(self.nh.get_param("~seed", 0)))
+    default_rate = 50.0
+
+    def declare(self) -> None:
         self.joints_pub = self.nh.Publisher("joint_states", JointState, queue_size=10)
         self.pose_pub = self.nh.Publisher("pose", PoseWithCovarianceStamped, queue_size=10)
-        self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
 
     def on_timer(self, event: Any) -> None:
-        """Publish the current state."""
         stamp = self.nh.Time.now()
         time = stamp.to_sec()
         angles = self.world.encoders(time)
@@ -169,7 +173,6 @@ class ImageSubsampler(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         ports = ("bgr", "hsv", "yuv_half", "yuv_quarter", "yuv_eighth")
         pubs = [self.nh.Publisher(port, Image, queue_size=5) for port in ports]
@@ -177,7 +180,6 @@ class ImageSubsampler(dyknow.Nodelet):
         self.sub = self.nh.Subscriber("yuv", Image, self.on_image, queue_size=2)
 
     def on_image(self, image: Any) -> None:
-        """Make and publish the images that have subscribers."""
         if image.encoding != "yuv422" or image.height % 2 or image.width % 2:
             raise ValueError(
                 f"an image of {image.width} x {image.height} in '{image.encoding}': "
@@ -230,7 +232,6 @@ class BallDetector(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Read the parameters and declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         get = self.nh.get_param
         self.mount = self.read_mount("~mount", get("~mount", "nao_bottom"))
@@ -265,26 +266,22 @@ class BallDetector(dyknow.Nodelet):
         return lambda pyramid: find_balls(pyramid, COLOURS[colour])
 
     def read_mount(self, parameter: str, given: Any) -> geometry.Mount:
-        """Read the mount of one camera."""
         try:
             return geometry.mount_of(given)
         except (TypeError, ValueError):
             raise BadParameter(self.nh.resolve_name(parameter), given, geometry.MOUNT) from None
 
     def on_info(self, info: Any) -> None:
-        """Store the camera's intrinsics."""
         camera = geometry.Pinhole.of_matrix(info.width, info.height, info.K)
         self.cameras[info.header.frame_id] = camera
 
     def on_joints(self, state: Any) -> None:
-        """Store the angles that move the camera."""
         angles = dict(zip(state.name, state.position))
         if all(name in angles for name in self.mount.joints):
             chosen = [angles[name] for name in self.mount.joints]
             self.joints.add(state.header.stamp.to_sec(), chosen)
 
     def on_planes(self, coarse: Any, fine: Any) -> None:
-        """Look for the ball in one image."""
         stamp, frame = fine.header.stamp, fine.header.frame_id
         camera, mount = self.cameras.get(frame), self.fixed.get(frame, self.mount)
         angles = self.joints.at(stamp.to_sec()) if mount.joints else ()
@@ -327,7 +324,6 @@ class Localization(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.places = History([False, False, True])
         fixed = self.nh.get_param("~fixed_cameras", {}).items()
@@ -338,7 +334,6 @@ class Localization(dyknow.Nodelet):
         self.objects_sub = self.nh.Subscriber("objects", pose, self.on_object, queue_size=5)
 
     def read_place(self, given: Any) -> tuple[float, ...]:
-        """Read the place of one camera."""
         try:
             return tuple(float(given[name]) for name in ("x", "y", "yaw"))
         except (KeyError, TypeError, ValueError):
@@ -352,7 +347,6 @@ class Localization(dyknow.Nodelet):
         self.places.add(message.header.stamp.to_sec(), (position.x, position.y, yaw))
 
     def on_object(self, observed: Any) -> None:
-        """Transform one object."""
         stamp = observed.header.stamp
         place = self.fixed.get(observed.header.frame_id) or self.places.at(stamp.to_sec())
         if place is None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.testing import NodeletHarness
 from dyknow_demo import images
+from dyknow_demo.images import planes_of
 from dyknow_demo.soccer.nodelets import ImageSubsampler
-from dyknow_demo.soccer.planes import planes_of
 
 PORTS = ("bgr", "hsv", "yuv_half", "yuv_quarter", "yuv_eighth")
 

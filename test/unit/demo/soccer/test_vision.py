@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from dyknow_demo.images import pyramid
 from dyknow_demo.soccer.finder import ORANGE, YELLOW, Find, find_balls
 from dyknow_demo.soccer.geometry import BOTTOM_CAMERA, apply, floor_from_camera, inverse
-from dyknow_demo.soccer.planes import pyramid
 from dyknow_demo.soccer.rendering import draw_ball, pack, yuv_from_bgr
 from dyknow_demo.soccer.sighting import Geometry, History, best_sighting, sight
 
