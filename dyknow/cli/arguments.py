@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The types of arguments: how each word is checked and read."""
+"""The arguments of commands, and how each word is checked, read and completed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import argparse
 import math
 import os
 import sys
-from typing import NoReturn
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, NoReturn, Optional, Sequence, Tuple
 
 from dyknow import names
+from dyknow.cli import completion
+from dyknow.cli.completion import Completer
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Parameter
@@ -122,3 +125,81 @@ def positive(text: str) -> int:
     if not text.isdecimal() or not int(text):
         raise _expected(text, "an integer of at least 1")
     return int(text)
+
+
+#: Options of an option that takes several values, and may be repeated.
+SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
+
+#: How the values of a placeholder are read and completed, unless an argument says otherwise.
+KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
+    "A:PORT": (port_reference, completion.ports),
+    "FILE": (None, completion.files),
+    "HZ": (hertz, None),
+    "ID": (None, completion.claims),
+    "LABEL": (None, completion.labels),
+    "N": (positive, None),
+    "NAME": (graph_name, completion.nodelets),
+    "NAME=VALUE": (given_parameter, completion.parameters_of_label),
+    "NS": (namespace, completion.namespaces),
+    "OWL": (None, completion.files),
+    "PKG": (None, completion.packages),
+    "PORT": (positive, None),
+    "PORT:TOPIC": (port_topic, completion.ports_of_label),
+    "S": (seconds, None),
+    "SECONDS": (seconds, None),
+    "T": (graph_name, completion.topics),
+    "TAG": (None, completion.tags),
+    "XML": (None, completion.files),
+}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of a command: its name, or its options, separated by blanks."""
+
+    names: str
+    options: Dict[str, Any]  # as argparse takes them
+    completer: Optional[Completer]
+
+    def add_to(self, parser: Any) -> None:
+        parser.add_argument(*self.names.split(), **self.options).completer = self.completer
+
+
+@dataclass(frozen=True)
+class Group:
+    """Arguments with a title in the help; without a title, at most one of them may be given."""
+
+    arguments: Sequence[Argument]
+    title: str = ""
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        if self.title:
+            group: Any = parser.add_argument_group(self.title)
+        else:
+            group = parser.add_mutually_exclusive_group()
+        for each in self.arguments:
+            each.add_to(group)
+
+
+def argument(names: str, metavar: Optional[str], help_text: str, **options: Any) -> Argument:
+    """Declare an argument.
+
+    Args:
+        names: its name, or its options, separated by blanks.
+        metavar: placeholder of its value in the help.
+        help_text: its description.
+        **options: as argparse takes them, and ``completer``, which returns possible values; by
+            default those of the placeholder.
+    """
+    read, completer = KINDS.get(metavar or "", (None, None))
+    completer = options.pop("completer", completer)
+    if read is not None:
+        options.setdefault("type", read)
+    if metavar is not None:
+        options["metavar"] = metavar
+    return Argument(names, {**options, "help": help_text}, completer)
+
+
+def flag(names: str, help_text: str) -> Argument:
+    """Declare an option without a value."""
+    return Argument(names, {"action": "store_true", "help": help_text}, None)

@@ -11,11 +11,9 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-from typing import TYPE_CHECKING, Any, Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
-from dyknow.cli.arguments import default_manager
-from dyknow.cli.shell import Completer
 from dyknow.datatypes import types_fit
 from dyknow.errors import CannotLaunch, DyKnowError
 from dyknow.model.graph import PortRef
@@ -26,6 +24,9 @@ if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
     from dyknow.model.transformation import Transformation
     from dyknow.ros.shell.shell_client import ShellClient
+
+#: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
+Completer = Callable[..., List[str]]
 
 #: Seconds to wait for each answer.
 _TIMEOUT = 0.2
@@ -124,6 +125,8 @@ class _Cursor:
 
 def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
+        from dyknow.cli.arguments import default_manager  # which declares completers
+
         node = getattr(parsed_args, "manager_node", None) or default_manager()
         try:
             return sorted(set(find(_Cursor(connect(node), prefix, parsed_args))))

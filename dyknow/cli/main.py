@@ -12,16 +12,17 @@ import os
 import re
 import signal
 import sys
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Any, Sequence
 
 from dyknow import __version__
 from dyknow.cli import completion
 from dyknow.cli.arguments import (
     DEFAULT_MANAGER,
+    Group,
     Parser,
+    argument,
     default_manager,
     manager_node,
-    seconds,
 )
 from dyknow.cli.commands import GROUPS
 from dyknow.cli.shell import (
@@ -31,9 +32,7 @@ from dyknow.cli.shell import (
     INTERRUPTED,
     UNREACHABLE,
     Command,
-    Group,
     Shell,
-    argument,
 )
 from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.similar import did_you_mean
@@ -57,29 +56,23 @@ Exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no manager or master.
 """
 
 # Without defaults: those would override an option that stands before the command.
+_UNSET: Any = {"default": argparse.SUPPRESS}
 _COMMON = Group(
     (
-        argument(
-            "--json",
-            None,
-            "print the result as JSON",
-            action="store_true",
-            default=argparse.SUPPRESS,
-        ),
+        argument("--json", None, "print the result as JSON", action="store_true", **_UNSET),
         argument(
             "--manager-node",
             "NAME",
             f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
-            completion.managers,
+            completer=completion.managers,
             type=manager_node,
-            default=argparse.SUPPRESS,
+            **_UNSET,
         ),
         argument(
             "--timeout",
             "SECONDS",
             "how long each answer may take (default: 5, changes 60)",
-            type=seconds,
-            default=argparse.SUPPRESS,
+            **_UNSET,
         ),
     ),
     "options of every command",

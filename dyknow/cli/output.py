@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import enum
 import json
 import os
 import shutil
 import tempfile
 import time
-from dataclasses import asdict
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Dict, Sequence
 
 from dyknow.cli.shell import Shell
@@ -27,72 +29,63 @@ if TYPE_CHECKING:
 
 
 Json = Dict[str, Any]
-_OF_TRANSFORMATIONS = ("label", "type", "source", "node", "isolated", "cost")
-_OF_PORTS = ("name", "direction", "datatype", "tags")
-_COUNTED = (
-    *("direction", "topic", "messages", "dropped"),
-    *("rate", "mean_callback", "max_callback"),
-)
+
+
+def as_json(value: Any) -> Any:
+    """Make JSON of a value: of sequences lists, of sets sorted ones, of dataclasses objects."""
+    if isinstance(value, enum.Enum):
+        return value.name.lower() if isinstance(value, enum.IntEnum) else value.value
+    if dataclasses.is_dataclass(value):
+        return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [as_json(each) for each in (sorted(value) if isinstance(value, set) else value)]
+    return value
+
+
+def picked(value: object, names: str) -> Json:
+    """Make a JSON object of some attributes; `key=attribute` calls one by another name."""
+    pairs = (name.partition("=")[::2] for name in names.split())
+    return {key: as_json(getattr(value, attribute or key)) for key, attribute in pairs}
 
 
 def nodelet_json(nodelet: NodeletStatus) -> Json:
+    named = "name transformation manager protected=is_protected isolated fixed=is_fixed"
     return {
-        "name": nodelet.name,
-        "transformation": nodelet.transformation,
-        "manager": nodelet.manager,
-        "protected": nodelet.is_protected,
-        "isolated": nodelet.isolated,
-        "fixed": nodelet.is_fixed,
-        "kind": nodelet.kind.value,
-        "host": nodelet.host,
-        "state": state_of(nodelet),
-        "detail": nodelet.detail,
-        "ports": [asdict(port) for port in by_name(nodelet.ports)],
+        **picked(nodelet, f"{named} kind host state detail"),
+        "ports": as_json(by_name(nodelet.ports)),
         "parameters": _parameters_json(nodelet.parameters),
     }
 
 
 def _parameters_json(parameters: Sequence[Parameter]) -> list[Json]:
-    return [{"name": each.name, "type": each.type, "value": each.text} for each in parameters]
+    return [picked(each, "name type value=text") for each in parameters]
 
 
 def transformation_json(transformation: Transformation) -> Json:
     return {
-        **{name: getattr(transformation, name) for name in _OF_TRANSFORMATIONS},
+        **picked(transformation, "label type source node isolated cost"),
         "parameters": _parameters_json(transformation.parameters),
-        "ports": [dict(zip(_OF_PORTS, port)) for port in transformation.ports],
+        "ports": [picked(port, "name direction datatype tags") for port in transformation.ports],
         "specification": transformation.to_xml(),
     }
 
 
 def statistics_json(name: str, statistics: NodeletStatistics) -> Json:
     """The statistics of a nodelet; times in s, rates in Hz, null where nothing is counted."""
+    ports = sorted(statistics.ports, key=lambda port: port.port)
+    counted = "name=port direction topic messages dropped rate mean_callback max_callback"
     return {
         "nodelet": name,
-        "uptime": statistics.uptime,
-        "reconfigurations": statistics.reconfigurations,
-        "callback_errors": statistics.callback_errors,
-        "ports": [
-            {"name": port.port, **{key: getattr(port, key) for key in _COUNTED}}
-            for port in sorted(statistics.ports, key=lambda port: port.port)
-        ],
+        **picked(statistics, "uptime reconfigurations callback_errors"),
+        "ports": [picked(port, counted) for port in ports],
     }
 
 
 def stream_json(stream: StreamStatus) -> Json:
     """A claim; its lease ends at `expires`, in seconds of ROS time, or never if that is null."""
-    return {
-        "claim": stream.claim_id,
-        "client": stream.client_id,
-        "tag": stream.tag,
-        "topic": stream.topic,
-        "datatype": stream.datatype,
-        "state": stream.state.name.lower(),
-        "detail": stream.detail,
-        "nodelets": list(stream.nodelets),
-        "expires": stream.expires or None,
-        "bindings": list(stream.bindings),
-    }
+    named = "claim=claim_id client=client_id tag topic datatype state detail nodelets"
+    bindings = list(stream.bindings)
+    return {**picked(stream, named), "expires": stream.expires or None, "bindings": bindings}
 
 
 def event_json(event: StreamEvent) -> Json:

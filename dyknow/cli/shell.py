@@ -9,18 +9,10 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Callable,
-    Iterable,
-    List,
-    Optional,
-    Sequence,
-    TextIO,
-)
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, Sequence, TextIO
 
 from dyknow import names
+from dyknow.cli.arguments import Argument, Group
 from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
@@ -32,11 +24,6 @@ USAGE = 2
 UNREACHABLE = 3
 INTERRUPTED = 130
 BROKEN_PIPE = 141
-
-#: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
-Completer = Callable[..., List[str]]
-#: Options of an option that takes several values, and may be repeated.
-SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
 
 
 class Shell:
@@ -112,59 +99,6 @@ class Shell:
 
     def warn(self, message: object) -> None:
         self.error(f"warning: {message}")
-
-
-@dataclass(frozen=True)
-class Argument:
-    """An argument of a command: its name, or its options, separated by blanks."""
-
-    names: str
-    options: dict[str, Any]  # as argparse takes them
-    completer: Completer | None
-
-    def add_to(self, parser: Any) -> None:
-        parser.add_argument(*self.names.split(), **self.options).completer = self.completer
-
-
-@dataclass(frozen=True)
-class Group:
-    """Arguments with a title in the help; without a title, at most one of them may be given."""
-
-    arguments: Sequence[Argument]
-    title: str = ""
-
-    def add_to(self, parser: argparse.ArgumentParser) -> None:
-        if self.title:
-            group: Any = parser.add_argument_group(self.title)
-        else:
-            group = parser.add_mutually_exclusive_group()
-        for each in self.arguments:
-            each.add_to(group)
-
-
-def argument(
-    names: str,
-    metavar: str | None,
-    help_text: str,
-    completer: Completer | None = None,
-    **options: Any,
-) -> Argument:
-    """Declare an argument.
-
-    Args:
-        names: its name, or its options, separated by blanks.
-        metavar: placeholder of its value in the help.
-        help_text: its description.
-        completer: returns possible values.
-        **options: as argparse takes them.
-    """
-    shown = {} if metavar is None else {"metavar": metavar}
-    return Argument(names, {**options, **shown, "help": help_text}, completer)
-
-
-def flag(names: str, help_text: str) -> Argument:
-    """Declare an option without a value."""
-    return argument(names, None, help_text, action="store_true")
 
 
 Run = Callable[[argparse.Namespace, Shell], Optional[int]]

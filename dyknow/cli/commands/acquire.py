@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import signal
@@ -14,9 +15,9 @@ import time
 from typing import TYPE_CHECKING, Any, Iterable
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import hertz, seconds, seconds_or_none
+from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
 from dyknow.cli.output import event_json, stream_json
-from dyknow.cli.shell import FAILED, SEVERAL, Shell, argument, command, flag
+from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
 from dyknow.model.streams import StreamRequest
 
@@ -25,44 +26,31 @@ if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import EventReader
 
 
-#: The arguments of a request.
+_FIELDS = dataclasses.fields(StreamRequest)
+#: The arguments of a request; most are fields of one.
 DEMAND = (
-    argument(
-        "tag", "TAG", "the tag of the stream, such as 'FieldPosition(ball)'", completion.tags
-    ),
+    argument("tag", "TAG", "the tag of the stream, such as 'FieldPosition(ball)'"),
     argument(
         "--datatype",
         "TYPE",
         "the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
-        default="",
     ),
+    argument("--exclude", "LABEL", "transformations that must not be used", **SEVERAL),
     argument(
-        "--exclude",
-        "LABEL",
-        "transformations that must not be used",
-        completion.labels,
-        **SEVERAL,
-    ),
-    argument(
-        "--min-rate",
-        "HZ",
-        "how many messages a second there have to be (default: any number)",
-        type=hertz,
-        default=0.0,
+        "--min-rate", "HZ", "how many messages a second there have to be (default: any number)"
     ),
     argument(
         "--max-age",
         "SECONDS",
         "how old messages may be when they are sent, by their headers' stamps (default: any age)",
-        type=seconds,
-        default=0.0,
     ),
     *(
         argument(
             option,
             "NAME",
             f"{what}: transformations by label, or concepts of their tags",
-            completion.labels,
+            completer=completion.labels,
+            type=str,
             **SEVERAL,
         )
         for option, what in (
@@ -70,33 +58,20 @@ DEMAND = (
             ("--avoid", "use these only where there is no choice"),
         )
     ),
-    argument(
-        "--budget",
-        "SECONDS",
-        "how long the plan may be improved (default: 0.1 s)",
-        type=seconds,
-        default=0.0,
-    ),
+    argument("--budget", "SECONDS", "how long the plan may be improved (default: 0.1 s)"),
 )
 
 
-def request_of(
-    arguments: argparse.Namespace, lease: float = 0.0, max_silence: float = 0.0
-) -> StreamRequest:
+def request_of(arguments: argparse.Namespace, lease: float = 0.0) -> StreamRequest:
     """Make the request from the arguments; the client is this process."""
-    return StreamRequest(
-        tag=arguments.tag,
-        datatype=arguments.datatype,
-        client_id=f"dyknow acquire on {socket.gethostname()} ({os.getpid()})",
-        lease=lease,
-        max_silence=max_silence,
-        exclude=tuple(arguments.exclude),
-        min_rate=arguments.min_rate,
-        max_age=arguments.max_age,
-        prefer=tuple(arguments.prefer),
-        avoid=tuple(arguments.avoid),
-        budget=arguments.budget,
-    )
+    fields = {each.name: getattr(arguments, each.name, None) for each in _FIELDS}
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in fields.items()
+        if value
+    }
+    client = f"dyknow acquire on {socket.gethostname()} ({os.getpid()})"
+    return StreamRequest(**{**given, "client_id": client, "lease": lease})
 
 
 #: Seconds that a claim outlives a command that was killed.
@@ -120,8 +95,6 @@ _RETRY = 1.0
         "--max-silence",
         "SECONDS",
         "how long the stream may be silent before it is repaired (default: repair only what died)",
-        type=seconds,
-        default=0.0,
     ),
     flag("--wait", "wait if the stream cannot be made now, until it can"),
     argument(
@@ -162,8 +135,7 @@ def _ask(
     """Ask for the stream; returns its claim, and the answer unless it waits."""
     answer: Acquisition | None = None
     try:
-        request = request_of(arguments, lease, arguments.max_silence)
-        answer = shell.client.acquire_stream(request)
+        answer = shell.client.acquire_stream(request_of(arguments, lease))
         for warning in answer.warnings:
             shell.warn(warning)
         claim_id = answer.claim_id

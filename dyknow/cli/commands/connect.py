@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Sequence
 
 from dyknow import names
 from dyknow.cli import completion
-from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
-from dyknow.cli.output import Json, state_of, unknown_nodelet
-from dyknow.cli.shell import Shell, argument, command
+from dyknow.cli.arguments import argument, port_or_topic
+from dyknow.cli.output import Json, as_json, picked, state_of, unknown_nodelet
+from dyknow.cli.shell import Shell, command
 from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
@@ -59,22 +59,20 @@ def _connect_problem(arguments: argparse.Namespace) -> str:
         "source",
         "FROM",
         "where the stream comes from: an out-port, NODELET:PORT, or a topic",
-        completion.stream_sources,
+        completer=completion.stream_sources,
         type=port_or_topic,
     ),
     argument(
         "target",
         "TO",
         "where it goes to: an in-port, NODELET:PORT, or a topic",
-        completion.stream_targets,
+        completer=completion.stream_targets,
         type=port_or_topic,
     ),
     argument(
         "--topic",
         "T",
         "the topic between two ports (default: the out-port's, else the in-port's, else /A/OUT)",
-        completion.topics,
-        type=graph_name,
     ),
     problem=_connect_problem,
 )
@@ -94,8 +92,8 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     way = " -> ".join(dict.fromkeys((str(source), topic, str(target))))
     shell.show(
         {
-            "out": None if isinstance(source, str) else _reference_json(source),
-            "in": None if isinstance(target, str) else _reference_json(target),
+            "out": None if isinstance(source, str) else as_json(source),
+            "in": None if isinstance(target, str) else as_json(target),
             "topic": topic,
             "changed": [_move_json(move) for move in moves],
         },
@@ -150,14 +148,7 @@ def _connect_to_topic(
     "disconnect ports",
     "Disconnect ports from their topics while their nodelets run.",
     "dyknow disconnect undistort:rawcamera\ndyknow disconnect camera:image undistort:rawcamera",
-    argument(
-        "ports",
-        "A:PORT",
-        "a port: NODELET:PORT",
-        completion.ports,
-        nargs="+",
-        type=port_reference,
-    ),
+    argument("ports", "A:PORT", "a port: NODELET:PORT", nargs="+"),
 )
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     references = dict.fromkeys(_resolved(shell, each) for each in arguments.ports)
@@ -240,9 +231,5 @@ def _resolved(shell: Shell, reference: PortRef) -> PortRef:
     return PortRef(shell.resolve(reference.nodelet), reference.port)
 
 
-def _reference_json(reference: PortRef) -> Json:
-    return {"nodelet": reference.nodelet, "port": reference.port}
-
-
 def _move_json(move: PortMove) -> Json:
-    return {**_reference_json(move.port), "before": move.before, "after": move.after}
+    return {**picked(move.port, "nodelet port"), **picked(move, "before after")}

@@ -13,10 +13,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Iterator, Sequence
 
 from dyknow import names
-from dyknow.cli import completion
-from dyknow.cli.arguments import namespace
-from dyknow.cli.output import nodelet_json, state_of, write_file
-from dyknow.cli.shell import Group, Shell, argument, command, flag
+from dyknow.cli.arguments import Group, argument, flag
+from dyknow.cli.output import nodelet_json, picked, state_of, write_file
+from dyknow.cli.shell import Shell, command
 from dyknow.graphviz import CannotDraw, quote, render
 from dyknow.model.graph import PortRef
 from dyknow.wiring.ports import Topic, by_name, topics_of
@@ -39,16 +38,14 @@ _TIMEOUT = 120.0
     Group(
         (
             flag("--dot", "print it in graphviz's DOT language"),
-            argument("--svg", "FILE", "draw it into a file (svg)", completion.files),
-            argument("--png", "FILE", "draw it into a file (png)", completion.files),
+            argument("--svg", "FILE", "draw it into a file (svg)"),
+            argument("--png", "FILE", "draw it into a file (png)"),
         )
     ),
     argument(
         "--namespace",
         "NS",
         "only nodelets of this namespace, with the topics that they are connected to",
-        completion.namespaces,
-        type=namespace,
     ),
 )
 def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -77,19 +74,12 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
             {
                 "revision": snapshot.revision,
                 "nodelets": [nodelet_json(each) for each in snapshot.nodelets],
-                "topics": [_topic_json(topic) for topic in topics],
+                "topics": [
+                    picked(topic, "topic=name datatype out=sources in=targets") for topic in topics
+                ],
             },
             _list_topics(snapshot, topics),
         )
-
-
-def _topic_json(topic: Topic) -> dict[str, object]:
-    return {
-        "topic": topic.name,
-        "datatype": topic.datatype,
-        "out": [{"nodelet": end.nodelet, "port": end.port} for end in topic.sources],
-        "in": [{"nodelet": end.nodelet, "port": end.port} for end in topic.targets],
-    }
 
 
 def _list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from typing import (
 )
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import graph_name, namespace, positive, seconds
+from dyknow.cli.arguments import argument, flag, namespace
 from dyknow.cli.output import (
     Json,
     Screen,
@@ -28,7 +28,7 @@ from dyknow.cli.output import (
     statistics_json,
     unknown_nodelet,
 )
-from dyknow.cli.shell import FAILED, Shell, argument, command, flag
+from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import DyKnowError, NodeletUnreachable, Refused
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import by_name
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
         "namespace",
         None,
         "list only nodelets of this namespace",
-        completion.namespaces,
+        completer=completion.namespaces,
         nargs="?",
         type=namespace,
     ),
@@ -92,7 +92,7 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
     "Show nodelets: transformation, manager, state, and each port with its type, topic, "
     "tags and the ports at the other end.",
     "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",
-    argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name),
+    argument("names", "NAME", "a nodelet", nargs="+"),
 )
 def _info(arguments: argparse.Namespace, shell: Shell) -> int | None:
     snapshot = shell.client.get_graph()
@@ -171,23 +171,15 @@ def _stats_problem(arguments: argparse.Namespace) -> str:
     "of callback errors of the nodelet.",
     "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
     "dyknow stats --watch 0.5 --count 10 --json",
-    argument(
-        "names",
-        "NAME",
-        "nodelets (default: all)",
-        completion.nodelets,
-        nargs="*",
-        type=graph_name,
-    ),
+    argument("names", "NAME", "nodelets (default: all)", nargs="*"),
     argument(
         "-w --watch",
         "SECONDS",
         f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
-        type=seconds,
         nargs="?",
         const=_PERIOD,
     ),
-    argument("-n --count", "N", "with --watch: end after N times", type=positive),
+    argument("-n --count", "N", "with --watch: end after N times"),
     problem=_stats_problem,
 )
 def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:

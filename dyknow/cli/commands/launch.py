@@ -10,9 +10,9 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import positive, seconds
-from dyknow.cli.output import columns, count
-from dyknow.cli.shell import Group, Shell, argument, command, flag
+from dyknow.cli.arguments import Group, argument, flag
+from dyknow.cli.output import columns, count, picked
+from dyknow.cli.shell import Shell, command
 from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
@@ -35,21 +35,18 @@ _ROSLAUNCH = Group(
         flag("--required", "every node is required"),
         flag("--local", "do not start nodes of other machines"),
         flag("--wait", "wait for the master"),
-        argument("-p --port", "PORT", "port of the master, if it starts one", type=positive),
-        argument("--pid", "FILE", "write its process id there", completion.files, default=""),
-        argument("--run_id", "ID", "id of the run"),
+        argument("-p --port", "PORT", "port of the master, if it starts one"),
+        argument("--pid", "FILE", "write its process id there", default=""),
+        argument("--run_id", "ID", "id of the run", completer=None),
         flag("-v --verbose", "say what is read"),
         flag("--no-summary", "no summary of roslaunch's"),
         flag("--skip-log-check", "do not look how large the logs are"),
         flag("--disable-title", "leave the terminal's title alone"),
         *(
             argument(
-                f"--{name}-timeout",
-                "SECONDS",
-                f"time that a node has to end after {name.upper()}",
-                type=seconds,
+                f"--{it}-timeout", "SECONDS", f"time that a node has to end after {it.upper()}"
             )
-            for name in ("sigint", "sigterm")
+            for it in ("sigint", "sigterm")
         ),
     ),
     "options of roslaunch",
@@ -70,7 +67,7 @@ _ROSLAUNCH = Group(
         "FILE",
         "launch files, the first of PKG if that is given; - is standard input. "
         "NAME:=VALUE are their arguments",
-        completion.launch_words,
+        completer=completion.launch_words,
         nargs="+",
     ),
     argument("--given", None, argparse.SUPPRESS, action="append", default=[]),
@@ -112,7 +109,9 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
 
     if arguments.dry_run:
         plan = prepare()[1]
-        shell.show({"nodes": [_as_json(each) for each in plan]}, _table(plan))
+        named = "node program machine how why launch_prefix=prefix"
+        nodes = [{**picked(each, named), "how": each.how.name.lower()} for each in plan]
+        shell.show({"nodes": nodes}, _table(plan))
         return
     with launching.session(arguments, files) as run_id:
         parent, plan = prepare(run_id)
@@ -149,14 +148,3 @@ def _table(plan: Sequence[Treatment]) -> list[str]:
         where = f" on {each.machine}" if each.machine else ""
         rows.append((each.node, each.program + where, how))
     return columns(rows)
-
-
-def _as_json(each: Treatment) -> dict[str, Any]:
-    return {
-        "node": each.node,
-        "program": each.program,
-        "machine": each.machine,
-        "how": each.how.name.lower(),
-        "why": each.why,
-        "launch_prefix": each.prefix,
-    }

@@ -10,9 +10,9 @@ import re
 import sys
 from typing import TYPE_CHECKING, Iterable, Sequence
 
-from dyknow.cli import completion
+from dyknow.cli.arguments import Argument, argument, flag
 from dyknow.cli.output import Json, columns, count, transformation_json, write_file
-from dyknow.cli.shell import FAILED, Argument, Shell, argument, command, flag
+from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.similar import did_you_mean
@@ -25,16 +25,10 @@ STDIN = "-"
 
 
 def _labels(nargs: str, text: str) -> Argument:
-    return argument("labels", "LABEL", text, completion.labels, nargs=nargs)
+    return argument("labels", "LABEL", text, nargs=nargs)
 
 
-_FILES = argument(
-    "files",
-    "FILE",
-    f"specifications; {STDIN} for standard input",
-    completion.files,
-    nargs="+",
-)
+_FILES = argument("files", "FILE", f"specifications; {STDIN} for standard input", nargs="+")
 
 
 @command(
@@ -138,7 +132,7 @@ def _named(file: str, words: str) -> str:
     "Write transformations as one specification, which 'import' reads.",
     "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
     _labels("*", "what to export (default: all)"),
-    argument("-o --output", "FILE", "write here (default: print)", completion.files),
+    argument("-o --output", "FILE", "write here (default: print)"),
 )
 def _export(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
@@ -183,7 +177,6 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
         "--ontology",
         "OWL",
         "file in which templates find the individuals of a concept; may be repeated",
-        completion.files,
         action="append",
         default=[],
     ),
@@ -191,7 +184,6 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
         "--catalogue",
         "XML",
         "XML catalogue of the ontologies that these import; may be repeated",
-        completion.files,
         action="append",
         default=[],
     ),

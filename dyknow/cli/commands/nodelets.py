@@ -9,16 +9,16 @@ import argparse
 from typing import TYPE_CHECKING
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import given_parameter, graph_name, port_topic
+from dyknow.cli.arguments import SEVERAL, argument, flag, graph_name
 from dyknow.cli.output import nodelet_json, state_of
-from dyknow.cli.shell import SEVERAL, Shell, argument, command, flag
+from dyknow.cli.shell import Shell, command
 from dyknow.errors import DuplicatePort
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
 
 
-_NAMES = argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", type=graph_name)
+_NAMES = argument("names", "NAME", "a nodelet", nargs="+")
 
 
 @command(
@@ -32,23 +32,26 @@ _NAMES = argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", 
     "dyknow spawn detector ball --isolated\n"
     "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
     "dyknow spawn tracker tracker _rate:=5",
-    argument("label", "LABEL", "the transformation to make it from", completion.spawnable_labels),
-    argument("name", "NAME", "its name", type=graph_name),
+    argument(
+        "label",
+        "LABEL",
+        "the transformation to make it from",
+        completer=completion.spawnable_labels,
+    ),
+    argument("name", "NAME", "its name", completer=None),
     flag("--protected", "refuse to destroy it before 'unprotect'"),
     flag("--isolated", "give it a process of its own"),
     argument(
         "--manager",
         "M",
         "the nodelet manager to load it into (default: the DyKnow manager's choice)",
-        completion.nodelet_managers,
+        completer=completion.nodelet_managers,
         type=graph_name,
     ),
     argument(
         "--connect",
         "PORT:TOPIC",
         "connect its ports from the start; relative topics begin in its own namespace",
-        completion.ports_of_label,
-        type=port_topic,
         **SEVERAL,
     ),
     argument(
@@ -56,8 +59,6 @@ _NAMES = argument("names", "NAME", "a nodelet", completion.nodelets, nargs="+", 
         "NAME=VALUE",
         "override parameters of the transformation; '?camera=cam1' says what ?camera "
         "in its tags and parameters stands for; _NAME:=VALUE does the same",
-        completion.parameters_of_label,
-        type=given_parameter,
         **SEVERAL,
     ),
 )

@@ -16,11 +16,10 @@ import time
 from typing import TYPE_CHECKING, Any, Iterator, Mapping, Sequence
 
 from dyknow import names
-from dyknow.cli import completion
-from dyknow.cli.arguments import seconds
+from dyknow.cli.arguments import argument
 from dyknow.cli.output import transformation_json
 from dyknow.cli.rewirable import become
-from dyknow.cli.shell import Shell, argument, command
+from dyknow.cli.shell import Shell, command
 from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
 #: A program and its arguments, as for rosrun.
 _PROGRAM = (
-    argument("package", "PKG", "a package", completion.packages),
+    argument("package", "PKG", "a package"),
     argument("executable", "EXECUTABLE", "a program of it"),
     argument(
         "words",
@@ -89,14 +88,12 @@ _SHARED = re.compile(
         "--settle",
         "S",
         "end when no port has come for so many seconds (default: %(default)s)",
-        type=seconds,
         default=2.0,
     ),
     argument(
         "--start",
         "S",
         "seconds that its first port may take (default: %(default)s)",
-        type=seconds,
         default=20.0,
     ),
     *_PROGRAM,

@@ -9,9 +9,9 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator
 
-from dyknow.cli import completion
+from dyknow.cli.arguments import argument, flag
 from dyknow.cli.output import Json, count, write_file
-from dyknow.cli.shell import FAILED, Shell, argument, command, flag
+from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.steps import carry_out
@@ -31,7 +31,7 @@ STDIO = "-"
     "Save what runs in one XML file: the nodelets, their connections, and the transformations "
     "that they are made from.",
     "dyknow save robot.xml\ndyknow save - | less",
-    argument("file", "FILE", f"where to write it; {STDIO} for standard output", completion.files),
+    argument("file", "FILE", f"where to write it; {STDIO} for standard output"),
 )
 def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     wiring, left_out = wiring_of(shell.client.get_model())
@@ -67,7 +67,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     "alone. When a step fails, the steps before it are undone.",
     "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
     "dyknow load robot.xml --keep-going --any-manager",
-    argument("file", "FILE", f"what 'save' wrote; {STDIO} for standard input", completion.files),
+    argument("file", "FILE", f"what 'save' wrote; {STDIO} for standard input"),
     flag("--dry-run", "check, and show what would be changed"),
     flag(
         "--keep-going",

@@ -9,10 +9,10 @@ import argparse
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Iterable, Iterator, Sequence
 
-from dyknow.cli import completion
+from dyknow.cli.arguments import argument, flag
 from dyknow.cli.commands.acquire import DEMAND, request_of
-from dyknow.cli.output import Json, columns, stream_json
-from dyknow.cli.shell import Shell, argument, command, flag
+from dyknow.cli.output import columns, picked, stream_json
+from dyknow.cli.shell import Shell, command
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.manager.specifications.tags import read_tags
@@ -20,9 +20,11 @@ from dyknow.model.transformation import OUT, Port
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, PortState
-    from dyknow.model.streams import Acquisition, Replanned, StreamStatus
+    from dyknow.model.streams import StreamStatus
 
 
+#: What is told of a plan.
+_PLAN = "cost spawned reused plan"
 #: The most tags whose bindings are looked up, and the most bindings shown of each.
 _MOST_ASKED = 100
 _MOST_SHOWN = 8
@@ -67,17 +69,8 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
         suppliers = ", ".join([*sorted(each.transformations), *running])
         types = ", ".join(sorted(each.datatypes)) or "-"
         rows.append((each.tag, _written(each.bindings), types, suppliers))
-    result = [
-        {
-            "tag": each.tag,
-            "datatypes": sorted(each.datatypes),
-            "transformations": sorted(each.transformations),
-            "nodelets": sorted(each.nodelets),
-            "bindings": each.bindings,
-        }
-        for each in supplies
-    ]
-    shell.show({"tags": result}, columns(rows))
+    names = "tag datatypes transformations nodelets bindings"
+    shell.show({"tags": [picked(each, names) for each in supplies]}, columns(rows))
 
 
 def _bindings(shell: Shell, tag: str) -> list[dict[str, str]] | None:
@@ -147,27 +140,13 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.acquire_stream(request_of(arguments), dry_run=True)
     for warning in answer.warnings:
         shell.warn(warning)
-    result = {
-        "tag": arguments.tag,
-        **_plan_json(answer),
-        "bindings": list(answer.bindings),
-        "least_cost": answer.least_cost,
-    }
+    result = {"tag": arguments.tag, **picked(answer, f"{_PLAN} bindings least_cost")}
     lines = answer.plan.rstrip("\n").split("\n")
     lines += [f"with {', '.join(answer.bindings)}"] if answer.bindings else []
     if arguments.dot:
         result["dot"] = tree_as_dot(answer.plan)
         lines = result["dot"].rstrip("\n").split("\n")
     shell.show(result, lines)
-
-
-def _plan_json(answer: Acquisition | Replanned) -> Json:
-    return {
-        "cost": answer.cost,
-        "spawned": list(answer.spawned),
-        "reused": list(answer.reused),
-        "plan": answer.plan,
-    }
 
 
 @command(
@@ -228,7 +207,7 @@ def _stream_details(streams: Sequence[StreamStatus]) -> list[str]:
     "End claims. Nodelets that were made for them and that no other claim needs are "
     "destroyed after some seconds.",
     "dyknow release 3f0c1a2b4d5e",
-    argument("claims", "ID", "a claim; see 'streams'", completion.claims, nargs="+"),
+    argument("claims", "ID", "a claim; see 'streams'", nargs="+"),
 )
 def _release(arguments: argparse.Namespace, shell: Shell) -> int | None:
     known = {each.claim_id for each in shell.client.list_streams()}
@@ -246,10 +225,10 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> int | None:
     "switch a stream to the cheapest plan",
     "Switch a claimed stream to the plan that is the cheapest now. Its topic stays.",
     "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
-    argument("claim", "ID", "a claim; see 'streams'", completion.claims),
+    argument("claim", "ID", "a claim; see 'streams'"),
     flag("-n --dry-run", "show the plan, change nothing"),
 )
 def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.replan_stream(arguments.claim, arguments.dry_run)
-    result = {"claim": arguments.claim, "dry_run": arguments.dry_run, **_plan_json(answer)}
+    result = {**picked(arguments, "claim dry_run"), **picked(answer, _PLAN)}
     shell.show(result, answer.plan.rstrip("\n").split("\n"))
