@@ -132,13 +132,7 @@ def report_chain(
 
 
 def draw(means: Mapping[tuple[str, int], float], title: str, path: Path) -> None:
-    """Draw the paper's figure 4: a line for each kind.
-
-    Args:
-        means: microseconds by kind and number of hops.
-        title: says how it was measured.
-        path: file to write; its suffix says the format.
-    """
+    """Draw the paper's figure 4 into a file: means (us) by kind and hops, a line for each kind."""
     from matplotlib.figure import Figure  # takes a while
 
     figure = Figure(figsize=(9.0, 4.6))
@@ -202,7 +196,7 @@ def busy(arguments: argparse.Namespace, results: Results) -> None:
         chain = build(session, "dyknow", arguments.hops)
         managers = {
             "same manager": session.nodelet_manager(),
-            "own manager": session.nodelet_manager("python", "/manager_of_the_burner"),
+            "own manager": session.nodelet_manager("python_beside"),
         }
 
         def beside(case: str, order: Order) -> Block:

@@ -50,22 +50,13 @@ K = TypeVar("K", bound=Hashable)
 
 @dataclass
 class Block:
-    """The result of some messages that were sent together.
-
-    Attributes:
-        sent: number of messages that count.
-        latencies: microseconds of those that arrived, by hop, in the order of their stamps.
-    """
+    """Messages that were sent together: latencies (us) of those that arrived, by hop."""
 
     sent: int = 0
-    latencies: dict[int, list[float]] = field(default_factory=dict)
+    latencies: dict[int, list[float]] = field(default_factory=dict)  # in the order of stamps
 
     def median(self, hop: int) -> float:
-        """Median latency at a hop.
-
-        Raises:
-            MeasurementFailed: no message came there.
-        """
+        """Median latency at a hop; raises MeasurementFailed if no message came there."""
         if not self.latencies[hop]:
             raise MeasurementFailed(f"no message came to hop {hop} of a chain")
         return median(self.latencies[hop])
@@ -87,7 +78,6 @@ class Order:
 
 
 def blocks_of(messages: int, frequency: float) -> list[Order]:
-    """Divide messages into blocks."""
     sizes = (min(_BLOCK, messages - sent) for sent in range(0, messages, _BLOCK))
     return [Order(WARM_UP, size, frequency) for size in sizes]
 
@@ -152,7 +142,6 @@ class Chain:
         wait_until(is_whole, f"a message at the hops {hops} of chain {control}")
 
     def run(self, order: Order) -> Block:
-        """Send messages and collect the arrivals."""
         return self.finish(order, self.begin(order))
 
     def begin(self, order: Order, delay: float = 0.0) -> float:
@@ -180,12 +169,7 @@ class Chain:
 
 
 def select(arrivals: Mapping[int, Mapping[float, float]], order: Order) -> Block:
-    """Leave out the warm-up: the earliest stamps that were seen at any hop.
-
-    Args:
-        arrivals: latency by stamp, by hop.
-        order: the messages that were sent.
-    """
+    """Leave out the warm-up: the earliest stamps that were seen at any hop."""
     counted = sorted(set().union(*arrivals.values()))[order.warm_up :]
     return Block(
         order.count,

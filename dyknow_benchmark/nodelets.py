@@ -23,11 +23,9 @@ class ChainSource(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Set up the port and listen for orders."""
         self._source = _part(self).source()
 
     def on_shutdown(self) -> None:
-        """Stop sending."""
         self._source.stop()
 
 
@@ -35,7 +33,6 @@ class ChainHop(dyknow.Nodelet):
     """Forwards stamped messages from ``in`` to ``out``, with parameters as ``ChainSource``."""
 
     def on_init(self) -> None:
-        """Set up the ports."""
         _part(self).hop()
 
 
@@ -49,13 +46,11 @@ class Burner(dyknow.Nodelet):
     """Computes, in Python, in a callback that ends when the nodelet does."""
 
     def on_init(self) -> None:
-        """Begin."""
         self._stopped = False
         handle: Any = dyknow.NodeHandle(self.node_handle)
         self._timer = handle.Timer(handle.Duration(0.01), self._burn, oneshot=True)
 
     def on_shutdown(self) -> None:
-        """End."""
         self._stopped = True
 
     def _burn(self, event: object) -> None:
@@ -71,7 +66,6 @@ class SwitchSource(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Set up the ports and begin."""
         handle = dyknow.NodeHandle(self.node_handle)
         self._even, self._odd, self._out = (
             handle.Publisher(port, UInt64, queue_size=10) for port in ("even", "odd", "out")
@@ -81,7 +75,6 @@ class SwitchSource(dyknow.Nodelet):
         threading.Thread(target=self._run, name="switch source", daemon=True).start()
 
     def on_shutdown(self) -> None:
-        """Stop."""
         self._stopped.set()
 
     def _run(self) -> None:
@@ -100,7 +93,6 @@ class SwitchSink(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Set up the ports."""
         handle = dyknow.NodeHandle(self.node_handle)
         in_, out = SwitchedIn(), SwitchedOut()
         for port, watch in (("in", in_), ("out", out)):
@@ -119,7 +111,6 @@ class SignedRelay(dyknow.Nodelet):
     """Forwards headers, with a name of this life as the frame, until ``~fall_silent`` is heard."""
 
     def on_init(self) -> None:
-        """Set up the ports."""
         handle: Any = dyknow.NodeHandle(self.node_handle)
         life = str(uuid.uuid4())
         silent = threading.Event()

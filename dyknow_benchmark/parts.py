@@ -36,17 +36,11 @@ Publish = Callable[[Any], None]
 
 
 class Payload(NamedTuple):
-    """The messages of a chain.
-
-    Attributes:
-        datatype: message class.
-        make: makes a message, all but its stamp.
-        stamp_of: returns the stamp that a message has, to be read or written.
-    """
+    """The messages of a chain."""
 
     datatype: Any
-    make: Callable[[], Any]
-    stamp_of: Callable[[Any], genpy.Time]
+    make: Callable[[], Any]  # all but its stamp
+    stamp_of: Callable[[Any], genpy.Time]  # to be read or written
 
 
 def payload_of(name: str) -> Payload:
@@ -97,10 +91,7 @@ class MessageSource:
 class Hop:
     """Compares the stamp of each message with the time at which it arrives, and forwards it.
 
-    Args:
-        is_recorded: whether to keep all arrivals for ``collect``; otherwise the latest latency.
-        payload: its messages.
-        publish: forwards a message.
+    It keeps all arrivals for ``collect``, or else only the latest latency.
     """
 
     __slots__ = ("_arrivals", "_is_recorded", "_latency", "_publish", "_stamp_of")
@@ -128,27 +119,21 @@ class Hop:
 
 
 class Part:
-    """Sets up a part of a chain.
-
-    Args:
-        api: makes ``in`` and ``out``, which are ports or topics, and has the parameters.
-        topics: makes the topics of the control namespace.
-    """
+    """Sets up a part of a chain."""
 
     def __init__(self, api: Any, topics: Any) -> None:
+        """Prepare; ``api`` makes ports or topics, ``topics`` those of the control namespace."""
         self._api, self._topics = api, topics
         self._payload = payload_of(api.get_param("~payload", "time"))
         self._control = api.get_param("~control")
 
     def source(self) -> MessageSource:
-        """Send on ``out`` as ordered."""
         source = MessageSource(self._out(), self._payload)
         topic = f"{self._control}/send"
         self._topics.Subscriber(topic, Float64MultiArray, source.start, queue_size=10)
         return source
 
     def hop(self) -> None:
-        """Forward from ``in`` to ``out``."""
         is_recorded = self._api.get_param("~record")
         hop = Hop(is_recorded, self._payload, self._out())
         if is_recorded:
@@ -171,22 +156,16 @@ def offer_report(api: Any, service: str, collect: Callable[[], Any]) -> None:
 
 
 class SwitchWatch:
-    """Finds lost and doubled messages by their numbers, at a port that is switched.
-
-    Attributes:
-        lost: messages that should have come and did not.
-        doubled: messages that came again, or too late.
-    """
+    """Finds lost and doubled messages by their numbers, at a port that is switched."""
 
     def __init__(self, clock: Callable[[], int] = time.time_ns) -> None:
         self._clock = clock
         self._changes: list[float] = []
         self._last = -1
-        self.lost = 0
-        self.doubled = 0
+        self.lost = 0  # did not come
+        self.doubled = 0  # came again, or too late
 
     def changed(self) -> None:
-        """Note the first message of the new topic."""
         self._changes.append(self._clock() / 1e9)
 
     def collect(self) -> list[float]:
@@ -228,7 +207,6 @@ class SwitchedOut(SwitchWatch):
     _side = ""
 
     def receive(self, side: str, number: int) -> None:
-        """Take the next number, at the in-port ``side``."""
         if number <= self._last:
             self.doubled += 1
             return

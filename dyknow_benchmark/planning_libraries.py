@@ -66,7 +66,6 @@ class PlanningLibrary:
         )
 
     def demand(self, ground: Sequence[str], variable: Sequence[str], *of_class: str) -> None:
-        """Set the demands."""
         self.demands = {"ground": ground, "variable": variable}
         if self.ontology is not NO_ONTOLOGY:
             self.demands["class"] = of_class

@@ -45,7 +45,6 @@ class Summary(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Summary:
-        """Sum up values in any order."""
         if not values:
             return cls()
         ordered = sorted(values)
@@ -128,7 +127,6 @@ class Results:
         self.tables.append(ResultTable(name, title, header, list(rows)))
 
     def verdict(self, what: str, measured: float, limit: float, at_least: bool = False) -> None:
-        """Add a quantity that has a target."""
         is_met = measured >= limit if at_least else measured <= limit
         target = f"{'>=' if at_least else '<='} {limit:g}"
         self.targets.append((what, measured, target, "met" if is_met else "NOT met"))

@@ -28,9 +28,11 @@ from dyknow.ros.wire.service_client import ServiceClient
 MANAGER = "/dyknow_manager"
 NODELET_MANAGER = "/dyknow_nodelet_manager"
 
-#: Package and program of each kind of nodelet manager, and its arguments.
+#: Package and program of each kind of nodelet manager, and its arguments: two of DyKnow's for
+#: Python, the stock one for C++, and DyKnow's.
 _NODELET_MANAGERS = {
     "python": ("dyknow", "nodelet_manager"),
+    "python_beside": ("dyknow", "nodelet_manager"),
     "cpp": ("nodelet", "nodelet", "manager"),
     "cpp_live": ("dyknow", "cpp_nodelet_manager"),
 }
@@ -58,7 +60,6 @@ class Session(Processes):
         self._managers: dict[str, RunningManager] = {}
 
     def __enter__(self) -> Session:
-        """Start the master and register this process with it."""
         os.environ.pop("ROS_NAMESPACE", None)
         os.environ.update(ROS_HOME=str(self.folder), ROS_LOG_DIR=str(self.folder / "log"))
         try:
@@ -70,7 +71,6 @@ class Session(Processes):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End this node and all processes."""
         rospy.signal_shutdown("the measurement is over")
         super().__exit__(*error)
 
@@ -78,20 +78,15 @@ class Session(Processes):
         """Start a process of which no more is known than its command."""
         return self.start(f"process {' '.join(command)}", command, ready=ready)
 
-    def nodelet_manager(self, kind: str = "python", name: str = "") -> RunningManager:
-        """Return a nodelet manager, started when it is needed first.
-
-        Args:
-            kind: ``python`` or ``cpp_live`` for DyKnow's, ``cpp`` for the stock one.
-            name: of the node, if it is not to be the one of its kind.
-        """
-        name = name or f"/{kind}_manager_process"
-        if name not in self._managers:
+    def nodelet_manager(self, kind: str = "python") -> RunningManager:
+        """Return the nodelet manager of a kind, started when it is needed first."""
+        if kind not in self._managers:
+            name = f"/{kind}_manager_process"
             package, program, *arguments = _NODELET_MANAGERS[kind]
             command = [find_program(package, program), *arguments, f"__name:={name[1:]}"]
             process = self.run(command, lambda: offers(f"{name}/list"))
-            self._managers[name] = RunningManager(name, process)
-        return self._managers[name]
+            self._managers[kind] = RunningManager(name, process)
+        return self._managers[kind]
 
     def dyknow_manager(self) -> ManagerClient:
         """Start a DyKnow manager with the shipped source and relay in its library."""
@@ -111,7 +106,6 @@ class RunningManager:
     """A nodelet manager that runs; all kinds have the same services."""
 
     def __init__(self, name: str, process: psutil.Process) -> None:
-        self.name = name
         self.process = process
         self._load, self._unload = (
             ServiceClient(_master(), f"{name}/{service}", kind, persistent=True)
@@ -141,7 +135,6 @@ def _master() -> Master:
 
 
 def offers(service: str) -> bool:
-    """Whether a service is registered."""
     with contextlib.suppress(LookupError, PeerTimeout):
         return bool(_master().ask("lookupService", service))
     return False
@@ -168,7 +161,6 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
 
 
 def seconds(call: Callable[[], object]) -> float:
-    """Call and return how long that took."""
     begin = time.monotonic()
     call()
     return time.monotonic() - begin

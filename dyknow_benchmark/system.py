@@ -124,13 +124,7 @@ def plan(arguments: argparse.Namespace, results: Results) -> None:
 
 
 class _Listener:
-    """Hears headers on topics, in this process.
-
-    Attributes:
-        last: when each topic, and each text of a header, was heard last.
-        first: when each text was heard first.
-        latest: the latest text.
-    """
+    """Hears headers on topics, in this process: when each topic and text was heard last."""
 
     def __init__(self, topics: Sequence[str]) -> None:
         self.first: dict[str, float] = {}
@@ -145,6 +139,9 @@ class _Listener:
         self.first.setdefault(text, now)
         self.last[text] = self.last[topic] = now
         self.latest = text
+
+    def is_after(self, text: str) -> bool:
+        return self.latest != text
 
     def heard_all_since(self, moment: float) -> bool:
         return all(self.last.get(topic, 0.0) > moment for topic in self._topics)
@@ -192,19 +189,12 @@ def _fall_silent(nodelet: str) -> None:
 
 
 class _Failure(NamedTuple):
-    """A way to fail.
-
-    Attributes:
-        fail: does it to a nodelet.
-        target: seconds to reach; more where a process has to be started first.
-        silence: seconds of silence that the claim allows; 0: it does not care.
-        rest: seconds between two, so that they are not taken for a crash in a loop.
-    """
+    """A way to let a nodelet fail, with times in s."""
 
     fail: Callable[[str], None]
-    target: float = 1.0
-    silence: float = 0.0
-    rest: float = 0.3
+    target: float = 1.0  # more where a process has to be started first
+    silence: float = 0.0  # that the claim allows; 0: it does not care
+    rest: float = 0.3  # between two, so that they are not taken for a crash in a loop
 
 
 _FAILURES = {
@@ -253,14 +243,10 @@ def _fail(kind: str, failure: _Failure, count: int) -> list[float]:
             (part,) = set(stream.nodelets) - {_SOURCE}
             failure.fail(part)
             failed = time.monotonic()
-            wait_until(partial(_is_replaced, listener, life), "the replacement")
+            wait_until(partial(listener.is_after, life), "the replacement")
             begin = min(failed, listener.last[life])
             times.append(listener.first[listener.latest] - begin - failure.silence)
     return times
-
-
-def _is_replaced(listener: _Listener, life: str) -> bool:
-    return listener.latest != life
 
 
 @measurement(nodelets=500)
@@ -276,10 +262,10 @@ def window(arguments: argparse.Namespace, results: Results) -> None:
 
     count = arguments.nodelets
     rows = window_hands.use(count)
-    header = ("nodelets", "what", "frames", "frames_per_s", "median_ms", "longest_ms")
+    header = window_hands.Row._fields
     results.table("window", "gaps between two turns of the window", header, rows)
     what = f"{count} nodelets, real manager"
     longest = max(row.longest_ms for row in rows)
-    slowest = min(row.fps for row in rows if row.is_moved)
+    slowest = min(row.frames_per_s for row in rows if row.is_moved)
     results.verdict(f"{what}: longest gap in ms", longest, 200.0)
     results.verdict(f"{what}: fewest frames a second", slowest, 30.0, at_least=True)

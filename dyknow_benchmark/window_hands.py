@@ -42,13 +42,12 @@ class Row(NamedTuple):
     nodelets: int
     what: str
     frames: int
-    fps: float
+    frames_per_s: float
     median_ms: float
     longest_ms: float
 
     @property
     def is_moved(self) -> bool:
-        """Whether a hand moved the view: each frame is drawn anew."""
         return self.what.startswith(("zoom", "pan", "point"))
 
 
@@ -92,7 +91,6 @@ def _window(widget: DyKnowWidget) -> Iterator[DyKnowWidget]:
 
 
 def _is_whole(window: DyKnowWidget, count: int) -> bool:
-    """Whether all nodelets run and are drawn so."""
     vertices = window.graph.view.scene().vertices
     nodelets = window.monitor.snapshot.nodelets
     return (
@@ -154,7 +152,6 @@ def _moves(window: DyKnowWidget) -> Iterator[tuple[str, Sequence[float]]]:
 
 
 def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[float]:
-    """Move again and again, and take the time of every frame."""
     view = window.graph.view
     QTest.qWait(300)
     ticks = [time.monotonic()]

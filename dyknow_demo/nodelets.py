@@ -27,18 +27,15 @@ class Reporter(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the port and offer the service."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.arrivals: list[FrameRecord] = []
         self.sub = self.nh.Subscriber("image", Image, self.on_image, queue_size=100)
         self.service = self.nh.Service("~arrivals", Trigger, self.on_request)
 
     def on_image(self, image: Any) -> None:
-        """Record one image."""
         header, now = image.header, self.nh.get_time()
         size = image.width, image.height
         self.arrivals.append(FrameRecord(header.frame_id, header.stamp.to_sec(), now, *size))
 
     def on_request(self, request: Any) -> Any:
-        """Hand out the records."""
         return TriggerResponse(True, json.dumps(self.arrivals))

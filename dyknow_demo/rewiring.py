@@ -162,7 +162,6 @@ class _Story:
                 self._switch(str(number), camera, "in", f"image_{index + 1}")
 
     def _row(self, number: int) -> None:
-        """Print the account of one wiring, and how long the calls took."""
         found = self._settled()[str(number)]
         times = [
             1000 * (each.returned - each.called)
