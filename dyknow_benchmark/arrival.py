@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -294,26 +293,19 @@ def scripts(arguments: argparse.Namespace, results: Results) -> None:
     ]
     title = f"{image} from a source to a receiver, time to arrival"
     results.table("scripts", title, ("kind", *ARRIVALS), rows)
-    results.table(
-        "script_loads",
-        "loading scripts into a nodelet manager",
-        ("scripts", "median_load_ms", "p99_load_ms", "max_load_ms", "kib_each", "threads_each"),
-        [(count, loads.median, loads.p99, loads.max, each.kib, each.threads)],
-    )
     what = f"median of {image} between two scripts / between two rospy processes"
     results.verdict(what, blocks["script"].median(1) / blocks["node"].median(1), 0.2)
     results.verdict("load of a script, median in ms", loads.median, 50.0)
     results.verdict("memory of a script, in MB", each.kib / 1024, 0.5)
 
 
-@measurement(nodelets=100, nodes=20, seconds=5.0)
+@measurement(nodelets=100, nodes=20)
 def footprint(arguments: argparse.Namespace, results: Results) -> None:
-    """Memory and threads of a nodelet, and of a node that does the same, and what they do idle.
+    """Memory and threads of a nodelet, and of a node that does the same.
 
     Chains are set up and carry a message. Memory is the proportional set size (PSS), which counts
     a share of shared memory for each process. For nodelets it is the memory that further ones add
-    to their nodelet manager. Then nothing is sent for some seconds, and the processor time of all
-    is taken.
+    to their nodelet manager.
     """
     rows = []
     with Session() as session:
@@ -324,22 +316,16 @@ def footprint(arguments: argparse.Namespace, results: Results) -> None:
             parts = (arguments.nodelets if kind in MANAGERS else arguments.nodes) + 1
             build(session, kind, parts - 1, (), name="_counted")
             each = _Held.of(session, kind, old).each(before, parts)
-            idle = -_Held.of(session, kind, old).cpu
-            time.sleep(arguments.seconds)
-            idle += _Held.of(session, kind, old).cpu
-            percent = 100 * idle / arguments.seconds
-            started = len(session.started) - old
-            rows.append((kind, parts, each.kib, each.threads, started, percent))
-    header = ("kind", "parts", "kib_each", "threads_each", "processes", "idle_cpu_percent")
+            rows.append((kind, parts, each.kib, each.threads, len(session.started) - old))
+    header = ("kind", "parts", "kib_each", "threads_each", "processes")
     results.table("footprint", "what a nodelet or a node takes", header, rows)
 
 
 class _Held(NamedTuple):
-    """Memory (KiB), threads and processor time (s) of processes, in all."""
+    """Memory (KiB) and threads of processes, in all."""
 
     kib: float
     threads: float
-    cpu: float
 
     @classmethod
     def of(cls, session: Session, kind: str, since: int | None = None) -> _Held:
@@ -347,12 +333,8 @@ class _Held(NamedTuple):
         processes: list[psutil.Process] = [] if since is None else session.started[since:]
         if kind in MANAGERS:
             processes = [session.nodelet_manager(MANAGERS[kind]).process, *processes]
-        times = [each.cpu_times() for each in processes]
-        return cls(
-            sum(each.memory_full_info().pss / 1024 for each in processes),
-            sum(each.num_threads() for each in processes),
-            sum(each.user + each.system for each in times),
-        )
+        kib = sum(each.memory_full_info().pss / 1024 for each in processes)
+        return cls(kib, sum(each.num_threads() for each in processes))
 
     def each(self, before: _Held, parts: int) -> _Held:
         """The share of each part in what was added."""

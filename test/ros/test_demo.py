@@ -25,7 +25,7 @@ STORY = (
     r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
     r"\+ bottom_camera_1",
     r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_",
-    r"RECOVERING: .*bottom_camera.* (was removed|is gone)",
+    r"RECOVERING: .*bottom_camera.* (was removed|is gone|does not answer)",
     r"- bottom_camera_1",
     r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
     r"ACTIVE .* ceiling_camera",
