@@ -71,44 +71,32 @@ class How(Enum):
 
 @dataclass(frozen=True)
 class Treatment:
-    """How a node is started.
+    """How a node is started."""
 
-    Attributes:
-        node: its global name.
-        program: its program, `PACKAGE/TYPE`.
-        machine: where it runs, as the launch file calls it; empty for this machine.
-        how: how it runs.
-        why: why it is left as it is, else empty.
-        prefix: its whole launch-prefix, empty for none.
-    """
-
-    node: str
-    program: str
-    machine: str
+    node: str  # its global name
+    program: str  # PACKAGE/TYPE
+    machine: str  # as the launch file calls it; empty for this one
     how: How
-    why: str
-    prefix: str
+    why: str  # it is left as it is, else empty
+    prefix: str  # its whole launch-prefix, empty for none
 
 
 @dataclass(frozen=True)
 class NodeFilter:
-    """Patterns, as of a shell, for names of nodes and for their programs.
+    """Patterns, as of a shell, for names of nodes and for their programs."""
 
-    Attributes:
-        only: if there are any, nodes that match none are left alone.
-        except_: nodes that match one are left alone.
-    """
+    only: Sequence[str] = ()  # if there are any, nodes that match none are left alone
+    except_: Sequence[str] = ()  # nodes that match one are left alone
 
-    only: Sequence[str] = ()
-    except_: Sequence[str] = ()
-
-    def without_match(self, plan: Sequence[Treatment]) -> tuple[list[str], list[str]]:
-        """Return the patterns of `only` and of `except_` that match no node."""
-        only, except_ = (
-            [one for one in each if not any(matches(it.node, it.program, [one]) for it in plan)]
-            for each in (self.only, self.except_)
-        )
-        return only, except_
+    def without_match(self, plan: Sequence[Treatment]) -> list[tuple[str, str]]:
+        """Return the patterns that match no node, with their options."""
+        given = [("--only", each) for each in self.only]
+        given += [("--except", each) for each in self.except_]
+        return [
+            (option, pattern)
+            for option, pattern in given
+            if not any(matches(it.node, it.program, [pattern]) for it in plan)
+        ]
 
     def reason(self, node: str, program: str) -> str:
         """Say why the patterns leave a node alone; empty if they do not."""
@@ -127,18 +115,11 @@ def matches(node: str, program: str, patterns: Sequence[str]) -> bool:
 
 @dataclass(frozen=True)
 class LaunchPlanner:
-    """Decides about nodes.
+    """Decides about nodes."""
 
-    Attributes:
-        rewirable: path of the program `rewirable`.
-        find: finds the program of a package, as roslaunch does; None if there is none.
-        is_local: says whether a machine of the launch file is this one.
-        chosen: which nodes the user wants to be re-wirable.
-    """
-
-    rewirable: str
-    find: Callable[[str, str], str | None]
-    is_local: Callable[[Any], bool]
+    rewirable: str  # path of that program
+    find: Callable[[str, str], str | None]  # the program of a package, as roslaunch does
+    is_local: Callable[[Any], bool]  # whether a machine of the launch file is this one
     chosen: NodeFilter
 
     def treat(self, node: Any) -> Treatment:

@@ -14,8 +14,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
-from dataclasses import dataclass
-from typing import Sequence
+from typing import NamedTuple, Sequence, Tuple
 
 from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
 from dyknow.errors import CannotRun
@@ -73,25 +72,15 @@ class UsageError(Exception):
     """The command line is wrong; the text says how."""
 
 
-@dataclass(frozen=True)
-class NodeletCommand:
-    """A command line that was read.
+class NodeletCommand(NamedTuple):
+    """A command line that was read."""
 
-    Attributes:
-        action: a command; `load` for `load_script`, too; `help`.
-        type: the nodelet's class or, for `standalone_script`, the script, `PKG/SCRIPT`.
-        name: the nodelet to unload, or the name of one that was given none.
-        manager: the nodelet manager to ask.
-        bond: whether the nodelet and this command watch each other.
-        my_argv: the words that the nodelet or script gets.
-    """
-
-    action: str
-    type: str = ""
-    name: str = ""
+    action: str  # `load` for `load_script`, too; `help`
+    type: str = ""  # the nodelet's class; for `standalone_script` the script, PKG/SCRIPT
+    name: str = ""  # of the nodelet to unload, or of one that was given none
     manager: str = ""
-    bond: bool = True
-    my_argv: tuple[str, ...] = ()
+    bond: bool = True  # whether the nodelet and this command watch each other
+    my_argv: Tuple[str, ...] = ()
 
 
 def parse(arguments: Sequence[str]) -> NodeletCommand:

@@ -121,12 +121,12 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
 
 def _check(chosen: NodeFilter, plan: Sequence[Treatment], shell: Shell) -> None:
     """Refuse an `--only` that no node matches, and warn of an `--except`."""
-    only, except_ = chosen.without_match(plan)
     known = {name for each in plan for name in (each.node, each.program)}
-    if only:
-        raise CannotLaunch(f"--only {only[0]}: no node matches{did_you_mean(only[0], known)}")
-    for pattern in except_:
-        shell.warn(f"--except {pattern}: no node matches{did_you_mean(pattern, known)}")
+    for option, pattern in chosen.without_match(plan):
+        problem = f"{option} {pattern}: no node matches{did_you_mean(pattern, known)}"
+        if option == "--only":
+            raise CannotLaunch(problem)
+        shell.warn(problem)
 
 
 def _summary(plan: Sequence[Treatment]) -> Iterator[str]:

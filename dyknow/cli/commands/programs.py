@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -13,7 +14,7 @@ import signal
 import sys
 import tempfile
 import time
-from typing import TYPE_CHECKING, Any, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import argument
@@ -113,7 +114,9 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
         process = _start(path, arguments.words, name, output)
         try:
             ports = _settled(master, name, process, output, arguments)
-            found = _parameter_tree(master, name)
+            found: Any = {}
+            with contextlib.suppress(LookupError, PeerTimeout):
+                found = master.ask("getParam", name)
         finally:
             process.end(_PATIENCE, (signal.SIGINT, signal.SIGTERM))
             process.wait_for_rest()
@@ -126,7 +129,9 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
         NODE,
         parameters=tuple(_parameters(found)),
         ports=tuple(
-            Port(port.name, port.direction, _type(port)) for port in ports if port not in shared
+            Port(port.name, port.direction, port.datatype.replace("*", ""))
+            for port in ports
+            if port not in shared
         ),
     )
     shell.show(
@@ -191,34 +196,21 @@ def _printed(output: str) -> str:
     return "; it printed at last:\n  " + "\n  ".join(lines) if lines else ", and printed nothing"
 
 
-def _parameter_tree(master: Master, name: str) -> Mapping[str, Any]:
-    """Return the parameters in the node's own namespace: given to it, or set by itself."""
-    try:
-        found = master.ask("getParam", name)
-    except (LookupError, PeerTimeout):
-        return {}
-    return found if isinstance(found, dict) else {}
+#: Types of parameters, by those of Python.
+_TYPES = {bool: "bool", int: "int", float: "double", list: "yaml"}
 
 
-def _parameters(tree: Mapping[str, Any], above: str = "") -> Iterator[Parameter]:
-    for key, value in sorted(tree.items()):
+def _parameters(tree: Any, above: str = "") -> Iterator[Parameter]:
+    """Yield the parameters of a namespace: given to the node, or set by itself."""
+    for key, value in sorted(tree.items()) if isinstance(tree, dict) else ():
         name = f"{above}{key}"
-        if name == "guards":
-            continue  # a DyKnow manager's, for as long as it sees the node
         if isinstance(value, dict):
-            yield from _parameters(value, name + "/")
-        elif isinstance(value, bool):
-            yield Parameter(name, "bool", str(value).lower())
-        elif isinstance(value, (int, float)):
-            yield Parameter(name, "int" if isinstance(value, int) else "double", repr(value))
-        elif isinstance(value, list):
-            yield Parameter(name, "yaml", json.dumps(value))
+            # Its guards are a DyKnow manager's, for as long as that sees the node.
+            yield from _parameters(value, name + "/") if name != "guards" else ()
         else:
-            yield Parameter(name, "string", str(value).strip())
-
-
-def _type(port: PortState) -> str:
-    return "" if port.datatype == "*" else port.datatype
+            type_ = _TYPES.get(type(value), "string")
+            text = str(value).strip() if type_ == "string" else json.dumps(value)
+            yield Parameter(name, type_, text)
 
 
 def _remark(shared: Sequence[PortState]) -> Iterator[str]:
@@ -229,10 +221,8 @@ def _remark(shared: Sequence[PortState]) -> Iterator[str]:
 
 def _clean_up(master: Master, name: str) -> None:
     """Remove the node's registrations and parameters from the master."""
-    try:
+    with contextlib.suppress(LookupError, PeerTimeout):  # nothing is left, or no master
         uri = master.node(name)
         if uri:
             master.purge(name, uri)
         master.ask("deleteParam", names.parent(name))
-    except (LookupError, PeerTimeout):
-        return  # nothing is left, or no master

@@ -226,4 +226,4 @@ def test_patterns_choose(planner):
 def test_patterns_without_a_match_are_known(planner):
     choice = selected(planner, "it x", "pkg/relay y")
     plan = [choice.treat(node())]
-    assert choice.chosen.without_match(plan) == (["x"], ["y"])
+    assert choice.chosen.without_match(plan) == [("--only", "x"), ("--except", "y")]
