@@ -132,15 +132,11 @@ _CLEAR_BELOW = "\x1b[J"
 
 
 class Screen:
-    """Shows a value that changes.
+    """Shows a value that changes, every ``period`` seconds.
 
     On a terminal each value replaces the one before, cut to the window; lines are rewritten
     without clearing the screen, so that nothing flickers. Elsewhere an empty line separates
     values; as JSON each is one line.
-
-    Args:
-        shell: prints it.
-        period: seconds between two values.
     """
 
     def __init__(self, shell: Shell, period: float) -> None:

@@ -27,16 +27,10 @@ BROKEN_PIPE = 141
 
 
 class Shell:
-    """The client and the output of one command.
+    """The client, which is made when it is first needed, and the output of one command.
 
     Results go to `out`, as lines or as one JSON value; everything else to `err`, in lines that
     begin with the program's name.
-
-    Args:
-        connect: makes the client, when it is first needed.
-        as_json: print results as JSON.
-        out: where results go; by default standard output.
-        err: where errors and warnings go; by default standard error.
     """
 
     def __init__(
@@ -102,43 +96,25 @@ class Shell:
 
 
 Run = Callable[[argparse.Namespace, Shell], Optional[int]]
-Problem = Callable[[argparse.Namespace], str]
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command.
+    """One command; ``run`` returns the exit code, None for success, and raises DyKnowError."""
 
-    Attributes:
-        name: its word on the command line.
-        summary: half a line for the list of commands.
-        description: a paragraph for its own help.
-        examples: command lines, one a line.
-        arguments: those that it has besides those of all commands.
-        run: runs the command; returns the exit code, None for success. Raises DyKnowError.
-        problem: explains why arguments do not go together; empty if they do.
-        usage: the first line of its help, by default argparse's.
-    """
-
-    name: str
-    summary: str
-    description: str
-    examples: str
-    arguments: Sequence[Argument | Group]
     run: Run
-    problem: Problem
-    usage: str | None
+    name: str
+    summary: str  # half a line for the list of commands
+    description: str  # a paragraph for its own help
+    examples: str  # command lines, one a line
+    arguments: Sequence[Argument | Group]  # besides those of all commands
+    #: Explains why arguments do not go together; empty if they do.
+    problem: Callable[[argparse.Namespace], str] = lambda arguments: ""
+    usage: str | None = None  # the first line of its help, by default argparse's
 
 
 def command(
-    name: str,
-    summary: str,
-    description: str,
-    examples: str,
-    *arguments: Argument | Group,
-    problem: Problem = lambda arguments: "",
-    usage: str | None = None,
+    name: str, summary: str, description: str, examples: str, *arguments: Any, **more: Any
 ) -> Callable[[Run], Command]:
     """Make a command of the function that runs it; the arguments are those of `Command`."""
-    texts = (name, summary, description, examples)
-    return lambda run: Command(*texts, arguments, run, problem, usage)
+    return lambda run: Command(run, name, summary, description, examples, arguments, **more)

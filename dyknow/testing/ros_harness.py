@@ -9,9 +9,6 @@ import atexit
 import itertools
 import logging
 import os
-import signal
-import subprocess
-import tempfile
 import time
 import unittest
 from typing import Any, Callable, Mapping, Sequence
@@ -24,16 +21,13 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.ros.client import ProxyClient
+from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.master import Master
 from dyknow.testing.harness import Harness, check_ports, remappings_of_ports
 
 #: Seconds that anything may take on a busy machine.
 _PATIENCE = 30.0
-#: Seconds that the nodelet manager has to end.
-_END_PATIENCE = 10.0
 _GLANCE = 0.01
-#: Bytes of output that are shown.
-_LONGEST_OUTPUT = 1_000_000
 
 _numbers = itertools.count(1)
 
@@ -62,13 +56,9 @@ class RosHarness(Harness):
         self._publishers: dict[str, rospy.Publisher] = {}
         self._subscribers: list[rospy.Subscriber] = []
         self._parameters: list[str] = []
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(
-            [find_node("dyknow", "nodelet_manager")[0], f"__name:={self.manager[1:]}"],
-            stdin=subprocess.DEVNULL,
-            stdout=self._output,
-            stderr=subprocess.STDOUT,
-        )
+        self._processes = Processes("dyknow_tests")
+        command = [find_node("dyknow", "nodelet_manager")[0], f"__name:={self.manager[1:]}"]
+        self._process = self._processes.start(self.manager, command)
         try:
             self.wait_until(self._is_up, what=f"{self.manager} is up")
         except BaseException:
@@ -77,13 +67,7 @@ class RosHarness(Harness):
 
     def close(self) -> None:
         """End the nodelet manager; delete the parameters that were set for its nodelets."""
-        self._process.send_signal(signal.SIGINT)
-        try:
-            self._process.wait(_END_PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._output.close()
+        self._processes.close()
         for registration in (*self._publishers.values(), *self._subscribers):
             registration.unregister()
         for name in self._parameters:
@@ -199,7 +183,7 @@ class RosHarness(Harness):
     @property
     def output(self) -> str:
         """The output of the nodelet manager: its log and those of its nodelets."""
-        return os.pread(self._output.fileno(), _LONGEST_OUTPUT, 0).decode(errors="replace")
+        return self._processes.output(0)
 
     def _is_up(self) -> bool:
         try:

@@ -32,16 +32,13 @@ _MOST_SHOWN = 8
 
 @dataclass
 class _Supply:
-    """The suppliers of a tag: labels of transformations, running nodelets, and ROS types.
-
-    ``bindings`` lists the present bindings of the tag's variables; None if they are unknown.
-    """
+    """The suppliers of a tag: labels of transformations, running nodelets, and ROS types."""
 
     tag: str
     transformations: set[str] = field(default_factory=set)
     nodelets: set[str] = field(default_factory=set)
     datatypes: set[str] = field(default_factory=set)
-    bindings: list[dict[str, str]] | None = None
+    bindings: list[dict[str, str]] | None = None  # of the tag's variables now; None: unknown
 
 
 @command(
@@ -182,23 +179,19 @@ def _stream_table(streams: Sequence[StreamStatus]) -> list[str]:
     return columns(rows)
 
 
-def _stream_details(streams: Sequence[StreamStatus]) -> list[str]:
-    lines = []
+def _stream_details(streams: Sequence[StreamStatus]) -> Iterator[str]:
     for each in streams:
-        detail = f" ({each.detail})" if each.detail else ""
+        yield f"Stream [{each.claim_id}]"
+        yield f"Tag: {each.tag}"
+        if each.bindings:
+            yield f"Bindings: {', '.join(each.bindings)}"
+        yield f"State: {each.state.name.lower()}" + (f" ({each.detail})" if each.detail else "")
+        yield f"Topic: {each.topic or '-'} [{each.datatype or 'unknown type'}]"
+        yield f"Client: {each.client_id or '(not given)'}"
         lease = f"until {each.expires:.1f} (ROS time)" if each.expires else "until released"
-        lines += [
-            f"Stream [{each.claim_id}]",
-            f"Tag: {each.tag}",
-            *([f"Bindings: {', '.join(each.bindings)}"] if each.bindings else []),
-            f"State: {each.state.name.lower()}{detail}",
-            f"Topic: {each.topic or '-'} [{each.datatype or 'unknown type'}]",
-            f"Client: {each.client_id or '(not given)'}",
-            f"Lease: {lease}",
-            f"Nodelets: {' '.join(each.nodelets) or 'none'}",
-            "",
-        ]
-    return lines
+        yield f"Lease: {lease}"
+        yield f"Nodelets: {' '.join(each.nodelets) or 'none'}"
+        yield ""
 
 
 @command(

@@ -140,9 +140,12 @@ class Processes:
                 continue
             self._fail(number, f"ended with exit code {code}")
 
+    def output(self, number: int) -> str:
+        """Return what a process has printed so far."""
+        return self._log(number).read_text(errors="replace")
+
     def _fail(self, number: int, reason: str) -> None:
-        lines = self._log(number).read_text(errors="replace").splitlines()[-_LINES:]
-        printed = "\n".join(lines) or "(nothing)"
+        printed = "\n".join(self.output(number).splitlines()[-_LINES:]) or "(nothing)"
         raise ProcessFailed(f"{self._titles[number]} {reason}; the last it printed:\n{printed}")
 
     def _log(self, number: int) -> Path:
