@@ -29,21 +29,13 @@ _HEAD = """digraph story {
 
 @dataclass(frozen=True)
 class Stretch:
-    """The positions that arrived in a stretch of time.
+    """The positions that arrived in a stretch of time."""
 
-    Attributes:
-        count: number of positions.
-        rate: positions per second.
-        median: median error, m; nan without positions.
-        worst: greatest error, m; nan without positions.
-        pause: longest time (s) without a position, the time at either end included.
-    """
-
-    count: int
-    rate: float
-    median: float
-    worst: float
-    pause: float
+    count: int  # number of positions
+    rate: float  # positions per second
+    median: float  # median error, m; nan without positions
+    worst: float  # greatest error, m; nan without positions
+    pause: float  # longest time (s) without a position, the time at either end included
 
     def shortcomings(self, max_silence: float) -> list[str]:
         """List how the promise of a claim with that ``max_silence`` (s) is broken."""

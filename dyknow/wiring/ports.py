@@ -65,21 +65,13 @@ def choose_topic(
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that ports are connected to.
+    """A topic that ports are connected to."""
 
-    Attributes:
-        name: global name.
-        datatype: ROS type, empty when no port knows it.
-        sources: out-ports that publish on it, sorted.
-        targets: in-ports that receive from it, sorted.
-        tags: of the out-ports, sorted.
-    """
-
-    name: str
-    datatype: str
-    sources: tuple[PortRef, ...]
-    targets: tuple[PortRef, ...]
-    tags: tuple[str, ...] = ()
+    name: str  # global name
+    datatype: str  # ROS type, empty when no port knows it
+    sources: tuple[PortRef, ...]  # out-ports that publish on it, sorted
+    targets: tuple[PortRef, ...]  # in-ports that receive from it, sorted
+    tags: tuple[str, ...] = ()  # of the out-ports, sorted
 
 
 def topics_of(nodelets: Iterable[NodeletStatus]) -> list[Topic]:

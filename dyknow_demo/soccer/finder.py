@@ -169,19 +169,12 @@ def _visible(circle: Circle, size: tuple[int, int]) -> float:
 
 
 class Circle(NamedTuple):
-    """A circle fitted to an outline.
+    """A circle fitted to an outline."""
 
-    Attributes:
-        centre: column and row.
-        radius: pixels.
-        points: those of the outline (n, 2) that lie on it.
-        agreement: their fraction of all points, 0 to 1.
-    """
-
-    centre: Array
-    radius: float
-    points: Array
-    agreement: float
+    centre: Array  # column and row
+    radius: float  # pixels
+    points: Array  # those of the outline (n, 2) that lie on it
+    agreement: float  # their fraction of all points, 0 to 1
 
 
 def fit_circle(points: Array) -> Circle | None:

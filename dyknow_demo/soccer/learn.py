@@ -135,23 +135,14 @@ def _holds(box: Box, other: Box) -> bool:
 
 
 class Example(NamedTuple):
-    """One frame.
+    """One frame."""
 
-    Attributes:
-        balls: number of annotated balls.
-        by_limits: whether the best find by the fixed limits of the colour yellow is a ball.
-        found: regions of the frame as it is.
-        hits: for each region whether it hits a ball.
-        features: (n, numbers) of regions to learn from, in several lights.
-        is_ball: 1 for balls, else 0.
-    """
-
-    balls: int
-    by_limits: bool
-    found: Sequence[Region]
-    hits: Sequence[bool]
-    features: Sequence[Array]
-    is_ball: Sequence[float]
+    balls: int  # number of annotated balls
+    by_limits: bool  # whether the best find by the fixed limits of the colour yellow is a ball
+    found: Sequence[Region]  # regions of the frame as it is
+    hits: Sequence[bool]  # for each region whether it hits a ball
+    features: Sequence[Array]  # (n, numbers) of regions to learn from, in several lights
+    is_ball: Sequence[float]  # 1 for balls, else 0
 
 
 def example_of(frame: AnnotatedFrame, number: int) -> Example:

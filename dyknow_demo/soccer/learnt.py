@@ -47,17 +47,11 @@ _Box = Tuple[int, int, int, int]
 
 
 class Region(NamedTuple):
-    """A connected region of planes.
+    """A connected region of planes."""
 
-    Attributes:
-        box: left, top, width, height, pixels of the planes.
-        outline: as OpenCV's findContours returns it.
-        features: the forest's input.
-    """
-
-    box: _Box
-    outline: Any
-    features: Array
+    box: _Box  # left, top, width, height, pixels of the planes
+    outline: Any  # as OpenCV's findContours returns it
+    features: Array  # the forest's input
 
 
 def load_forest(file: Path = MODEL) -> Any:

@@ -49,15 +49,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A ball in the frame of the camera's owner.
+    """A ball in the frame of the camera's owner."""
 
-    Attributes:
-        position: centre (3,), m.
-        covariance: (3, 3), m^2.
-    """
-
-    position: Array
-    covariance: Array
+    position: Array  # centre (3,), m
+    covariance: Array  # (3, 3), m^2
 
 
 def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Sighting | None:
