@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from dyknow_demo.soccer.geometry import (
     BOTTOM_CAMERA,
@@ -21,7 +20,6 @@ from dyknow_demo.soccer.geometry import (
     robot_from_bottom_camera,
 )
 
-ANGLES = st.floats(-3.0, 3.0)
 UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)
 TIBIA, THIGH = 0.1029, 0.1
 

@@ -62,24 +62,21 @@ def test_the_files_are_clean(ontology):
     assert not parse_file(str(EXAMPLES / "transformations" / "soccer.xml"), ontology).warnings
 
 
-def test_the_robots_own_camera_comes_first(plan):
-    found = plan()
-    assert sorted(labels(found)) == sorted(OWN)
-    assert found.goal.label == "localization"
-    assert found.cost == 8
-
-
-def test_without_its_camera_the_robot_looks_through_the_one_at_the_ceiling(plan):
-    found = plan(exclude=frozenset(["bottom_camera"]))
-    assert sorted(labels(found)) == sorted(RE_WIRED)
-    assert found.cost == 26
-
-
-@pytest.mark.parametrize("gone", ["nao_body", "ball_detector"])
-def test_without_the_robot_the_ceiling_camera_has_vision_of_its_own(plan, gone):
+@pytest.mark.parametrize(
+    ("gone", "steps", "cost"),
+    [
+        ("", OWN, 8),
+        ("bottom_camera", RE_WIRED, 26),
+        ("nao_body", CEILING, 27),
+        ("ball_detector", CEILING, 27),
+    ],
+)
+def test_the_robots_own_camera_comes_first_and_then_the_one_at_the_ceiling(
+    plan, gone, steps, cost
+):
     found = plan(exclude=frozenset([gone]))
-    assert sorted(labels(found)) == sorted(CEILING)
-    assert found.cost == 27
+    assert sorted(labels(found)) == sorted(steps)
+    assert (found.goal.label, found.cost) == ("localization", cost)
 
 
 def test_without_either_camera_it_says_what_is_missing(plan):

@@ -113,19 +113,6 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
     assert field.reconciler.claims()[0].topic == claim.topic
 
 
-def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
-    for gone in ("bottom_camera", "nao_body"):
-        field.manager.remove_transformation(gone)
-    claim = field.reconciler.acquire(StreamRequest("FieldPosition(ball)")).claim
-    assert set(field.host.running) == {
-        CEILING,
-        "/image_subsampler_1",
-        "/field_ball_detector_1",
-        "/localization_1",
-    }
-    assert claim.state is ClaimState.ACTIVE
-
-
 def test_two_cameras_at_a_time_are_not_mixed_up(field: Field) -> None:
     field.reconciler.acquire(StreamRequest("FieldPosition(ball)"))
     other = field.reconciler.acquire(
