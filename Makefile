@@ -22,7 +22,7 @@ build: deps ## build the checkout in a catkin workspace of its own, build/ws
 demo: build ## run the demonstration on the soccer field (options: make demo ARGS="...")
 	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo $(ARGS)
 
-demo-rewiring: build ## re-wire a chain of camera frames by hand, and count the frames
+demo-rewiring: build ## re-wire the vision of the demonstration by hand, and count the frames
 	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo --rewiring $(ARGS)
 
 gui: build ## open the window on the computation graph
