@@ -8,7 +8,7 @@ ROS_PYTHON := /usr/bin/python3
 IN_WORKSPACE := bash tools/in-workspace.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help deps build venv demo demo-rewiring gui test test-long benchmark performance screenshots docs clean
+.PHONY: help deps build venv demo gui test test-long benchmark performance screenshots docs clean
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 22
@@ -21,9 +21,6 @@ build: deps ## build the checkout in a catkin workspace of its own, build/ws
 
 demo: build ## run the demonstration on the soccer field (options: make demo ARGS="...")
 	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo $(ARGS)
-
-demo-rewiring: build ## re-wire the vision of the demonstration by hand, and count the frames
-	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo --rewiring $(ARGS)
 
 gui: build ## open the window on the computation graph
 	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)

@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The demonstrations: ``story`` on the field of the case study ``soccer``, and ``rewiring``."""
+"""The demonstration: ``story``, on the field of the case study ``soccer``."""

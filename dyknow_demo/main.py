@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The command line of the demonstrations: the soccer field, or with ``--rewiring`` a chain."""
+"""The command line of the demonstration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DONE, FAILED, INTERRUPTED = 0, 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a demonstration.
+    """Run the demonstration.
 
     Args:
         argv: arguments without the program's name; by default those of the process.
@@ -31,10 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        if options.rewiring:  # modules are imported once the options are known to be right
-            from dyknow_demo.rewiring import play
-        else:
-            from dyknow_demo.story import play
+        from dyknow_demo.story import play  # once the options are known to be right
+
         return DONE if play(options) else FAILED
     except KeyboardInterrupt:
         print("\ninterrupted", file=sys.stderr)
@@ -49,24 +47,20 @@ def _parser() -> argparse.ArgumentParser:
         prog="rosrun dyknow demo",
         description="Asks for the position of a ball on a soccer field. A robot tracks it with "
         "its own camera; when that goes, a camera at the ceiling takes its place behind the "
-        "robot's own tracking; then the robot returns. With --rewiring the robot's vision is "
-        "re-wired by hand instead, and its frames are counted. Uses the ROS master that "
-        "ROS_MASTER_URI names, or starts one for itself.",
-        epilog="Exit code: 0 if the position was never lost for longer than the claim allows, or "
-        "if no frame was lost, doubled or out of order; else 1; 130 after Ctrl-C.",
+        "robot's own tracking; then the robot returns. Uses the ROS master that ROS_MASTER_URI "
+        "names, or starts one for itself.",
+        epilog="Exit code: 0 if the position was never lost for longer than the claim allows, "
+        "else 1; 130 after Ctrl-C.",
     )
     argument = parser.add_argument
-    argument("--rewiring", action="store_true", help="re-wire by hand, and count the frames")
-    text = "time for each of the three acts (8), or of the six wirings (6)"
-    argument("--seconds", type=_positive, help=text)
+    text = "time for each of the three acts (%(default)g)"
+    argument("--seconds", type=_positive, default=8.0, help=text)
     text = "time without a position that is allowed (%(default)g)"
     argument("--max-silence", type=_positive, default=2.0, metavar="SECONDS", help=text)
     text, folder = "folder for the drawings of the graph (%(default)s)", Path("build/demo")
     argument("--pictures", type=Path, default=folder, metavar="DIR", help=text)
     text = "manager that runs and knows the soccer field; by default one is started"
     argument("--manager", default="", metavar="NAME", help=text)
-    text = "with --rewiring: frames a second of each camera (%(default)g)"
-    argument("--rate", type=_positive, default=30.0, help=text)
     return parser
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What both demonstrations run beside: a ROS master where there is none, and one node."""
+"""What the story runs beside: a ROS master where there is none, and a manager."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.master import Master
 
-#: Names of the nodes that the demonstrations start.
+#: Names of the nodes that the demonstration starts.
 NAMESPACE = "/dyknow_demo"
 MANAGER = f"{NAMESPACE}/manager"
 
 
 def tell(text: str) -> None:
-    """Print a line for good, over a line of progress."""
-    print(("\r\033[K" if sys.stdout.isatty() else "") + text, flush=True)
+    print(text, flush=True)
 
 
 @contextlib.contextmanager
@@ -45,10 +44,10 @@ def own_processes() -> Iterator[Processes]:
 
 
 @contextlib.contextmanager
-def running(
-    processes: Processes, title: str, is_up: Callable[[], bool], module: str, *arguments: str
+def running_manager(
+    processes: Processes, is_up: Callable[[], bool], **parameters: object
 ) -> Iterator[None]:
-    """Start a node, ``MANAGER``.
+    """Start a DyKnow manager, ``MANAGER``.
 
     Raises:
         DyKnowError: it is there already, or did not come up.
@@ -58,12 +57,12 @@ def running(
             f"{MANAGER} is registered at this master already: another demonstration runs there, "
             "or was killed ('rosnode cleanup' forgets it)"
         )
+    words = [f"_{key}:={value}" for key, value in parameters.items()]
     name = MANAGER[len(NAMESPACE) + 1 :]
-    command = [sys.executable, "-m", module, *arguments, f"__name:={name}"]
-    environment = {"ROS_NAMESPACE": NAMESPACE}
+    command = [sys.executable, "-m", "dyknow.cli.manager", *words, f"__name:={name}"]
     try:
-        process = processes.start(f"the {title}", command, environment, is_up)
-        tell(f"{title}: {MANAGER}, process {process.pid}\n")
+        process = processes.start("the manager", command, {"ROS_NAMESPACE": NAMESPACE}, is_up)
+        tell(f"manager: {MANAGER}, process {process.pid}\n")
         yield
     except DyKnowError:
         processes.check(patience=0.5)  # a process that ended is the better explanation

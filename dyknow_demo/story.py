@@ -29,7 +29,7 @@ from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.messages import model_from
-from dyknow_demo.processes import MANAGER, own_processes, running, tell
+from dyknow_demo.processes import MANAGER, own_processes, running_manager, tell
 from dyknow_demo.soccer.world import SoccerWorld
 from dyknow_demo.telling import Track, changes, draw, to_dot
 
@@ -38,7 +38,6 @@ OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
 #: Labels of the robot's own tracking nodelets, which are kept and re-wired.
 TRACKING = ("image_subsampler", "ball_detector", "localization")
 
-_SECONDS = 8.0  # s for each act
 _PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
 _PATIENCE = 15.0  # s for the manager's own work
@@ -77,14 +76,14 @@ def _manager(processes: Processes, name: str) -> Iterator[ManagerClient]:
         yield client
         return
     examples = Path(rospkg.RosPack().get_path("dyknow")) / "examples"
-    parameters = {
-        "state_dir": processes.folder,
-        "ontologies": examples / "ontologies" / "soccer.ttl",
-        "transformations": examples / "transformations" / "soccer.xml",
-        "orphan_timeout": _ORPHAN_TIMEOUT,
-    }
-    words = [f"_{key}:={value}" for key, value in parameters.items()]
-    with running(processes, "manager", lambda: _is_ready(client), "dyknow.cli.manager", *words):
+    with running_manager(
+        processes,
+        lambda: _is_ready(client),
+        state_dir=processes.folder,
+        ontologies=examples / "ontologies" / "soccer.ttl",
+        transformations=examples / "transformations" / "soccer.xml",
+        orphan_timeout=_ORPHAN_TIMEOUT,
+    ):
         yield client
 
 
@@ -150,7 +149,7 @@ class _Story:
 
     def _act(self, camera: str, act: str, title: str) -> None:
         """Follow the ball for a while; then check which nodelets do the work, and draw them."""
-        end = time.monotonic() + (self._options.seconds or _SECONDS)
+        end = time.monotonic() + self._options.seconds
         while time.monotonic() < end:
             time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
             self._check()

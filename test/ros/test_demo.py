@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The demonstrations, on the soccer field and re-wired by hand, run as users run them."""
+"""The demonstration, run as users run it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ STORY = (
     r"longest pause \d\.\d+ s of 10 s that are allowed",
     r"The same nodelets tracked the ball all the time",
 )
-BALANCED = re.compile(r"(\d+) frames at the end of the chain: 0 lost, 0 doubled, 0 out of order")
 
 
 class DemoCase(TellingCase):
@@ -98,33 +97,6 @@ class SoccerTest(DemoCase):
         self.assert_interrupted(demo, uri, pid, *children)
         self.assertEqual(other.exit_code(60.0), 1, other.output)
         self.assertIn("the manager ended with exit code -9", other.output)
-
-
-class RewiringTest(DemoCase):
-    def test_on_the_master_that_is_there(self):
-        master = rosgraph.Master("/test_demo")
-        parameters = sorted(master.getParamNames())
-        demo = self.start("--rewiring", "--seconds", "1.2")
-        self.assertEqual(demo.exit_code(60.0), 0, demo.output)
-        self.assertGreater(int(self.read(demo, BALANCED)), 0)
-        self.assertEqual(len(re.findall(r"^camera_.* ms$", demo.output, re.M)), 6, demo.output)
-        for said in (
-            "320x720",  # subsampled, three planes
-            "640x480",  # without the subsampler
-            f"ROS master: the one at {rosgraph.get_master_uri()}",
-        ):
-            self.assertIn(said, demo.output)
-        left = [name for side in master.getSystemState() for name, _ in side if "demo" in name]
-        self.assertEqual(left, [])
-        self.assertEqual(sorted(master.getParamNames()), parameters)
-
-    def test_its_own_master_ends_when_it_is_told_to(self):
-        demo = self.start("--rewiring", "--seconds", "30", alone=True)
-        uri = self.read(demo, r"ROS master: our own, at (\S+)")
-        pid = self.read(demo, r"nodelet manager: .* process (\d+)")
-        self.read(demo, "(-----)")
-        demo.stop(signal.SIGTERM)
-        self.assert_interrupted(demo, uri, pid)
 
 
 if __name__ == "__main__":
