@@ -109,15 +109,19 @@ def unknown_nodelet(name: str, model: Model) -> str:
     return f"no nodelet named '{name}' runs{hint}"
 
 
-def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> list[str]:
-    """Return a line for each row of cells; the columns ``right`` are aligned right."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
+def columns(rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> list[str]:
+    """Return a line for each row of cells; the columns ``right`` are aligned right.
+
+    None is written as a dash.
+    """
+    texts = [["-" if cell is None else str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*texts)]
     return [
         "  ".join(
             cell.rjust(width) if column in right else cell.ljust(width)
             for column, (cell, width) in enumerate(zip(row, widths))
         ).rstrip()
-        for row in rows
+        for row in texts
     ]
 
 

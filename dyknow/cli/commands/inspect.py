@@ -66,22 +66,17 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
-    rows = [("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")]
+    rows: list[tuple[object, ...]] = [
+        ("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")
+    ]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
-        marks = [state_of(each)]
-        marks.extend(["protected"] if each.is_protected else [])
-        marks.extend(["isolated"] if each.isolated else [])
-        rows.append(
-            (
-                each.name,
-                each.transformation or "-",
-                ",".join(marks),
-                str(directions.count(IN)),
-                str(directions.count(OUT)),
-                each.manager or "-",
-            )
+        marks = ",protected" * each.is_protected + ",isolated" * each.isolated
+        made_from, ends = (
+            each.transformation or None,
+            (directions.count(IN), directions.count(OUT)),
         )
+        rows.append((each.name, made_from, state_of(each) + marks, *ends, each.manager or None))
     details = [f"{each.name}: {each.detail}" for each in nodelets if each.detail]
     return [*columns(rows, right=(3, 4)), *details]
 
@@ -248,12 +243,12 @@ def _counts(shell: Shell, answers: dict[str, Answer]) -> tuple[Json, list[str]]:
 
 def _statistics_table(answers: dict[str, Answer]) -> list[str]:
     """Write a line of statistics for each port; times in milliseconds."""
-    rows: list[tuple[str, ...]] = [_HEAD]
+    rows: list[tuple[object, ...]] = [_HEAD]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", *[""] * 9))
             continue
-        errors = _count(answer.callback_errors)
+        errors = answer.callback_errors
         if not answer.ports:
             rows.append((name, "(no ports)", *[""] * 7, errors, ""))
         for port in sorted(answer.ports, key=lambda port: port.port):
@@ -262,25 +257,21 @@ def _statistics_table(answers: dict[str, Answer]) -> list[str]:
                     name,
                     port.port,
                     port.direction,
-                    "-" if port.rate is None else f"{port.rate:.1f}",
-                    _count(port.messages),
-                    _count(port.dropped) if port.direction == IN else "-",
-                    _count(port.dropped) if port.direction == OUT else "-",
+                    None if port.rate is None else f"{port.rate:.1f}",
+                    port.messages,
+                    port.dropped if port.direction == IN else None,
+                    port.dropped if port.direction == OUT else None,
                     _milliseconds(port.mean_callback),
                     _milliseconds(port.max_callback),
                     errors,
-                    port.topic or "-",
+                    port.topic or None,
                 )
             )
     return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
 
 
-def _count(number: int | None) -> str:
-    return "-" if number is None else str(number)
-
-
-def _milliseconds(duration: float | None) -> str:
-    return f"{duration * 1000:.2f}" if duration else "-"
+def _milliseconds(duration: float | None) -> str | None:
+    return f"{duration * 1000:.2f}" if duration else None
 
 
 @command(

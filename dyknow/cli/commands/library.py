@@ -51,12 +51,11 @@ def _library(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _long_list(transformations: Sequence[Transformation]) -> list[str]:
-    rows = [("LABEL", "TYPE", "SOURCE", "COST", "IN", "OUT")]
+    rows: list[tuple[object, ...]] = [("LABEL", "TYPE", "SOURCE", "COST", "IN", "OUT")]
     for each in transformations:
         directions = [port.direction for port in each.ports]
-        ins, outs = directions.count(IN), directions.count(OUT)
-        source = each.node or each.source
-        rows.append((each.label, each.type, source, str(each.cost), str(ins), str(outs)))
+        ends = directions.count(IN), directions.count(OUT)
+        rows.append((each.label, each.type, each.node or each.source, each.cost, *ends))
     return columns(rows, right=(3, 4, 5))
 
 

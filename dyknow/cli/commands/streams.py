@@ -164,18 +164,10 @@ def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _stream_table(streams: Sequence[StreamStatus]) -> list[str]:
-    rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE", "DETAIL")]
-    rows += [
-        (
-            each.claim_id,
-            each.state.name.lower(),
-            each.bound_tag,
-            each.topic or "-",
-            each.datatype or "-",
-            each.detail or "-",
-        )
-        for each in streams
-    ]
+    rows: list[tuple[object, ...]] = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE", "DETAIL")]
+    for each in streams:
+        state, ends = each.state.name.lower(), (each.topic or None, each.datatype or None)
+        rows.append((each.claim_id, state, each.bound_tag, *ends, each.detail or None))
     return columns(rows)
 
 
