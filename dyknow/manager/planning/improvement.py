@@ -5,10 +5,9 @@
 
 The problem is that of a Steiner arborescence with AND nodes, which is NP-hard; set cover is a case
 of it. First every instance is left out that cannot be part of a cheaper plan, since no plan costs
-less than the maximum over its inputs. On the others landmark cuts are a lower bound, a
-branch-and-bound search is exact if it ends within its share of the budget, and if it does not, a
-large neighbourhood search improves the plan: it takes some actions out of the plan and completes
-it again by the cheapest tree, at prices that vary.
+less than the maximum over its inputs. On the others a branch-and-bound search with landmark cuts
+is exact if it ends within its share of the budget. If it does not, a large neighbourhood search
+improves the plan it found.
 
 A solver for integer programs would do the same in fewer lines, but HiGHS in scipy holds the
 interpreter's lock until it has ended, and the manager would stand still for as long.
@@ -18,11 +17,11 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import Callable, Iterable, NamedTuple, Sequence
+from typing import Callable, Collection, Iterable, NamedTuple, Sequence
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted, is_sound
-from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.request import Need, Request
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
+from dyknow.manager.planning.reach import Reach
+from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
 
 #: Steps that are taken in a second, on a slow machine.
@@ -31,8 +30,8 @@ STEPS = 10_000_000
 _MOST_INSTANCES = 1_000
 #: Steps that it takes to copy a part of the search into a graph of its own, and to bound a demand.
 _COPIED = 50
-_BOUNDED = 60
-#: Part of the budget that the exact search may take.
+BOUNDED = 60
+#: Part of the budget that the first exact search may take.
 _EXACT = 0.25
 #: Parts in which the price of a cut is paid: several cuts share an action more evenly.
 _PARTS = 4
@@ -40,24 +39,34 @@ _PARTS = 4
 _MOST_OUT = 6
 #: How often a dearer plan is gone on with.
 _WORSE = 0.02
+#: Parts of a unit of cost in prices that vary.
+_FINE = 1_000
 #: Steps of each search for a plan that is allowed.
 _EACH_RISE = 5_000_000
 
 
 class Budget:
-    """Counts steps, so that equal problems have equal plans; the clock is the last resort."""
+    """Counts steps, so that equal problems have equal plans; the clock is the last resort.
+
+    Attributes:
+        steps: those that are left.
+        is_cut_short: whether the clock, which begins with the first step of the improvement,
+            ended it.
+    """
 
     def __init__(self, seconds: float, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._deadline = clock() + seconds
+        self._seconds = seconds
+        self._deadline: float | None = None
         self.steps = int(seconds * STEPS)
-        #: Whether the clock ended it.
         self.is_cut_short = False
 
     def spend(self, steps: int) -> bool:
         """Take steps; return whether they were left."""
         self.steps -= steps
-        if self.steps >= 0 and self._clock() >= self._deadline:
+        if self._deadline is None:
+            self._deadline = self._clock() + self._seconds
+        elif self.steps >= 0 and self._clock() >= self._deadline:
             self.is_cut_short = True
             self.steps = -1
         return self.steps >= 0
@@ -79,141 +88,179 @@ class Allowed(NamedTuple):
     is_proven: bool = True
 
 
-def allowed(request: Request, bounds: Bounds, draft: Draft) -> Allowed:
-    """Return a rather cheap draft that is sound and in time, instead of the cheapest tree.
+def allowed(request: Request, reach: Reach, draft: Draft) -> Allowed:
+    """Return some draft that is sound and in time, instead of the cheapest tree.
 
     A fixed number of steps limits the search, not the clock, which must not decide whether there
     is a plan.
     """
-    least, _ = bounds.least(False)
-    cost = draft.cost
-    for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
-        found = Search(request, bounds, least, below)
+    least, _, _ = reach.cheapest(reach.costs, use_sum=False)
+    cost, most = draft.cost, sum(reach.costs)
+    for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + most):
+        found = Search(request, reach, least, below)
         found.run(_EACH_RISE)
-        is_proven = found.is_complete
-        graph = AndOrGraph(request, found)
-        way = graph.derive(graph.followed(graph.cheapest(graph.costs)[0]))
-        if 0 not in way and any(graph.twins):
-            improvement = _Improvement(graph, False, Budget(_EACH_RISE / STEPS, lambda: 0.0))
-            no_rest = [0] * len(graph.costs)
-            plan, is_exact = improvement.branched(0, no_rest, sum(graph.costs) + 1, 0)
+        graph, is_proven = found.graph, found.is_complete
+        solver = _Solver(graph, Budget(_EACH_RISE / STEPS, lambda: 0.0))
+        way = graph.derive(range(len(graph.costs)))
+        if 0 not in way and request.demand.min_rate:
+            rest = [0] * len(graph.costs)
+            plan, is_exact = solver.solve(0, rest, sum(graph.costs) + 1, 0)
             is_proven = is_proven and is_exact
-            way = graph.derive(plan)
+            way = solver.derive(plan)
         if 0 in way:
             return Allowed(graph.drafted(way), True)
-    if request.limit is not None:
-        every = range(len(graph.costs))
-        for limit in (request.limit, sys.maxsize):
-            graph.limit = limit
-            way = graph.derive(every)
-            if 0 in way:
-                return Allowed(graph.drafted(way), limit == request.limit, is_proven)
+    way = graph.derive(range(len(graph.costs)), is_late=True)
+    if request.limit is not None and 0 in way:
+        return Allowed(graph.drafted(way), False, is_proven)
     return Allowed(draft, False, is_proven)
 
 
-def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> Improved:
+def improve(request: Request, reach: Reach, draft: Draft, budget: Budget) -> Improved:
     """Return a draft of less cost, or the given one."""
-    if not draft.cost or not budget.spend(_BOUNDED * bounds.size):
-        return Improved(draft, 0)
-    goal = Need(request.goal, ())
-    least, _ = bounds.least(False, draft.cost)
-    floor = least.get(request.goal, draft.cost)
-    if draft.cost <= floor or len(draft.order) > _MOST_INSTANCES:
-        return Improved(draft, min(floor, draft.cost))
-    found = Search(request, bounds, least, draft.cost)
+    floor = reach.forced() if reach.is_simple else 0
+    if draft.cost <= floor:
+        return Improved(draft, draft.cost)
+    least, _, _ = reach.cheapest(reach.costs, use_sum=False)
+    floor = min(max(floor, least.get(0, draft.cost)), draft.cost)
+    if draft.cost == floor or len(draft.order) > _MOST_INSTANCES:
+        return Improved(draft, floor)
+    if not budget.spend(BOUNDED * reach.size):
+        return Improved(draft, floor, budget.is_cut_short)
+    found = Search(request, reach, least, draft.cost)
     budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
-    if goal in found.value:
-        floor = max(floor, found.value[goal])
-    else:
-        floor = draft.cost if found.is_complete else max(floor, found.reached)
-    floor = min(floor, draft.cost)
-    edges = sum(map(len, found.offers.values()))
-    if floor < draft.cost and goal in found.value and budget.spend(_COPIED * edges):
-        if request.limit is None:
-            cheap = drafted(request, found.chosen)
-            draft = min(draft, cheap, key=lambda each: (not is_sound(request, each), each.cost))
-        if floor < draft.cost:
-            graph = AndOrGraph(request, found)
-            return _Improvement(graph, found.is_complete, budget).run(draft, floor)
-    return Improved(draft, floor, budget.is_cut_short)
+    #: No plan with parts that were not found costs less.
+    reached = draft.cost if found.is_complete else min(found.reached, draft.cost)
+    if 0 not in found.value:
+        return Improved(draft, max(floor, reached), budget.is_cut_short)
+    edges = sum(map(len, found.graph.makes))
+    if not budget.spend(_COPIED * edges):
+        return Improved(draft, max(floor, min(found.value[0], reached)), budget.is_cut_short)
+    best, bound = _Solver(found.graph, budget).improved(draft)
+    return Improved(best, max(floor, min(bound, reached)), budget.is_cut_short)
 
 
-class _Improvement:
-    def __init__(self, graph: AndOrGraph, is_complete: bool, budget: Budget) -> None:
+class _Solver:
+    """Searches a graph for the cheapest plan."""
+
+    def __init__(self, graph: AndOrGraph, budget: Budget) -> None:
         self._graph = graph
-        self._is_complete = is_complete
         self._budget = budget
+        self._costs = graph.costs
         self._chance = random.Random(0)  # equal problems have equal plans
+        makers: list[list[Instance]] = [[] for _ in graph.patterns]
+        #: Nodes that are made at no cost and at once, with their makers.
+        self._given: dict[Node, Instance] = {}
+        for instance, nodes in enumerate(graph.makes):
+            is_free = not graph.costs[instance] and not graph.needs[instance]
+            for node in nodes:
+                makers[node].append(instance)
+                if is_free and (
+                    graph.request.limit is None or not graph.head(instance, node).latency
+                ):
+                    self._given.setdefault(node, instance)
+        self._makers = makers
+        nodelets: dict[object, list[Instance]] = {}
+        if graph.request.demand.min_rate:
+            for instance, nodes in enumerate(graph.makes):
+                if nodes:
+                    nodelets.setdefault(graph.nodelet(instance), []).append(instance)
+        #: Instances of one nodelet, of which a plan has one.
+        self._twins = {each: some for some in nodelets.values() for each in some}
+        self._size = sum(map(len, graph.needs)) + sum(map(len, graph.makes)) + len(graph.costs)
 
-    def run(self, draft: Draft, floor: int) -> Improved:
-        """Improve a draft that costs more than a bound."""
+    def improved(self, draft: Draft) -> tuple[Draft, int]:
+        """Improve a draft that may be of another graph; return it with a bound for its cost."""
         graph, budget = self._graph, self._budget
-        cuts, rest = self._cuts()
-        # Parts that a large search left out could be cheaper than these cuts.
-        bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
-        best = self._first(draft)
-        least = min(draft.cost, graph.cost(best)) if best else draft.cost
-        if bound < least:
-            left = int(budget.steps * (1 - _EXACT))
-            found, is_exact = self.branched(cuts, rest, least, left)
-            best = found or best
-            if is_exact and self._is_complete:
-                bound = graph.cost(found) if found else least
-            elif best:
-                best = self._varied(best, bound)
+        left = int(budget.steps * (1 - _EXACT))
+        bound, rest = self._cuts()
+        best, is_exact = self.solve(bound, rest, draft.cost, left)
+        if is_exact:
+            bound = graph.cost(best) if best else draft.cost
+        else:
+            best = self._varied(best or self._first(draft), bound)
         if best and graph.cost(best) < draft.cost:
-            draft = graph.drafted(graph.derive(best))
-        return Improved(draft, bound, budget.is_cut_short)
+            draft = graph.drafted(self.derive(best))
+        return draft, min(bound, draft.cost)
 
-    def _first(self, draft: Draft) -> list[int]:
+    def _first(self, draft: Draft) -> list[Instance]:
         """Return a plan to begin with; none if all that is cheaper is too late or unsound."""
-        graph = self._graph
-        # Some of the draft may be without use for a cheaper plan, and so not be there.
-        for actions in (
-            graph.numbers(draft),
-            graph.followed(graph.cheapest(graph.costs)[0]),
-            range(len(graph.costs)),
-        ):
-            best = graph.followed(graph.derive(actions))
-            if best:
-                order = sorted(best, key=lambda each: (-graph.costs[each], each))
-                return self._pruned(best, order)
+        graph, every = self._graph, range(len(self._costs))
+        numbers = {graph.key(each): each for each in every}
+        keys = [draft.graph.key(each) for each in draft.order]
+        for some in ([numbers[key] for key in keys if key in numbers], every):
+            if 0 in self.derive(some):
+                return self._pruned(some)
         return []
 
-    def _pruned(self, actions: Iterable[int], order: Sequence[int]) -> list[int]:
-        """Leave out actions that the goal is reached without, as far as the budget lasts."""
-        graph = self._graph
-        kept = set(graph.followed(graph.derive(actions)))
+    def _varied(self, best: list[Instance], bound: int) -> list[Instance]:
+        """Exchange parts of a plan as long as the budget lasts; return the best one.
+
+        Some actions are taken out, and the plan is completed by the cheapest tree, at prices that
+        vary and are less for actions that make more of what is missing.
+        """
+        graph, costs, chance = self._graph, self._costs, self._chance
+        present, least = best, graph.cost(best)
+        while least > bound and best and self._budget.spend(6 * self._size):
+            out = {*chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present))))}
+            kept = [each for each in present if each not in out]
+            made = self.derive(kept)
+            prices = [
+                int(_FINE * cost * (1 + chance.random()))
+                // max(1, sum([node not in made for node in graph.makes[action]]))
+                for action, cost in enumerate(costs)
+            ]
+            for action in kept:
+                prices[action] = 0
+            _, way, _ = graph.cheapest(prices, use_sum=True)
+            plan = self._pruned({*kept, *graph.drafted(way).order})
+            if 0 not in self.derive(plan):
+                continue
+            if graph.cost(plan) <= graph.cost(present) or chance.random() < _WORSE:
+                present = plan
+            if graph.cost(plan) < least:
+                best, least = plan, graph.cost(plan)
+        return best
+
+    def _pruned(self, actions: Collection[Instance]) -> list[Instance]:
+        """Leave out actions that the goal is reached without, roughly the dearest first."""
+        chance = self._chance
+        kept = {*actions}
+        order = sorted(actions, key=lambda each: (-self._costs[each] * chance.random(), each))
         for action in order:
-            if action in kept and not self._is_alone(action, kept):
+            if not self._is_alone(action, kept):
                 if not self._budget.spend(4 * len(kept)):
                     break
-                kept = set(graph.followed(graph.derive(kept - {action}))) or kept
+                if 0 in self.derive(kept - {action}):
+                    kept.remove(action)
         return sorted(kept)
 
-    def _is_alone(self, action: int, kept: set[int]) -> bool:
-        """Whether an action is the only one to supply a node that other actions need."""
-        graph = self._graph
-        return any(
-            len(kept.intersection(graph.offers[node])) == 1
-            and (not node or not kept.isdisjoint(graph.users[node]))
-            for node in graph.makes[action]
-        )
+    def _is_alone(self, action: Instance, kept: set[Instance]) -> bool:
+        """Whether an action is the only one to make a node that other ones need."""
+        needed = {0}.union(*[self._graph.needs[each] for each in kept])
+        made = needed.intersection(self._graph.makes[action])
+        return any(len(kept.intersection(self._makers[node])) == 1 for node in made)
+
+    def derive(self, actions: Iterable[Instance]) -> dict[Node, Instance]:
+        """Make all nodes that actions can make, with what is there at no cost."""
+        actions = [*actions]
+        needed = {0}.union(*[self._graph.needs[each] for each in actions])
+        given = [self._given[node] for node in needed if node in self._given]
+        return self._graph.derive({*actions, *given})
 
     # Landmark cuts
 
     def _cuts(self) -> tuple[int, list[int]]:
-        """Return a bound that no plan is below, and the remaining cost of each action.
+        """Return a bound that no plan is below, and the remaining price of each action.
 
         M. Helmert and C. Domshlak, "Landmarks, critical paths and abstractions: what's the
         difference anyway?", ICAPS 2009. Every plan has an action of each cut that separates the
         goal from the existing parts. A part of its cheapest action is paid, and all actions of the
         cut become cheaper by as much, until the goal costs nothing: in the terms of linear
-        programming, dual ascent. A plan costs at least the bound and the remaining costs.
+        programming, dual ascent. A plan costs at least the bound and the remaining prices.
         """
-        rest = list(self._graph.costs)
+        rest = list(self._costs)
         bound = 0
-        while self._budget.spend(2 * self._graph.size):
+        while self._budget.spend(2 * self._size):
             cut = self._cut(rest)
             if not cut:
                 break
@@ -223,30 +270,29 @@ class _Improvement:
                 rest[action] -= least
         return bound, rest
 
-    def _cut(self, rest: list[int]) -> list[int]:
+    def _cut(self, rest: list[int]) -> list[Instance]:
         """Return the actions that lead from the existing parts to where the goal costs no more."""
-        graph = self._graph
-        _, dearest, price = graph.cheapest(rest, use_sum=False)
-        if not price:
+        value, _, dearest = self._graph.cheapest(rest, use_sum=False)
+        if not value.get(0):
             return []
         zone, waiting = {0}, [0]  # nodes from which the goal costs nothing
         border = set()
         for node in waiting:  # grows meanwhile
-            for action in graph.offers[node]:
+            for action in self._makers[node]:
                 if rest[action]:
                     border.add(action)
                 elif dearest[action] not in zone:
                     zone.add(dearest[action])
                     waiting.append(dearest[action])
         # Of these actions only those count that are reached without the zone.
-        by_node: list[list[int]] = [[] for _ in graph.offers]
+        by_node: list[list[Instance]] = [[] for _ in self._makers]
         for action, node in enumerate(dearest):
             if node >= 0:
                 by_node[node].append(action)
         reached = [action for action, node in enumerate(dearest) if node < 0]
         outside = set()
         for action in reached:  # grows meanwhile
-            for node in graph.makes[action]:
+            for node in self._graph.makes[action]:
                 if node not in zone and node not in outside:
                     outside.add(node)
                     reached += by_node[node]
@@ -254,9 +300,9 @@ class _Improvement:
 
     # Branch and bound
 
-    def branched(
+    def solve(
         self, bound: int, rest: Sequence[int], below: int, left: int
-    ) -> tuple[list[int], bool]:
+    ) -> tuple[list[Instance], bool]:
         """Search all plans that may cost less than a known one.
 
         A plan that has some actions, but not others, needs one more of those that supply a node
@@ -272,78 +318,52 @@ class _Improvement:
             The best plan that costs less, empty if none was found; and whether everything was
             tried.
         """
-        graph, budget = self._graph, self._budget
-        costs = graph.costs
-        best: list[int] = []
-        stack: list[tuple[frozenset[int], frozenset[int]]] = [(frozenset(), frozenset())]
+        graph, budget, costs = self._graph, self._budget, self._costs
+        best: list[Instance] = []
+        stack: list[tuple[frozenset[Instance], frozenset[Instance]]] = [(frozenset(), frozenset())]
         while stack:
             has, lacks = stack.pop()
             if budget.steps < left or not budget.spend(4 * len(has) + 20):
                 return best, False
             paid = graph.cost(has)
-            if paid >= below or bound + sum([rest[action] for action in has]) >= below:
+            #: The remaining cost that one more action has to be below.
+            slack = below - bound - sum([rest[action] for action in has])
+            if paid >= below or slack <= 0:
                 continue
-            choices = self._choices(has, lacks)
-            if choices is None:
+            opened, sets = self._open(has)
+            if not opened:
                 best, below = sorted(has), paid
                 continue
+            choices = min(
+                [[e for e in some if e not in lacks and rest[e] < slack] for some in sets], key=len
+            )
             budget.spend(2 * len(choices))
+            worth = {
+                each: costs[each] / max(1, len(opened.intersection(graph.makes[each])))
+                for each in choices
+                if paid + costs[each] < below or graph.request.kept
+            }
             branches = []
-            if choices and paid + min([costs[action] for action in choices]) < below:
-                for action in sorted(choices, key=lambda each: (rest[each], costs[each], each)):
-                    branches.append((has | {action}, lacks.union(graph.twins[action])))
-                    lacks = lacks | {action}
+            for action in sorted(worth, key=lambda each: (worth[each], each)):
+                branches.append((has | {action}, lacks.union(self._twins.get(action, ()))))
+                lacks = lacks | {action}
             stack += reversed(branches)
         return best, True
 
-    def _choices(self, has: frozenset[int], lacks: frozenset[int]) -> list[int] | None:
-        """Return a set of actions, one of which is in every plan with `has` but without `lacks`.
+    def _open(self, has: frozenset[Instance]) -> tuple[set[Node], list[Sequence[Instance]]]:
+        """Return the nodes that some actions need and lack; none if they are a plan.
 
-        None if `has` is a plan.
+        Every plan with these actions has one more of each of the sets that are returned besides.
         """
-        graph = self._graph
-        needed = {0}.union(*[graph.needs[action] for action in has])
-        open_nodes = [node for node in sorted(needed) if has.isdisjoint(graph.offers[node])]
-        if open_nodes:
-            allowed = [[e for e in graph.offers[node] if e not in lacks] for node in open_nodes]
-            return min(allowed, key=len)
-        way = graph.derive(has)
+        graph, makers = self._graph, self._makers
+        needed = {0}.union(*[graph.needs[action] for action in has]) - self._given.keys()
+        opened = {node for node in needed if has.isdisjoint(makers[node])}
+        if opened:
+            return opened, [makers[node] for node in sorted(opened)]
+        way = self.derive(has)
         if 0 in way:
-            return None
+            return set(), []
         # Some need each other in a circle: another supplier of their needs breaks it. Where
         # some are too late, another supplier of anything that they need may be sooner.
-        circular = needed - way.keys() if graph.limit is None else needed
-        others = {action for node in circular for action in graph.offers[node]}
-        return sorted(others - has - lacks)
-
-    # Large neighbourhoods
-
-    def _varied(self, best: list[int], bound: int) -> list[int]:
-        """Search the neighbourhoods of plans, as long as the budget lasts."""
-        graph, budget, chance = self._graph, self._budget, self._chance
-        costs = graph.costs
-        least = graph.cost(best)
-        present, price = best, least
-        while least > bound and budget.spend(6 * graph.size):
-            out = set(chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present)))))
-            kept = [action for action in present if action not in out]
-            derived = graph.derive(kept)
-            prices: list[float] = [
-                cost
-                * (1 + chance.random())
-                / max(1, sum([node not in derived for node in graph.makes[action]]))
-                for action, cost in enumerate(costs)
-            ]
-            for action in kept:
-                prices[action] = 0
-            found = {*kept, *graph.followed(graph.cheapest(prices)[0])}
-            order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
-            plan = self._pruned(found, order)
-            if not plan:
-                continue
-            cost = graph.cost(plan)
-            if cost <= price or chance.random() < _WORSE:
-                present, price = plan, cost
-                if cost < least:
-                    best, least = plan, cost
-        return best
+        circular = needed - way.keys() if graph.request.limit is None else needed
+        return circular, [sorted({e for node in circular for e in makers[node]} - has)]

@@ -16,8 +16,8 @@ import heapq
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import Any, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple
-from weakref import WeakValueDictionary
 
 from dyknow.datatypes import types_fit
 from dyknow.manager.planning.patterns import (
@@ -53,22 +53,16 @@ class Head:
 
     Attributes:
         cost: the action's cost, as a fact.
-        texts: its tags as they are written.
-        atoms: those that can supply something, with the variables numbered as the action's.
-        rate: Hz that it states; 0 if it states none.
-        latency: microseconds that it states.
+        port: the out-port as it is written, or as it would be.
+        atoms: the tags that can supply something, with variables numbered as the action's.
         live: the stream, if it exists.
     """
 
-    __slots__ = ("action", "atoms", "cost", "datatype", "latency", "live", "port", "rate", "texts")
+    __slots__ = ("action", "atoms", "cost", "live", "port")
     action: Operator
     cost: int
-    port: str
-    texts: tuple[str, ...]
+    port: Port
     atoms: tuple[Atom, ...]
-    datatype: str
-    rate: float
-    latency: int
     live: Live | None
 
     @property
@@ -77,12 +71,17 @@ class Head:
         return self.action.label if self.live is None else self.live.label
 
     @property
+    def latency(self) -> int:
+        """Whole microseconds that it states, of which sums are exact."""
+        return round(self.port.latency * 1e6) if self.port.latency else 0
+
+    @property
     def is_ground(self) -> bool:
         return not [arg for atom in self.atoms for arg in atom if isinstance(arg, int)]
 
     def has_type(self, datatype: str) -> bool:
         """Whether messages of a type may come from it."""
-        return self.datatype == datatype or types_fit(self.datatype, datatype)
+        return self.port.datatype == datatype or types_fit(self.port.datatype, datatype)
 
 
 @dataclass(eq=False)
@@ -95,8 +94,7 @@ class Operator:
     Attributes:
         label: of the transformation, or the name of the live nodelet.
         transformation: None for live streams.
-        ports: the names of the tagged in-ports, in the order written.
-        inputs: their patterns.
+        inputs: the patterns of the tagged in-ports, in the order written.
         variables: the names of its variables, with their types.
         shares: for each in-port those of the variables that its pattern wants, in that order.
         heads: the tagged out-ports.
@@ -110,7 +108,6 @@ class Operator:
         "heads",
         "inputs",
         "label",
-        "ports",
         "shares",
         "slow",
         "transformation",
@@ -120,7 +117,6 @@ class Operator:
     label: str
     cost: int
     transformation: Transformation | None
-    ports: tuple[str, ...]
     inputs: tuple[Pattern, ...]
     variables: tuple[str, ...]
     types: tuple[Types, ...]
@@ -134,27 +130,27 @@ class Operator:
         """The action whose nodelet it is."""
         return self.slow or self
 
-    def tags(self, port: int) -> tuple[str, ...]:
-        """Return the tags of an in-port as they are written."""
-        assert self.transformation is not None
-        return _in_ports(self.transformation)[port].tags
-
-
-def _in_ports(transformation: Transformation) -> list[Port]:
-    ports = transformation.ports
-    return [port for port in ports if port.direction == IN and port.tags and read_tags(port.tags)]
+    @property
+    def in_ports(self) -> list[Port]:
+        """The tagged in-ports, in the order written."""
+        ports = self.transformation.ports if self.transformation is not None else ()
+        tagged = [port for port in ports if port.direction == IN and port.tags]
+        if len(tagged) == len(self.inputs):
+            return tagged
+        return [port for port in tagged if read_tags(port.tags)]
 
 
 class Offer(NamedTuple):
-    """How a maker can supply a pattern.
+    """How an action that needs something can supply a pattern.
 
     Attributes:
         head: the out-port.
-        types: the pattern's types for the maker's variables, besides their own.
-        places: values of the pattern's wanted variables, by the variables of the maker;
+        types: the pattern's types for the action's variables, besides their own.
+        places: values of the pattern's wanted variables, by the variables of the action;
             None if it is known only when these are bound.
     """
 
+    action: Operator
     head: Head
     types: tuple[Types, ...]
     places: tuple[Argument, ...] | None
@@ -162,7 +158,7 @@ class Offer(NamedTuple):
 
 def _by_order(head: Head) -> tuple[int, str, str]:
     """Sort by cost, then by the attributes that distinguish heads."""
-    return head.cost, head.action.label, head.port
+    return head.cost, head.action.label, head.port.name
 
 
 class Bucket:
@@ -213,11 +209,6 @@ Buckets = Dict[Tuple[str, int], Bucket]
 """By the functor and the length of the atom."""
 
 
-def microseconds(seconds: float) -> int:
-    """Return the nearest whole number of microseconds: sums of these are exact."""
-    return round(seconds * 1e6) if seconds else 0
-
-
 class OperatorIndex:
     """The actions of a library."""
 
@@ -230,13 +221,13 @@ class OperatorIndex:
         self.makers = makers
         # Results about the patterns of in-ports; it does not matter by which thread.
         self._offers: dict[Pattern, tuple[Offer, ...]] = {}
-        self._cheapest: dict[Pattern, Head | None] = {}
+        self._cheapest: dict[Pattern, tuple[Head, ...]] = {}
 
-    def changed(self, removed: Iterable[str], added: Sequence[Operator]) -> OperatorIndex:
-        """Make another library; actions of known labels are replaced."""
+    def changed(self, gone: set[Operator], added: Sequence[Operator]) -> OperatorIndex:
+        """Make another library without some actions, and with other ones."""
         actions = dict(self.actions)
-        labels = [*removed, *[action.label for action in added]]
-        gone = {actions.pop(label) for label in labels if label in actions}
+        for action in gone:
+            del actions[action.label]
         come = {action.label: action for action in added}
         actions.update(come)
         facts, makers = (
@@ -249,12 +240,23 @@ class OperatorIndex:
         )
         return OperatorIndex(self.names, actions, facts, makers)
 
+    def cheapest_facts(self, pattern: Pattern) -> tuple[Head, ...]:
+        """Return the two cheapest facts that supply a pattern, as far as there are any."""
+        found = self._cheapest.get(pattern)
+        if found is None:
+            heads = candidates(self.facts, pattern, (), self.names)
+            facts = (next(matching([head], pattern, (), self.names), None) for head in heads)
+            found = tuple(islice((fact[0] for fact in facts if fact is not None), 2))
+            if pattern.uses:
+                self._cheapest[pattern] = found
+        return found
+
     def offers(self, pattern: Pattern) -> tuple[Offer, ...]:
         """Return how makers can supply a pattern."""
         found = self._offers.get(pattern)
         if found is None:
             found = tuple(self.look_up(pattern, ()))
-            if pattern.is_kept:
+            if pattern.uses:
                 self._offers[pattern] = found
         return found
 
@@ -262,16 +264,16 @@ class OperatorIndex:
         """Yield how makers can supply a pattern; known names rule some of them out."""
         wanted = [pattern.atoms[0].index(each) for each in pattern.wanted if pattern.is_plain]
         for head in candidates(self.makers, pattern, known, self.names):
-            atoms = head.atoms
+            atoms, action = head.atoms, head.action
             if not head.has_type(pattern.datatype):
                 continue
-            types = pushed(atoms, pattern, head.action.types, self.names)
+            types = pushed(atoms, pattern, action.types, self.names)
             if types is None:
                 continue
             if pattern.is_plain and len(atoms) == 1:
-                yield Offer(head, types, tuple([atoms[0][at] for at in wanted]))
+                yield Offer(action, head, types, tuple([atoms[0][at] for at in wanted]))
             elif not head.is_ground or solutions(atoms, pattern, self.names):
-                yield Offer(head, types, None)
+                yield Offer(action, head, types, None)
 
     def count_makers(self, pattern: Pattern) -> tuple[int, int]:
         """Return how many makers may supply a pattern, and a bound that none of them is below."""
@@ -280,16 +282,6 @@ class OperatorIndex:
         buckets = [self.makers[key] for key in keys if key in self.makers]
         count = sum([len(each.heads) for each in buckets])
         return count, min([each.heads[0].cost for each in buckets], default=0)
-
-    def cheapest_fact(self, pattern: Pattern) -> Head | None:
-        """Return the cheapest fact that supplies a pattern."""
-        if pattern in self._cheapest:
-            return self._cheapest[pattern]
-        heads = candidates(self.facts, pattern, (), self.names)
-        found = next((head for head, _ in matching(heads, pattern, (), self.names)), None)
-        if pattern.is_kept:
-            self._cheapest[pattern] = found
-        return found
 
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
@@ -366,40 +358,45 @@ class Reader:
 
     def __init__(self, names: Names) -> None:
         self._names = names
-        self._patterns: WeakValueDictionary[Any, Pattern] = WeakValueDictionary()
+        self._patterns: dict[Any, Pattern] = {}
+        self._types: dict[tuple[Types, ...], tuple[Types, ...]] = {}
 
     def read(self, transformations: Iterable[Transformation]) -> list[Operator]:
         return [self._read(each) for each in transformations]
 
+    def forget(self, actions: Iterable[Operator]) -> None:
+        """Forget the patterns of actions that other actions do not have."""
+        for pattern in [each for action in actions for each in action.inputs]:
+            pattern.uses -= 1
+            if not pattern.uses:
+                del self._patterns[pattern.key]
+
     def _read(self, transformation: Transformation) -> Operator:
-        ports = _in_ports(transformation)
+        ports = [each for each in transformation.ports if each.direction == IN and each.tags]
+        ports = [port for port in ports if read_tags(port.tags)]
         outs = [port for port in transformation.ports if port.direction == OUT and port.tags]
         variables: tuple[str, ...] = ()
         types: tuple[Types, ...] = ()
         shares: tuple[tuple[int, ...], ...] = ((),) * len(ports)
         has_private = False
         if "?" in "".join([text for port in ports for text in port.tags]):
-            variables, of_names, shares = _variables(
+            variables, of_names, shares, has_private = _variables(
                 tuple([tuple([term[1:] for term in read_tags(port.tags)]) for port in ports]),
                 tuple([term[1:] for port in outs for term in read_tags(port.tags)]),
                 tuple([e for each in transformation.parameters for e in variables_of(each.text)]),
             )
             canonical = self._names.canonical
-            types = tuple([frozenset(map(canonical, each)) for each in of_names])
-            terms = [term for port in ports for term in read_tags(port.tags)]
-            has_private = not {v for term in terms for v in term.variables}.issubset(variables)
-        inputs = tuple(
-            [
-                self._pattern(port, [variables[at] for at in share], [types[at] for at in share])
-                for port, share in zip(ports, shares)
-            ]
-        )
+            types = tuple([frozenset(map(canonical, e)) if e else NO_TYPES for e in of_names])
+            types = self._types.setdefault(types, types)
+        inputs = [
+            self._pattern(port, [variables[at] for at in share], [types[at] for at in share])
+            for port, share in zip(ports, shares)
+        ]
         action = Operator(
             transformation.label,
             transformation.cost,
             transformation,
-            tuple([port.name for port in ports]),
-            inputs,
+            tuple(inputs),
             variables,
             types,
             shares,
@@ -414,7 +411,7 @@ class Reader:
         terms = read_tags(port.tags)
         found = pattern_of(terms, port.datatype, self._names, wanted, types)
         found = self._patterns.setdefault(found.key, found)
-        found.is_kept = True
+        found.uses += 1
         return found
 
     def _head(self, action: Operator, port: Port) -> Head:
@@ -425,18 +422,7 @@ class Reader:
         atoms = atoms_of(terms, action.variables, self._names)
         for name in [arg for atom in atoms for arg in atom if isinstance(arg, str)]:
             self._names.enter(name)
-        latency = microseconds(port.latency)
-        return Head(
-            action,
-            action.cost,
-            port.name,
-            port.tags,
-            atoms,
-            port.datatype,
-            port.rate,
-            latency,
-            None,
-        )
+        return Head(action, action.cost, port, atoms, None)
 
 
 @lru_cache(maxsize=_REMEMBERED)
@@ -444,8 +430,8 @@ def _variables(
     premises: tuple[tuple[_Arguments, ...], ...],
     out: tuple[_Arguments, ...],
     parameters: tuple[str, ...],
-) -> tuple[tuple[str, ...], tuple[Types, ...], tuple[tuple[int, ...], ...]]:
-    """Return the variables of an action, their types, and those of each in-port."""
+) -> tuple[tuple[str, ...], tuple[Types, ...], tuple[tuple[int, ...], ...], bool]:
+    """Return an action's variables, their types, each in-port's, and whether there are others."""
     needed = [[Term("", *each) for each in premise] for premise in premises]
     supplied = [Term("", *each) for each in out]
     by_port = [{v: None for term in terms for v in term.variables} for terms in needed]
@@ -457,4 +443,5 @@ def _variables(
         tuple(found),
         tuple([types.get(each, NO_TYPES) for each in found]),
         tuple([tuple([at for at, v in enumerate(found) if v in some]) for some in by_port]),
+        len(found) < len(counts),
     )

@@ -46,17 +46,16 @@ class Pattern:
             others, the cheapest will do.
         is_plain: whether it has one atom, in which no variable occurs twice.
         slow: the same pattern without a rate, if this one demands a rate.
-        is_kept: whether an in-port of the library has it, not only one request.
+        uses: how many in-ports of the library have it; a request's own pattern has none.
     """
 
     __slots__ = (
-        "__weakref__",
         "atoms",
         "datatype",
-        "is_kept",
         "is_plain",
         "slow",
         "types",
+        "uses",
         "wanted",
     )
 
@@ -73,7 +72,7 @@ class Pattern:
         self.types = types
         self.wanted = wanted
         self.slow = slow
-        self.is_kept = False
+        self.uses = 0
         variables = [arg for arg in atoms[0] if isinstance(arg, int)]
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
@@ -134,7 +133,7 @@ class Names:
     def narrowed(self, types: Types) -> Types:
         """Leave out the types that another one of them implies."""
         if len(types) < 2 or self.is_plain:
-            return types
+            return types or NO_TYPES
         return frozenset(
             each
             for each in types

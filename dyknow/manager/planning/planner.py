@@ -21,11 +21,10 @@ from typing import (
     Sequence,
 )
 
-from dyknow.manager.planning.and_or_graph import Draft, drafted, is_sound
-from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.improvement import STEPS, Budget, Improved, allowed, improve
+from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
+from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, Improved, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
-from dyknow.manager.planning.patterns import Names, Pattern
+from dyknow.manager.planning.patterns import Names
 from dyknow.manager.planning.problem import (
     AVOIDED,
     NO_FREE,
@@ -45,9 +44,10 @@ from dyknow.manager.planning.problem import (
     TaggedStream,
     Wishes,
 )
+from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.reasons import no_plan
-from dyknow.manager.planning.request import NO_FEEDERS, Need, Request
-from dyknow.manager.planning.search import Instance, Search
+from dyknow.manager.planning.request import NO_FEEDERS, Request
+from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import (
     NO_ONTOLOGY,
     Bindings,
@@ -86,12 +86,18 @@ class Planner:
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
         added = list(transformations)
-        actions = self._reader.read([each for each in added if each.type != TOPIC])
-        self._library = self._library.changed([each.label for each in added], actions)
+        self._change([each.label for each in added], [e for e in added if e.type != TOPIC])
 
     def remove(self, *labels: str) -> None:
         """Forget transformations, as far as they are known."""
-        self._library = self._library.changed(labels, [])
+        self._change(labels, [])
+
+    def _change(self, labels: Iterable[str], added: list[Transformation]) -> None:
+        known = self._library.actions
+        gone = {known[label] for label in labels if label in known}
+        come = self._reader.read(added)
+        self._reader.forget(gone)
+        self._library = self._library.changed(gone, come)
 
     def plan(
         self,
@@ -113,8 +119,9 @@ class Planner:
             free: labels of which there is a nodelet that can be connected elsewhere, at no cost,
                 each with the bindings that the nodelet has to keep.
             paused: labels of which no new nodelet is to be made; live streams may be used.
-            budget: seconds that the improvement may take. It counts steps, so equal problems
-                have equal plans; the clock ends it only where a step takes long.
+            budget: seconds that it may take; a plan is looked for beyond that, but then not
+                improved. It counts steps, so equal problems have equal plans; the clock ends the
+                improvement only where a step takes long.
             wishes: preferred and avoided parts.
             feeders: labels of the feeders of live streams, by their nodelets.
         """
@@ -131,25 +138,27 @@ class Planner:
         return answer
 
     def _answer(self, request: Request, budget: float) -> Answer:
-        demand = request.demand
-        bounds = Bounds(request)
-        least, actions = bounds.least()
-        if bounds.is_simple and request.goal in least:
-            draft = drafted(request, _choices(request, actions))
+        demand, improving = request.demand, Budget(budget, self._clock)
+        reach = Reach(request)
+        improving.steps -= BOUNDED * reach.size
+        least, way, _ = reach.cheapest(reach.costs, use_sum=True)
+        if reach.is_simple and 0 in way:
+            draft = reach.drafted(way)
         else:
-            search = Search(request, bounds, least)
-            search.run(_SEARCH + int(budget * STEPS))
+            search = Search(request, reach, least)
+            steps = _SEARCH + int(budget * STEPS)
+            improving.steps -= steps - search.run(steps)
             if not search.goal.answers:
                 return no_plan(request, search)
-            draft = drafted(request, search.chosen)
-        is_late = demand.max_age and not demand.is_soon(_latency(request, draft))
-        if is_late or not is_sound(request, draft):
-            draft, is_found, is_proven = allowed(request, bounds, draft)
-            if not is_found and demand.max_age:
-                return NoPlan(demand, (), False, _latency(request, draft))
+            draft = search.graph.drafted(search.way)
+        is_late = request.limit is not None and draft.latency > request.limit
+        if is_late or not draft.is_sound:
+            draft, is_found, is_proven = allowed(request, reach, draft)
+            if not is_found and request.limit is not None:
+                return NoPlan(demand, (), False, draft.latency / 1e6)
             if not is_found:
                 return NoPlan(demand, (), is_proven, is_cut_short=not is_proven)
-        return _written(request, improve(request, bounds, draft, Budget(budget, self._clock)))
+        return _written(improve(request, reach, draft, improving))
 
     def charges(
         self,
@@ -177,11 +186,15 @@ class Planner:
         """
         variables = sorted({each for term in demand.tags for each in term.variables})
         request = Request(self._library, demand, list(live), wanted=variables)
-        bounds = Bounds(request)
-        search = Search(request, bounds, bounds.least()[0])
+        reach = Reach(request)
+        least, _, _ = reach.cheapest(reach.costs, use_sum=True)
+        search = Search(request, reach, least)
         search.run(int(budget * STEPS), is_all=True)
         written = request.names.written
-        found = [tuple(zip(variables, map(written, node.theta))) for node in search.goal.answers]
+        found = [
+            tuple(zip(variables, map(written, search.graph.names[node])))
+            for node in search.goal.answers
+        ]
         return sorted(found), search.is_complete
 
 
@@ -190,17 +203,6 @@ def _has_twins(plan: Plan) -> bool:
     if not plan.demand.min_rate:
         return False
     return len({(step.action.label, step.bindings) for step in plan.steps}) < len(plan.steps)
-
-
-def _choices(request: Request, actions: dict[Pattern, Operator]) -> dict[Need, Instance]:
-    """Return the suppliers of the nodes where no name is bound."""
-    needs = {pattern: Need(pattern, ()) for pattern in actions}
-    made: dict[Operator, Instance] = {}
-    for action in actions.values():
-        if action not in made:
-            inputs = tuple([needs[each] for each in action.inputs])
-            made[action] = Instance(action, (), request.floor(action), inputs)
-    return {need: made[actions[pattern]] for pattern, need in needs.items()}
 
 
 def _charges(
@@ -220,19 +222,19 @@ def _charges(
         return {}
     names = library.names
     request = Request(library, demand, streams, exclude)
-    bounds = Bounds(Request(library, demand, (), exclude), is_whole=True)
+    reach = Reach(Request(library, demand, (), exclude), is_whole=True)
     tags: dict[str, set[Term]] = {}
     for stream, terms in streams:
         if stream.label not in exclude:
             tags.setdefault(stream.label, set()).update(terms)
     suppliers: list[set[str]] = []
-    for pattern in bounds.users:
+    for pattern in reach.patterns:
         facts = [head for head, _ in request.facts(pattern)]
-        makers = [action for action, _ in request.offers(pattern)]
+        makers = [offer.action for offer in request.offers(pattern)]
         actions = {*makers, *[head.action for head in facts]} - request.live
         for action in actions:
             for head in action.heads:
-                tags.setdefault(action.label, set()).update(read_tags(head.texts))
+                tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
         suppliers.append({*[e.label for e in actions], *[head.label for head in facts]})
 
     def meant(wanted: Iterable[str]) -> frozenset[str]:
@@ -260,52 +262,51 @@ def _charges(
 class _Writer:
     """Writes the steps of one plan, suppliers first."""
 
-    def __init__(self, request: Request, draft: Draft) -> None:
-        self._request = request
-        self._chosen = draft.chosen
+    def __init__(self, draft: Draft) -> None:
+        self._graph = draft.graph
+        self._way = draft.way
         self._bindings: dict[Instance, Bindings] = {}
-        self._unbound: dict[Head, New] = {}
         #: When nodelets have their inputs, in microseconds.
         self._begun: dict[Instance, int] = {}
+        self._sources: dict[Node, tuple[Source, Head, int]] = {}
 
-    def source(self, node: Need) -> tuple[Source, tuple[str, ...], int]:
-        """Return the supplier of a node, its tags, and its latency in microseconds."""
-        chosen = self._chosen[node]
-        head = self._request.source(chosen.action, chosen.theta, node)
-        bindings = self._bindings.get(chosen, ())
-        source = head.live or self._unbound.get(head)
-        if source is None or bindings:
-            source = New(head.action.label, head.port, bindings)
-            if not bindings:
-                self._unbound[head] = source
-        return source, head.texts, self._begun.get(chosen, 0) + head.latency
+    def source(self, node: Node) -> tuple[Source, Head, int]:
+        """Return the supplier of a node, its out-port, and its latency in microseconds."""
+        found = self._sources.get(node)
+        if found is None:
+            instance = self._way[node]
+            head = self._graph.head(instance, node)
+            source = head.live or New(
+                head.action.label, head.port.name, self._bindings.get(instance, ())
+            )
+            found = source, head, self._begun.get(instance, 0) + head.latency
+            self._sources[node] = found
+        return found
 
-    def step(self, instance: Instance, part: Action) -> PlanStep:
+    def step(self, instance: Instance, action: Operator, part: Action) -> PlanStep:
         """Return the step of an instance."""
-        action = instance.action
-        sources = [self.source(node) for node in instance.needs]
-        self._begun[instance] = max([latency for _, _, latency in sources], default=0)
-        inputs = tuple([(port, source) for port, (source, _, _) in zip(action.ports, sources)])
+        if not action.inputs:
+            return PlanStep(part, ())
+        ports = action.in_ports
+        sources = [self.source(node) for node in self._graph.needs[instance]]
+        self._begun[instance] = max([latency for _, _, latency in sources])
+        inputs = tuple([(port.name, source[0]) for port, source in zip(ports, sources)])
         if not action.variables and not action.has_private:
             return PlanStep(part, inputs)
-        joined = dict(zip(action.variables, instance.theta))
+        joined = dict(zip(action.variables, self._graph.thetas[instance]))
         bindings: dict[str, str] = {}
-        for port, (source, texts, _) in enumerate(sources):
-            way = self.way(source, texts, read_tags(action.tags(port)), joined)
+        for port, (source, head, _) in zip(ports, sources):
+            way = self.bound(source, head, read_tags(port.tags), joined)
             bindings = {**way, **bindings}
         self._bindings[instance] = tuple(sorted(bindings.items()))
         return PlanStep(part, inputs, self._bindings[instance])
 
-    def way(
-        self,
-        source: Source,
-        texts: tuple[str, ...],
-        demanded: Iterable[Term],
-        joined: Mapping[str, str],
+    def bound(
+        self, source: Source, head: Head, demanded: Iterable[Term], joined: Mapping[str, str]
     ) -> dict[str, str]:
         """Bind the variables of a demand to names as they are supplied."""
-        names = self._request.names
-        terms = read_tags(texts)
+        names = self._graph.request.names
+        terms = read_tags(head.port.tags)
         if not isinstance(source, Live):
             terms = tuple([term.substitute(dict(source.bindings)) for term in terms])
         for way in unify_all(terms, demanded, names.ontology):
@@ -315,29 +316,31 @@ class _Writer:
         raise AssertionError(f"{source} does not supply {demanded}")
 
 
-def _written(request: Request, improved: Improved) -> Plan:
+def _written(improved: Improved) -> Plan:
     """Write a plan."""
-    writer = _Writer(request, improved.draft)
+    draft = improved.draft
+    graph, request = draft.graph, draft.graph.request
+    writer = _Writer(draft)
     steps: list[PlanStep] = []
     charges: list[Charge] = []
     freed: set[Operator] = set()
-    for instance in improved.draft.order:
-        action = instance.action.base
+    for instance in draft.order:
+        action, theta = graph.action(instance).base, graph.thetas[instance]
         if action in request.live:
             if action.cost:
                 charges.append(Charge(action.label, action.cost))
             continue
         cost = action.cost
-        if action not in freed and request.is_free(action, instance.theta):
+        if request.kept and action not in freed and request.is_free(action, theta):
             freed.add(action)  # one nodelet is there: a second one has to be made
             cost = 0
         part = Action(action.label, cost, request.charges.get(action, 0))
-        steps.append(writer.step(instance, part))
+        steps.append(writer.step(instance, action, part))
     demand = request.demand
-    goal, texts, latency = writer.source(Need(request.goal, ()))
+    goal, head, latency = writer.source(0)
     bindings: dict[str, str] = {}
     if any(term.variables for term in demand.tags):
-        bindings = writer.way(goal, texts, sorted(demand.tags), {})
+        bindings = writer.bound(goal, head, sorted(demand.tags), {})
     plan = Plan(
         demand,
         goal,
@@ -350,7 +353,3 @@ def _written(request: Request, improved: Improved) -> Plan:
         latency / 1e6,
     )
     return plan._replace(cost=plan.total)
-
-
-def _latency(request: Request, draft: Draft) -> float:
-    return _written(request, Improved(draft, 0)).latency

@@ -70,7 +70,8 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
     waiting = [goal]
     for each in waiting:  # grows meanwhile
         is_leaf = True
-        for action, offer in request.offers(each.pattern, each.known):
+        for offer in request.offers(each.pattern, each.known):
+            action = offer.action
             if action.slow is not None and each.pattern.slow is None:
                 continue  # as the same action that need not be fast
             bounds = search.passed(each.pattern, each.known, offer)
@@ -93,7 +94,7 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
             variable: _joined(each, types, request.names)
             for variable, each, types in zip(action.variables, bounds, action.types)
         }
-        shown, rest = _shown(read_tags(action.tags(port)), known_of, request.names)
+        shown, rest = _shown(read_tags(action.in_ports[port].tags), known_of, request.names)
         pattern = action.inputs[port]
         rate = 0.0 if pattern.slow is None else request.demand.min_rate
         return _Open(
@@ -115,9 +116,9 @@ def _unmet(request: Request, search: Search, action: Operator, bounds: Known) ->
             answers = search.answers(below.pattern, below.known)
             if not answers:
                 found.append(below)
-            for node in answers[:_MOST_NAMED]:
+            for theta in answers[:_MOST_NAMED]:
                 names = list(each)
-                for variable, name in zip(action.shares[port], node.theta):
+                for variable, name in zip(action.shares[port], theta):
                     names[variable] = name
                 more.append(tuple(names))
         joins = more
@@ -208,7 +209,7 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
             _EXCLUDED: is_excluded,
             _PAUSED: not is_excluded and is_new and label in request.paused,
             _DATATYPE: not head.has_type(pattern.datatype),
-            _RATE: pattern.slow is not None and 0 < head.rate < request.demand.min_rate,
+            _RATE: pattern.slow is not None and 0 < head.port.rate < request.demand.min_rate,
         }
         found.append(_Alike(head, lacking, {cause for cause, fails in checks.items() if fails}))
     return found
@@ -269,10 +270,10 @@ def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alik
     if cause == _PAUSED:
         return f"no new nodelet of {_listed(labels)} is made now"
     if cause == _RATE:
-        fastest = max([head.rate for head in heads])
+        fastest = max([head.port.rate for head in heads])
         return f"it is stated at {fastest:g} Hz, below {request.demand.min_rate:g} Hz"
     if cause == _DATATYPE:
-        datatypes = sorted({head.datatype for head in heads})
+        datatypes = sorted({head.port.datatype for head in heads})
         return f"it is a {_listed(datatypes)}, not a {demand.pattern.datatype}"
     lacking = {name: types for each in alike for name, types in each.lacking.items()}
     said = []

@@ -19,7 +19,6 @@ from typing import (
     Iterable,
     Iterator,
     Mapping,
-    NamedTuple,
     Sequence,
 )
 
@@ -31,7 +30,6 @@ from dyknow.manager.planning.library import (
     bucketed,
     candidates,
     matching,
-    microseconds,
 )
 from dyknow.manager.planning.patterns import (
     NO_TYPES,
@@ -45,6 +43,7 @@ from dyknow.manager.planning.patterns import (
 )
 from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, TaggedStream
 from dyknow.manager.specifications.tags import Bindings
+from dyknow.model.transformation import OUT, Port
 
 #: Makers that are looked up by the names that a search knows, not all at once.
 MANY = 300
@@ -55,13 +54,6 @@ NO_CHARGES: Mapping[str, int] = MappingProxyType({})
 """Nothing has to be paid besides the costs."""
 NO_FEEDERS: Mapping[str, frozenset[str]] = MappingProxyType({})
 """It is not known what feeds the live streams."""
-
-
-class Need(NamedTuple):
-    """A demand under bindings of the variables that are wanted of it."""
-
-    pattern: Pattern
-    theta: Theta
 
 
 class Request:
@@ -97,7 +89,7 @@ class Request:
         self.library = library
         self.names = names = library.names
         self.demand = demand
-        self.limit = microseconds(demand.max_age) if demand.max_age else None
+        self.limit = round(demand.max_age * 1e6) if demand.max_age else None
         self._fast: dict[Pattern, Pattern] = {}
         self._fast_actions: dict[Operator, Operator] = {}
         self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)
@@ -136,16 +128,13 @@ class Request:
 
     def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> Operator:
         """Return the action of live streams, which needs nothing."""
-        action = Operator(name, cost, None, (), (), (), (), (), (), False, None)
+        action = Operator(name, cost, None, (), (), (), (), (), False, None)
         found = []
         for live, terms in streams:
             tags = [term for term in terms if term.is_ground]
             texts, atoms = tuple(map(str, tags)), atoms_of(tags, (), self.names)
-            latency = microseconds(live.latency)
-            head = Head(
-                action, cost, live.port, texts, atoms, live.datatype, live.rate, latency, live
-            )
-            found.append(head)
+            port = Port(live.port, OUT, live.datatype, texts, live.rate, live.latency)
+            found.append(Head(action, cost, port, atoms, live))
         action.heads = tuple(found)
         return action
 
@@ -169,21 +158,19 @@ class Request:
         bound = dict(zip(action.variables, theta))
         return all(bound.get(variable, name) == name for variable, name in kept.items())
 
-    def source(self, action: Operator, theta: Theta, node: Need) -> Head:
-        """Return the out-port with which an instance supplies a node: of several the soonest."""
-        if len(action.heads) == 1:
-            return action.heads[0]
+    def source(self, action: Operator, theta: Theta, pattern: Pattern, names: Theta) -> Head:
+        """Return the out-port with which an instance supplies names: of several the soonest."""
         found = []
         for head in action.heads:
-            if head.has_type(node.pattern.datatype) and self._is_fast(node.pattern, action, head):
+            if head.has_type(pattern.datatype) and self._is_fast(pattern, action, head):
                 atoms = [ground(atom, theta) for atom in head.atoms]
-                if node.theta in solutions(atoms, node.pattern, self.names):
+                if names in solutions(atoms, pattern, self.names):
                     found.append(head)
-        return min(found, key=lambda head: head.latency)
+        return min(found, key=lambda head: head.port.latency)
 
     # Demands
 
-    def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[tuple[Operator, Offer]]:
+    def offers(self, pattern: Pattern, known: Known = ()) -> Iterator[Offer]:
         """Yield how makers can supply a pattern; known names rule some of them out."""
         min_rate = self.demand.min_rate
         if any(known) and self.crowd(pattern) is not None:
@@ -191,13 +178,13 @@ class Request:
         else:
             found = self.library.offers(pattern.slow or pattern)
         for offer in found:
-            head = offer.head
-            if head.action in self._barred:
+            rate = offer.head.port.rate
+            if offer.action in self._barred:
                 continue
-            if pattern.slow is None or head.rate >= min_rate:
-                yield head.action, offer
-            if min_rate and (not head.rate or pattern.slow is None):
-                yield self._faster_action(head.action), offer
+            if pattern.slow is None or rate >= min_rate:
+                yield offer
+            if min_rate and (not rate or pattern.slow is None):
+                yield offer._replace(action=self._faster_action(offer.action))
 
     def crowd(self, pattern: Pattern) -> int | None:
         """Return what very many makers that may supply a pattern cost at least; None for few."""
@@ -219,13 +206,17 @@ class Request:
             )
         return matching(heads, pattern, known, self.names)
 
-    def cheapest_fact(self, pattern: Pattern) -> Head | None:
-        """Return the cheapest supplier of a pattern that needs nothing."""
-        if not self._local and pattern.slow is None:
-            found = self.library.cheapest_fact(pattern)
-            if found is None or found.action not in self._barred:
+    def cheapest_facts(self, pattern: Pattern) -> Sequence[Head]:
+        """Return the two cheapest suppliers that need nothing, as far as there are any."""
+        if pattern.slow is None and not (self._local and self._has_local(pattern)):
+            found = self.library.cheapest_facts(pattern)
+            if not found or self._barred.isdisjoint([head.action for head in found]):
                 return found
-        return next((head for head, _ in self.facts(pattern)), None)
+        return list(dict.fromkeys(itertools.islice((e for e, _ in self.facts(pattern)), 2)))
+
+    def _has_local(self, pattern: Pattern) -> bool:
+        local = candidates(self._local, pattern, (), self.names, is_local=True)
+        return next(local, None) is not None
 
     def is_met(self, pattern: Pattern, head: Head) -> bool:
         """Whether a fact that supplies a pattern is as good as any supplier."""
@@ -271,6 +262,6 @@ class Request:
         """Whether an out-port of an action is as fast as a pattern demands it."""
         if pattern.slow is None:
             return True
-        if head.rate:
-            return head.rate >= self.demand.min_rate
+        if head.port.rate:
+            return head.port.rate >= self.demand.min_rate
         return action.slow is not None or not action.inputs

@@ -18,40 +18,23 @@ the end of its cheapest tree.
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Callable, Iterator, NamedTuple, Sequence
+from operator import itemgetter
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 
-from dyknow.manager.planning.bounds import Bounds
-from dyknow.manager.planning.library import Head, Offer, Operator
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
+from dyknow.manager.planning.library import Offer, Operator
 from dyknow.manager.planning.patterns import Known, Limit, Pattern, Theta, ground, solutions
-from dyknow.manager.planning.request import Need, Request
+from dyknow.manager.planning.reach import Reach
+from dyknow.manager.planning.request import Request
 
 #: Steps of a budget that one entry of the search's queue takes.
 _EFFORT = 200
 #: Orders of in-ports that are remembered.
 _REMEMBERED = 1_000
 
-
-@dataclass(eq=False)
-class Instance:
-    """An action under bindings; a search has one of each.
-
-    Attributes:
-        theta: names of its variables.
-        needs: the needs of its in-ports, in the order written.
-    """
-
-    __slots__ = ("action", "cost", "needs", "theta")
-    action: Operator
-    theta: Theta
-    cost: int
-    needs: tuple[Need, ...]
-
-    @property
-    def key(self) -> tuple[Operator, Theta]:
-        """Equal for equal instances of several searches."""
-        return self.action, self.theta
+_Supplier = Tuple[int, Any, Any]
+"""A floor of the cost, and a fact with the names that it binds, or an offer and nothing."""
 
 
 class Subgoal:
@@ -61,11 +44,21 @@ class Subgoal:
         above: least cost of a plan with it, besides its own.
         is_bound: whether it has one node alone.
         is_done: whether nothing more is to be found for it.
-        answers: the nodes that were supplied, with their values.
+        answers: the nodes that were supplied.
         waiting: the joins that go on with each of them.
-        uses: the actions that may supply it, the cheapest last: least cost of a plan, label,
-            place, action, and how.
+        suppliers: what may supply it from now on, the cheapest first.
     """
+
+    __slots__ = (
+        "above",
+        "answers",
+        "is_bound",
+        "is_done",
+        "known",
+        "pattern",
+        "suppliers",
+        "waiting",
+    )
 
     def __init__(self, pattern: Pattern, known: Known, above: int) -> None:
         self.pattern = pattern
@@ -73,13 +66,12 @@ class Subgoal:
         self.above = above
         self.is_bound = all(isinstance(each, str) for each in known)
         self.is_done = False
-        self.answers: dict[Need, int] = {}
+        self.answers: dict[Node, None] = {}
         self.waiting: list[_Join] = []
-        self.facts: Iterator[tuple[Head, Theta]] = iter(())
-        self.uses: list[tuple[int, str, int, Operator, Offer]] = []
+        self.suppliers: Iterator[_Supplier] = iter(())
 
 
-class _Use(NamedTuple):
+class _Use:
     """An action that is to supply a subgoal.
 
     Attributes:
@@ -87,20 +79,20 @@ class _Use(NamedTuple):
         rest: for each place of that order, what the in-ports from there on cost at least.
     """
 
-    subgoal: Subgoal
-    action: Operator
-    offer: Offer
-    order: Sequence[int]
-    rest: Sequence[int]
+    __slots__ = ("action", "offer", "order", "rest", "subgoal")
+
+    def __init__(
+        self, subgoal: Subgoal, offer: Offer, order: Sequence[int], rest: Sequence[int]
+    ) -> None:
+        self.subgoal = subgoal
+        self.offer = offer
+        self.action = offer.action
+        self.order = order
+        self.rest = rest
 
 
-class _Join(NamedTuple):
-    """An action whose first in-ports are supplied: with names, cost and nodes."""
-
-    use: _Use
-    bounds: Known
-    value: int
-    nodes: tuple[Need, ...]
+_Join = Tuple[_Use, Known, int, Tuple[Node, ...]]
+"""An action whose first in-ports are supplied: with names, cost and nodes."""
 
 
 @lru_cache(maxsize=_REMEMBERED)
@@ -125,55 +117,53 @@ class Search:
     """Finds the cheapest tree, or everything that plans of less than some cost can have.
 
     Attributes:
+        graph: the nodes and instances that were found; with their makers, if these are collected.
         goal: the subgoal of the goal.
-        value: the cost of each node.
-        chosen: its supplier at that cost.
-        offers: all that supplies it, if that is collected.
+        value: the cost of each node that was supplied.
+        way: its supplier at that cost.
         is_complete: whether the search came to its end, and not to its limit.
         reached: no plan with parts that were not found costs less.
     """
 
     def __init__(
-        self,
-        request: Request,
-        bounds: Bounds,
-        least: dict[Pattern, int],
-        below: int | None = None,
+        self, request: Request, reach: Reach, least: dict[Node, int], below: int | None = None
     ) -> None:
         """Start the search at the goal.
 
         Args:
             request: the problem.
-            bounds: the reach of the goal.
-            least: least costs of the reached patterns; others cannot be supplied.
+            reach: the reach of the goal.
+            least: least costs of its nodes; those without one cannot be supplied.
             below: collect all that a plan which costs less can have. Costs are then the maximum
                 over the inputs, not the sum, and no plan costs less than that.
         """
         self._request = request
         self._names = request.names
-        self._least = least
-        self._combine: Callable[[list[int]], int] = sum if below is None else max
-        self._users = bounds.users
+        self._numbers = reach.numbers
+        self._least = {reach.patterns[node]: cost for node, cost in least.items()}
+        self._combine: Callable[[Sequence[int]], int] = sum if below is None else max
         self._below = below
         #: Least cost of a plan besides each pattern, and others; by default that is found.
         self._above: dict[Pattern, int] | None = None
         self._above_others = 0
         if below is not None:
-            self._above, self._above_others = bounds.above(least, below)
-        self.value: dict[Need, int] = {}
-        self.chosen: dict[Need, Instance] = {}
-        self.offers: dict[Need, dict[Instance, None]] = {}
+            self._above, self._above_others = reach.above(least, below)
+        self.graph = AndOrGraph(request)
+        self.value: dict[Node, int] = {}
+        self.way: dict[Node, Instance] = {}
+        self._nodes: dict[tuple[Pattern, Theta], Node] = {}
+        self._instances: dict[tuple[Operator, Theta], Instance] = {}
         self._subgoals: dict[tuple[Pattern, Known], Subgoal] = {}
+        self._uses: dict[Pattern, list[_Supplier]] = {}
         self.is_complete = True
         self.reached = 0
-        self._best: dict[Need, int] = {}
-        #: The subgoals of each pattern, by the places and names that are known exactly, and types.
-        self._listeners: dict[Pattern, dict[Any, dict[Theta, Subgoal]]] = {}
+        self._best: dict[Node, int] = {}
         self._heap: list[tuple[Any, ...]] = []
         self._pushed = 0
-        self._instances: dict[tuple[Operator, Theta], Instance] = {}
         known = (None,) * len(request.goal.wanted)
-        self.goal = self._ask(request.goal, known, least.get(request.goal, 0))
+        if not known:
+            self._node(request.goal, ())
+        self.goal = self._ask(request.goal, known, self._least.get(request.goal, 0))
 
     def run(self, steps: int, is_all: bool = False) -> int:
         """Search within a budget of steps; return those that are left.
@@ -187,33 +177,41 @@ class Search:
             if self._pushed * _EFFORT > steps:
                 self.is_complete = False
                 break
-            *_, go_on, details = heapq.heappop(heap)
-            go_on(*details)
+            _, _, _, go_on, details = heapq.heappop(heap)
+            go_on(self, *details)
         return max(0, steps - self._pushed * _EFFORT)
 
     def can_be(self, pattern: Pattern) -> bool:
         """Whether a pattern could be supplied if no names were shared."""
-        return pattern in self._least or pattern not in self._users
+        return pattern in self._least or pattern not in self._numbers
 
-    def answers(self, pattern: Pattern, known: Known) -> list[Need]:
-        """Return the nodes that were supplied for a subgoal."""
+    def answers(self, pattern: Pattern, known: Known) -> list[Theta]:
+        """Return the names with which a subgoal was supplied."""
         found = self._subgoals.get((pattern, known))
-        return list(found.answers) if found is not None else []
+        return [self.graph.names[node] for node in found.answers] if found is not None else []
 
-    def _push(
-        self,
-        key: int,
-        subgoal: Subgoal,
-        label: str,
-        theta: tuple[str, ...],
-        go_on: Callable[..., None],
-        *details: Any,
-    ) -> None:
-        """Put off a step for a subgoal until its turn: the least cost of a plan with it."""
+    def _push(self, key: int, above: int, go_on: Callable[..., None], *details: Any) -> None:
+        """Put off a step until its turn: the least cost of a plan with it."""
         if self._below is None or key < self._below:
             self._pushed += 1
-            entry = (key, subgoal.above, label, theta, self._pushed, go_on, details)
-            heapq.heappush(self._heap, entry)
+            heapq.heappush(self._heap, (key, above, self._pushed, go_on, details))
+
+    def _node(self, pattern: Pattern, names: Theta) -> Node:
+        key = pattern, names
+        node = self._nodes.get(key)
+        if node is None:
+            node = self._nodes[key] = self.graph.add_node(pattern, names)
+        return node
+
+    def _instance(
+        self, action: Operator, theta: Theta, cost: int, needs: tuple[Node, ...]
+    ) -> Instance:
+        key = action, theta
+        instance = self._instances.get(key)
+        if instance is None:
+            instance = self.graph.add_instance(action, theta, cost, needs)
+            self._instances[key] = instance
+        return instance
 
     # Subgoals
 
@@ -227,68 +225,71 @@ class Search:
         else:
             above = key - self._least.get(pattern, 0)
         subgoal = self._subgoals[pattern, known] = Subgoal(pattern, known, above)
-        places = [at for at, each in enumerate(known) if isinstance(each, str)]
-        types = tuple([(at, e) for at, e in enumerate(known) if isinstance(e, frozenset)])
-        names: Theta = tuple([known[at] for at in places])  # type: ignore[misc]
-        tables = self._listeners.setdefault(pattern, {})
-        tables.setdefault((tuple(places), types), {})[names] = subgoal
         if subgoal.is_bound:
-            node = Need(pattern, names)
+            node = self._nodes.get((pattern, known), -1)  # type: ignore[arg-type]
             if node in self.value:
-                subgoal.answers[node] = self.value[node]
+                subgoal.answers[node] = None
                 subgoal.is_done = self._below is None
                 if subgoal.is_done:
                     return subgoal
-        subgoal.facts = self._request.facts(pattern, known)
-        fact = self._push_fact(subgoal)
-        if fact is None or not subgoal.is_bound or not self._request.is_met(pattern, fact):
-            self._list_uses(subgoal)
-            self._push_use(subgoal)
+        subgoal.suppliers = iter(self._suppliers(subgoal))
+        self._advance(subgoal)
         return subgoal
 
-    def _push_fact(self, subgoal: Subgoal) -> Head | None:
-        head, theta = next(subgoal.facts, (None, ()))
-        if head is not None:
-            key, label = subgoal.above + head.cost, head.action.label
-            self._push(key, subgoal, label, theta, self._take_fact, subgoal, head, theta)
-        return head
+    def _suppliers(self, subgoal: Subgoal) -> Iterable[_Supplier]:
+        """Return what may supply a subgoal, the cheapest first."""
+        request, pattern, known = self._request, subgoal.pattern, subgoal.known
+        facts = ((head.cost, head, theta) for head, theta in request.facts(pattern, known))
+        first = next(facts, None)
+        if first is None:
+            return self._uses_of(pattern, known)
+        if subgoal.is_bound and request.is_met(pattern, first[1]):
+            return (first,)
+        uses = self._uses_of(pattern, known)
+        return heapq.merge((first,), facts, uses, key=itemgetter(0))
 
-    def _take_fact(self, subgoal: Subgoal, head: Head, theta: Theta) -> None:
+    def _uses_of(self, pattern: Pattern, known: Known) -> list[_Supplier]:
+        """List the actions that may supply a pattern."""
+        is_crowd = any(known) and self._request.crowd(pattern) is not None
+        found = None if is_crowd else self._uses.get(pattern)
+        if found is None:
+            found = []
+            for offer in self._request.offers(pattern, known if is_crowd else ()):
+                action = offer.action
+                if all(map(self.can_be, action.inputs)):
+                    floors = [self._least.get(each, 0) for each in action.inputs]
+                    floor = self._request.floor(action) + self._combine(floors)
+                    found.append((floor, offer, None))
+            found.sort(key=lambda use: (use[0], use[1].action.label))
+            if not is_crowd:
+                self._uses[pattern] = found
+        return found
+
+    def _advance(self, subgoal: Subgoal) -> None:
+        """Let the next supplier of a subgoal wait for its turn."""
+        found = next(subgoal.suppliers, None)
+        if found is not None:
+            key = subgoal.above + found[0]
+            self._push(key, subgoal.above, Search._begin, subgoal, key, found)
+
+    def _begin(self, subgoal: Subgoal, key: int, supplier: _Supplier) -> None:
+        """Take a fact, or begin an action."""
         if subgoal.is_done:
             return
-        instance = self._instance(head.action, (), head.cost, ())
-        self._supply(instance, subgoal, Need(subgoal.pattern, theta), head.cost)
-        if not subgoal.is_done:
-            self._push_fact(subgoal)
-
-    def _list_uses(self, subgoal: Subgoal) -> None:
-        request, least, users, combine = (self._request, self._least, self._users, self._combine)
-        for action, offer in request.offers(subgoal.pattern, subgoal.known):
-            floors = [least.get(each, -1 if each in users else 0) for each in action.inputs]
-            if -1 not in floors:
-                key = subgoal.above + request.floor(action) + combine(floors)
-                if self._below is None or key < self._below:
-                    place = len(subgoal.uses)
-                    subgoal.uses.append((key, action.label, place, action, offer))
-        subgoal.uses.sort(reverse=True)
-
-    def _push_use(self, subgoal: Subgoal) -> None:
-        if subgoal.uses:
-            key, label = subgoal.uses[-1][:2]
-            self._push(key, subgoal, label, (), self._begin_use, subgoal)
-
-    def _begin_use(self, subgoal: Subgoal) -> None:
-        """Expand the cheapest action that is left to supply a subgoal."""
-        if subgoal.is_done:
+        cost, found, theta = supplier
+        if theta is not None:
+            instance = self._instance(found.action, (), cost, ())
+            self._supply(subgoal, instance, self._node(subgoal.pattern, theta), cost)
+            if not subgoal.is_done:
+                self._advance(subgoal)
             return
-        key, _, _, action, offer = subgoal.uses.pop()
-        self._push_use(subgoal)
-        bounds = self.passed(subgoal.pattern, subgoal.known, offer)
+        self._advance(subgoal)
+        bounds = self.passed(subgoal.pattern, subgoal.known, found)
         if bounds is not None:
-            order = self.order(action, bounds)
-            floors = [self._least.get(action.inputs[port], 0) for port in order]
+            order = self.order(found.action, bounds)
+            floors = [self._least.get(found.action.inputs[port], 0) for port in order]
             rest = [self._combine([*floors[at:], 0]) for at in range(len(floors) + 1)]
-            self._go_on(_Join(_Use(subgoal, action, offer, order, rest), bounds, 0, ()), key)
+            self._go_on((_Use(subgoal, found, order, rest), bounds, 0, ()), key)
 
     def passed(self, pattern: Pattern, known: Known, offer: Offer) -> Known | None:
         """Return the constraints on an action's variables, or None if it cannot supply this."""
@@ -309,16 +310,16 @@ class Search:
 
     def _go_on(self, join: _Join, key: int) -> None:
         """Ask for the next in-port of an action."""
-        use, bounds = join.use, join.bounds
+        use, bounds, _, nodes = join
         if use.subgoal.is_done:
             return
-        port = use.order[len(join.nodes)]
+        port = use.order[len(nodes)]
         known = tuple([bounds[each] for each in use.action.shares[port]])
         subgoal = self._ask(use.action.inputs[port], known, key)
-        if not subgoal.is_done:
+        if not (subgoal.is_bound and subgoal.answers):
             subgoal.waiting.append(join)
-        for node, value in subgoal.answers.items():
-            self._extend(join, node, value)
+        for node in list(subgoal.answers):
+            self._extend(join, node)
 
     def order(self, action: Operator, bounds: Known) -> Sequence[int]:
         """Return the order of an action's in-ports: each time the one of which most is known."""
@@ -333,30 +334,35 @@ class Search:
             return len(self._names.below(limit)) < 2
         return limit is not None
 
-    def _extend(self, join: _Join, node: Need, value: int) -> None:
+    def _extend(self, join: _Join, node: Node) -> None:
         """Go on with a join when its next in-port is supplied."""
-        use, bounds, before, nodes = join
-        more = list(bounds)
-        for variable, name in zip(use.action.shares[use.order[len(nodes)]], node.theta):
-            more[variable] = name
-        total = self._combine([before, value])
-        joined = _Join(use, tuple(more), total, (*nodes, node))
-        if len(joined.nodes) < len(use.order):
-            rest = self._combine([total, use.rest[len(joined.nodes)]])
-            key = use.subgoal.above + self._request.floor(use.action) + rest
-            theta = tuple([each for each in more if isinstance(each, str)])
-            self._push(key, use.subgoal, use.action.label, theta, self._go_on, joined, key)
-        else:
-            self._finish(joined)
+        use, bounds, value, nodes = join
+        combine, shares, inputs = self._combine, use.action.shares, use.action.inputs
+        while True:
+            more = list(bounds)
+            for variable, name in zip(shares[use.order[len(nodes)]], self.graph.names[node]):
+                more[variable] = name
+            bounds, nodes = tuple(more), (*nodes, node)
+            value = combine((value, self.value[node]))
+            if len(nodes) == len(use.order):
+                self._complete(use, bounds, value, nodes)  # type: ignore[arg-type]
+                return
+            port = use.order[len(nodes)]
+            known = tuple([bounds[each] for each in shares[port]])
+            asked = self._subgoals.get((inputs[port], known))
+            if asked is None or not (asked.is_bound and asked.answers):
+                break
+            node = next(iter(asked.answers))
+        rest = combine((value, use.rest[len(nodes)]))
+        key = use.subgoal.above + self._request.floor(use.action) + rest
+        self._push(key, use.subgoal.above, Search._go_on, (use, bounds, value, nodes), key)
 
-    def _finish(self, join: _Join) -> None:
+    def _complete(self, use: _Use, theta: Theta, value: int, nodes: tuple[Node, ...]) -> None:
         """Let an action under bindings wait for its turns to supply nodes."""
-        subgoal, action, offer, order, _ = join.use
-        theta: Theta = join.bounds  # type: ignore[assignment]
+        subgoal, action, offer = use.subgoal, use.action, use.offer
         cost = self._request.cost(action, theta)
-        nodes = tuple([node for _, node in sorted(zip(order, join.nodes), key=lambda e: e[0])])
-        instance = self._instance(action, theta, cost, nodes)
-        value = join.value + cost
+        needs = tuple([node for _, node in sorted(zip(use.order, nodes))])
+        value += cost
         found: Sequence[Theta]
         if offer.places is not None:
             found = [tuple([e if isinstance(e, str) else theta[e] for e in offer.places])]
@@ -364,48 +370,29 @@ class Search:
             atoms = [ground(atom, theta) for atom in offer.head.atoms]
             found = solutions(atoms, subgoal.pattern, self._names)
         for each in found:
-            node = Need(subgoal.pattern, each)
             if not self._names.agrees(each, subgoal.known):
                 continue
+            node = self._node(subgoal.pattern, each)
             if self._below is None:
                 if node in subgoal.answers or self._best.get(node, value) < value:
                     continue
                 self._best[node] = value
+            instance = self._instance(action, theta, cost, needs)
             key = subgoal.above + value
-            details = instance, subgoal, node, value
-            self._push(key, subgoal, action.label, theta, self._supply, *details)
+            self._push(key, subgoal.above, Search._supply, subgoal, instance, node, value)
 
-    def _instance(
-        self, action: Operator, theta: Theta, cost: int, needs: tuple[Need, ...]
-    ) -> Instance:
-        key = action, theta
-        found = self._instances.get(key)
-        if found is None:
-            found = self._instances[key] = Instance(action, theta, cost, needs)
-        return found
-
-    def _supply(self, instance: Instance, subgoal: Subgoal, node: Need, value: int) -> None:
+    def _supply(self, subgoal: Subgoal, instance: Instance, node: Node, value: int) -> None:
         """Supply a node of a subgoal; the first time is the cheapest."""
-        if self._below is not None:
-            self.offers.setdefault(node, {})[instance] = None
-        if node in self.value:
-            if node not in subgoal.answers:
-                self._answer(subgoal, node, self.value[node])
-            return
-        self.value[node] = value
-        self.chosen[node] = instance
-        theta = node.theta
-        for (places, types), table in self._listeners[node.pattern].items():
-            found = table.get(tuple([theta[at] for at in places]))
-            if found is not None and all(self._names.fits(theta[at], each) for at, each in types):
-                self._answer(found, node, value)
-
-    def _answer(self, subgoal: Subgoal, node: Need, value: int) -> None:
-        """Let the joins that wait for a subgoal go on with a node of it."""
-        subgoal.answers[node] = value
-        waiting = subgoal.waiting
-        if subgoal.is_bound:
-            subgoal.waiting = []
-            subgoal.is_done = self._below is None
-        for join in waiting:
-            self._extend(join, node, value)
+        if self._below is not None and node not in self.graph.makes[instance]:
+            self.graph.add_maker(node, instance)
+        if node not in self.value:
+            self.value[node] = value
+            self.way[node] = instance
+        if node not in subgoal.answers:
+            subgoal.answers[node] = None
+            waiting = subgoal.waiting
+            if subgoal.is_bound:
+                subgoal.waiting = []
+                subgoal.is_done = self._below is None
+            for join in waiting:
+                self._extend(join, node)

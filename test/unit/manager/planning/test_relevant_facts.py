@@ -11,11 +11,11 @@ from typing import List
 import pytest
 
 from dyknow.manager.planning import planner
-from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.library import OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, NoPlan, Plan
+from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
@@ -39,17 +39,17 @@ def made(label: str, needs: str, supplied: str, cost: int = 1) -> Transformation
 def indexed(large: PlanningLibrary) -> OperatorIndex:
     names = Names(NO_ONTOLOGY)
     actions = Reader(names).read(large.transformations)
-    return OperatorIndex(names, {}, {}, {}).changed((), actions)
+    return OperatorIndex(names, {}, {}, {}).changed(set(), actions)
 
 
 def looked_at(index: OperatorIndex, tag: str) -> int:
     """Return how many actions and instances it took to plan."""
     request = Request(index, wanted(tag), ())
-    bounds = Bounds(request)
-    search = Search(request, bounds, bounds.least()[0])
+    reach = Reach(request)
+    search = Search(request, reach, reach.cheapest(reach.costs, use_sum=True)[0])
     left = search.run(_MANY_STEPS)
     assert search.goal.answers
-    return bounds.size + (_MANY_STEPS - left) // 200
+    return reach.size + (_MANY_STEPS - left) // 200
 
 
 @pytest.mark.parametrize("needs_power", [False, True])
