@@ -5,9 +5,10 @@
 
 The problem is that of a Steiner arborescence with AND nodes, which is NP-hard; set cover is a case
 of it. First every instance is left out that cannot be part of a cheaper plan, since no plan costs
-less than the maximum over its inputs. On the others a branch-and-bound search with landmark cuts
-is exact if it ends within its share of the budget. If it does not, a large neighbourhood search
-improves the plan it found.
+less than the maximum over its inputs. On the others landmark cuts are a lower bound, and a
+branch-and-bound search is exact if it ends within the budget. It first tries the plans that differ
+little from what seems best at each step (W. D. Harvey and M. L. Ginsberg, "Limited discrepancy
+search", IJCAI 1995), so it has found a good one if it does not end.
 
 A solver for integer programs would do the same in fewer lines, but HiGHS in scipy holds the
 interpreter's lock until it has ended, and the manager would stand still for as long.
@@ -15,9 +16,8 @@ interpreter's lock until it has ended, and the manager would stand still for as 
 
 from __future__ import annotations
 
-import random
 import sys
-from typing import Callable, Collection, Iterable, NamedTuple, Sequence
+from typing import Callable, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
 from dyknow.manager.planning.reach import Reach
@@ -31,16 +31,8 @@ _MOST_INSTANCES = 1_000
 #: Steps that it takes to copy a part of the search into a graph of its own, and to bound a demand.
 _COPIED = 50
 BOUNDED = 60
-#: Part of the budget that the first exact search may take.
-_EXACT = 0.25
 #: Parts in which the price of a cut is paid: several cuts share an action more evenly.
 _PARTS = 4
-#: Most actions that are taken out of a plan at once.
-_MOST_OUT = 6
-#: How often a dearer plan is gone on with.
-_WORSE = 0.02
-#: Parts of a unit of cost in prices that vary.
-_FINE = 1_000
 #: Steps of each search for a plan that is allowed.
 _EACH_RISE = 5_000_000
 
@@ -80,19 +72,15 @@ class Improved(NamedTuple):
     is_cut_short: bool = False
 
 
-class Allowed(NamedTuple):
-    """A draft that is sound and in time if there is one, else the soonest one that was found."""
-
-    draft: Draft
-    is_found: bool
-    is_proven: bool = True
-
-
-def allowed(request: Request, reach: Reach, draft: Draft) -> Allowed:
-    """Return some draft that is sound and in time, instead of the cheapest tree.
+def allowed(request: Request, reach: Reach, draft: Draft) -> tuple[Draft, bool, bool]:
+    """Look for a draft that is sound and in time, instead of the cheapest tree.
 
     A fixed number of steps limits the search, not the clock, which must not decide whether there
     is a plan.
+
+    Returns:
+        The draft, or the soonest one that was found; whether it is sound and in time; and whether
+        everything was tried.
     """
     least, _, _ = reach.cheapest(reach.costs, use_sum=False)
     cost, most = draft.cost, sum(reach.costs)
@@ -100,19 +88,19 @@ def allowed(request: Request, reach: Reach, draft: Draft) -> Allowed:
         found = Search(request, reach, least, below)
         found.run(_EACH_RISE)
         graph, is_proven = found.graph, found.is_complete
-        solver = _Solver(graph, Budget(_EACH_RISE / STEPS, lambda: 0.0))
-        way = graph.derive(range(len(graph.costs)))
+        every = range(len(graph.costs))
+        way = graph.derive(every)
         if 0 not in way and request.demand.min_rate:
-            rest = [0] * len(graph.costs)
-            plan, is_exact = solver.solve(0, rest, sum(graph.costs) + 1, 0)
+            solver = _Solver(graph, Budget(_EACH_RISE / STEPS, lambda: 0.0))
+            plan, is_exact = solver.solve(0, [0 for _ in every], sum(graph.costs) + 1)
             is_proven = is_proven and is_exact
             way = solver.derive(plan)
         if 0 in way:
-            return Allowed(graph.drafted(way), True)
-    way = graph.derive(range(len(graph.costs)), is_late=True)
+            return graph.drafted(way), True, True
+    way = graph.derive(every, is_late=True)
     if request.limit is not None and 0 in way:
-        return Allowed(graph.drafted(way), False, is_proven)
-    return Allowed(draft, False, is_proven)
+        draft = graph.drafted(way)
+    return draft, False, is_proven
 
 
 def improve(request: Request, reach: Reach, draft: Draft, budget: Budget) -> Improved:
@@ -129,14 +117,13 @@ def improve(request: Request, reach: Reach, draft: Draft, budget: Budget) -> Imp
     found = Search(request, reach, least, draft.cost)
     budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
     #: No plan with parts that were not found costs less.
-    reached = draft.cost if found.is_complete else min(found.reached, draft.cost)
-    if 0 not in found.value:
-        return Improved(draft, max(floor, reached), budget.is_cut_short)
-    edges = sum(map(len, found.graph.makes))
-    if not budget.spend(_COPIED * edges):
-        return Improved(draft, max(floor, min(found.value[0], reached)), budget.is_cut_short)
-    best, bound = _Solver(found.graph, budget).improved(draft)
-    return Improved(best, max(floor, min(bound, reached)), budget.is_cut_short)
+    bound = draft.cost if found.is_complete else min(found.reached, draft.cost)
+    if 0 in found.value and budget.spend(_COPIED * sum(map(len, found.graph.makes))):
+        draft, known = _Solver(found.graph, budget).improved(draft)
+        bound = min(bound, known)
+    elif 0 in found.value:
+        bound = min(bound, found.value[0])
+    return Improved(draft, max(floor, bound), budget.is_cut_short)
 
 
 class _Solver:
@@ -146,7 +133,6 @@ class _Solver:
         self._graph = graph
         self._budget = budget
         self._costs = graph.costs
-        self._chance = random.Random(0)  # equal problems have equal plans
         makers: list[list[Instance]] = [[] for _ in graph.patterns]
         #: Nodes that are made at no cost and at once, with their makers.
         self._given: dict[Node, Instance] = {}
@@ -170,75 +156,11 @@ class _Solver:
 
     def improved(self, draft: Draft) -> tuple[Draft, int]:
         """Improve a draft that may be of another graph; return it with a bound for its cost."""
-        graph, budget = self._graph, self._budget
-        left = int(budget.steps * (1 - _EXACT))
         bound, rest = self._cuts()
-        best, is_exact = self.solve(bound, rest, draft.cost, left)
-        if is_exact:
-            bound = graph.cost(best) if best else draft.cost
-        else:
-            best = self._varied(best or self._first(draft), bound)
-        if best and graph.cost(best) < draft.cost:
-            draft = graph.drafted(self.derive(best))
-        return draft, min(bound, draft.cost)
-
-    def _first(self, draft: Draft) -> list[Instance]:
-        """Return a plan to begin with; none if all that is cheaper is too late or unsound."""
-        graph, every = self._graph, range(len(self._costs))
-        numbers = {graph.key(each): each for each in every}
-        keys = [draft.graph.key(each) for each in draft.order]
-        for some in ([numbers[key] for key in keys if key in numbers], every):
-            if 0 in self.derive(some):
-                return self._pruned(some)
-        return []
-
-    def _varied(self, best: list[Instance], bound: int) -> list[Instance]:
-        """Exchange parts of a plan as long as the budget lasts; return the best one.
-
-        Some actions are taken out, and the plan is completed by the cheapest tree, at prices that
-        vary and are less for actions that make more of what is missing.
-        """
-        graph, costs, chance = self._graph, self._costs, self._chance
-        present, least = best, graph.cost(best)
-        while least > bound and best and self._budget.spend(6 * self._size):
-            out = {*chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present))))}
-            kept = [each for each in present if each not in out]
-            made = self.derive(kept)
-            prices = [
-                int(_FINE * cost * (1 + chance.random()))
-                // max(1, sum([node not in made for node in graph.makes[action]]))
-                for action, cost in enumerate(costs)
-            ]
-            for action in kept:
-                prices[action] = 0
-            _, way, _ = graph.cheapest(prices, use_sum=True)
-            plan = self._pruned({*kept, *graph.drafted(way).order})
-            if 0 not in self.derive(plan):
-                continue
-            if graph.cost(plan) <= graph.cost(present) or chance.random() < _WORSE:
-                present = plan
-            if graph.cost(plan) < least:
-                best, least = plan, graph.cost(plan)
-        return best
-
-    def _pruned(self, actions: Collection[Instance]) -> list[Instance]:
-        """Leave out actions that the goal is reached without, roughly the dearest first."""
-        chance = self._chance
-        kept = {*actions}
-        order = sorted(actions, key=lambda each: (-self._costs[each] * chance.random(), each))
-        for action in order:
-            if not self._is_alone(action, kept):
-                if not self._budget.spend(4 * len(kept)):
-                    break
-                if 0 in self.derive(kept - {action}):
-                    kept.remove(action)
-        return sorted(kept)
-
-    def _is_alone(self, action: Instance, kept: set[Instance]) -> bool:
-        """Whether an action is the only one to make a node that other ones need."""
-        needed = {0}.union(*[self._graph.needs[each] for each in kept])
-        made = needed.intersection(self._graph.makes[action])
-        return any(len(kept.intersection(self._makers[node])) == 1 for node in made)
+        best, is_exact = self.solve(bound, rest, draft.cost)
+        if best:
+            draft = self._graph.drafted(self.derive(best))
+        return draft, draft.cost if is_exact else min(bound, draft.cost)
 
     def derive(self, actions: Iterable[Instance]) -> dict[Node, Instance]:
         """Make all nodes that actions can make, with what is there at no cost."""
@@ -300,19 +222,18 @@ class _Solver:
 
     # Branch and bound
 
-    def solve(
-        self, bound: int, rest: Sequence[int], below: int, left: int
-    ) -> tuple[list[Instance], bool]:
+    def solve(self, bound: int, rest: Sequence[int], below: int) -> tuple[list[Instance], bool]:
         """Search all plans that may cost less than a known one.
 
         A plan that has some actions, but not others, needs one more of those that supply a node
         which is still open: it has the first, or lacks the first and has the second, and so on.
+        The second is one discrepancy from what seems best, the third is two, and in each round
+        plans may have twice as many of these.
 
         Args:
             bound: a bound for the cost of every plan.
             rest: least costs of the actions of a plan besides.
             below: cost of the known plan.
-            left: steps that the search leaves over.
 
         Returns:
             The best plan that costs less, empty if none was found; and whether everything was
@@ -320,10 +241,14 @@ class _Solver:
         """
         graph, budget, costs = self._graph, self._budget, self._costs
         best: list[Instance] = []
-        stack: list[tuple[frozenset[Instance], frozenset[Instance]]] = [(frozenset(), frozenset())]
-        while stack:
-            has, lacks = stack.pop()
-            if budget.steps < left or not budget.spend(4 * len(has) + 20):
+        discrepancies, is_cut = 1, True
+        stack: list[tuple[int, frozenset[Instance], frozenset[Instance]]] = []
+        while stack or is_cut:
+            if not stack:
+                stack.append((discrepancies, frozenset(), frozenset()))
+                discrepancies, is_cut = 2 * discrepancies, False
+            left, has, lacks = stack.pop()
+            if not budget.spend(4 * len(has) + 20):
                 return best, False
             paid = graph.cost(has)
             #: The remaining cost that one more action has to be below.
@@ -341,11 +266,14 @@ class _Solver:
             worth = {
                 each: costs[each] / max(1, len(opened.intersection(graph.makes[each])))
                 for each in choices
-                if paid + costs[each] < below or graph.request.kept
             }
             branches = []
-            for action in sorted(worth, key=lambda each: (worth[each], each)):
-                branches.append((has | {action}, lacks.union(self._twins.get(action, ()))))
+            for rank, action in enumerate(sorted(choices, key=lambda each: (worth[each], each))):
+                if rank > left:
+                    is_cut = True
+                    break
+                twins = self._twins.get(action, ())
+                branches.append((left - rank, has | {action}, lacks.union(twins)))
                 lacks = lacks | {action}
             stack += reversed(branches)
         return best, True

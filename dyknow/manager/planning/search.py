@@ -20,7 +20,7 @@ from __future__ import annotations
 import heapq
 from functools import lru_cache
 from operator import itemgetter
-from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
+from typing import Any, Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
 from dyknow.manager.planning.library import Offer, Operator
@@ -49,17 +49,6 @@ class Subgoal:
         suppliers: what may supply it from now on, the cheapest first.
     """
 
-    __slots__ = (
-        "above",
-        "answers",
-        "is_bound",
-        "is_done",
-        "known",
-        "pattern",
-        "suppliers",
-        "waiting",
-    )
-
     def __init__(self, pattern: Pattern, known: Known, above: int) -> None:
         self.pattern = pattern
         self.known = known
@@ -71,7 +60,7 @@ class Subgoal:
         self.suppliers: Iterator[_Supplier] = iter(())
 
 
-class _Use:
+class _Use(NamedTuple):
     """An action that is to supply a subgoal.
 
     Attributes:
@@ -79,16 +68,10 @@ class _Use:
         rest: for each place of that order, what the in-ports from there on cost at least.
     """
 
-    __slots__ = ("action", "offer", "order", "rest", "subgoal")
-
-    def __init__(
-        self, subgoal: Subgoal, offer: Offer, order: Sequence[int], rest: Sequence[int]
-    ) -> None:
-        self.subgoal = subgoal
-        self.offer = offer
-        self.action = offer.action
-        self.order = order
-        self.rest = rest
+    subgoal: Subgoal
+    offer: Offer
+    order: Sequence[int]
+    rest: Sequence[int]
 
 
 _Join = Tuple[_Use, Known, int, Tuple[Node, ...]]
@@ -314,8 +297,8 @@ class Search:
         if use.subgoal.is_done:
             return
         port = use.order[len(nodes)]
-        known = tuple([bounds[each] for each in use.action.shares[port]])
-        subgoal = self._ask(use.action.inputs[port], known, key)
+        known = tuple([bounds[each] for each in use.offer.action.shares[port]])
+        subgoal = self._ask(use.offer.action.inputs[port], known, key)
         if not (subgoal.is_bound and subgoal.answers):
             subgoal.waiting.append(join)
         for node in list(subgoal.answers):
@@ -337,7 +320,7 @@ class Search:
     def _extend(self, join: _Join, node: Node) -> None:
         """Go on with a join when its next in-port is supplied."""
         use, bounds, value, nodes = join
-        combine, shares, inputs = self._combine, use.action.shares, use.action.inputs
+        combine, shares, inputs = self._combine, use.offer.action.shares, use.offer.action.inputs
         while True:
             more = list(bounds)
             for variable, name in zip(shares[use.order[len(nodes)]], self.graph.names[node]):
@@ -354,12 +337,12 @@ class Search:
                 break
             node = next(iter(asked.answers))
         rest = combine((value, use.rest[len(nodes)]))
-        key = use.subgoal.above + self._request.floor(use.action) + rest
+        key = use.subgoal.above + self._request.floor(use.offer.action) + rest
         self._push(key, use.subgoal.above, Search._go_on, (use, bounds, value, nodes), key)
 
     def _complete(self, use: _Use, theta: Theta, value: int, nodes: tuple[Node, ...]) -> None:
         """Let an action under bindings wait for its turns to supply nodes."""
-        subgoal, action, offer = use.subgoal, use.action, use.offer
+        subgoal, action, offer = use.subgoal, use.offer.action, use.offer
         cost = self._request.cost(action, theta)
         needs = tuple([node for _, node in sorted(zip(use.order, nodes))])
         value += cost

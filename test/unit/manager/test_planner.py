@@ -197,8 +197,9 @@ def test_what_the_garbage_collector_collects_and_when_is_left_alone() -> None:
     gc.set_threshold(10**6)
     try:
         young = [planner]
-        planner.add([make("camera", [], ["A"])])
-        assert isinstance(planner.plan(demand("A")), Plan)
+        cameras = [make("camera", [], ["A", "B"], 3), make("other", [], ["A"], 2)]
+        planner.add([*cameras, make("stereo", ["A", "B"], ["C"])])
+        assert isinstance(planner.plan(demand("C")), Plan)
         assert any(each is young for each in gc.get_objects(generation=0))
     finally:
         gc.set_threshold(*threshold)
