@@ -222,8 +222,9 @@ def acquire(
             label is only a warning.
         prefer: concepts or labels, or a single one, to use where there is a choice.
         avoid: concepts or labels, or a single one, to use only where there is no choice.
-        budget: seconds for the improvement of the plan, at most 60; 0: the manager's default,
-            0.1. Other streams are repaired and other clients served meanwhile.
+        budget: seconds for planning, at most 60; 0: the manager's default, 0.1. A plan that takes
+            longer to find is not improved. Other streams are repaired and other clients served
+            meanwhile.
         pending: also accept a stream that cannot be made yet; see ``wait_until_active``.
         lease: the most seconds that the claim outlives this process.
         on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a

@@ -10,16 +10,18 @@ nodelets, and every cost for this client.
 
 The way of a request through `planner`::
 
-    bounds       the reach of the goal, and its least costs, without bindings
+    reach        what the goal reaches in the library, and its least costs, without bindings
       │
     search       the cheapest tree of instances, begun at the goal: names that are bound are
       │          passed on to the next in-port
       │
     improvement  shared parts once, within the budget: the search again, for all that a cheaper
-      │          plan can have (an and_or_graph), a bound, an exact search, and neighbourhoods of
-      │          the plan
+      │          plan can have, a bound, and an exact search
       │
     planner      a plan with its cost and bound; or reasons, why there is none
+
+Reach, search and improvement work on one kind of graph, the `and_or_graph`, whose nodes and
+instances are numbers.
 
 `explanation` writes the plan for people.
 """

@@ -161,6 +161,10 @@ class Names:
         fewest = min([self._below.get(each, []) for each in types], key=len)
         return fewest if len(types) == 1 else [each for each in fewest if self.fits(each, types)]
 
+    def is_one(self, limit: Limit) -> bool:
+        """Whether a constraint leaves one of the entered names at most."""
+        return len(self.below(limit)) < 2 if isinstance(limit, frozenset) else limit is not None
+
     def limit(self, types: Types) -> Limit:
         """Return the constraint of types: without an ontology a type is the name."""
         if self.is_plain and types:

@@ -222,7 +222,7 @@ def _charges(
         return {}
     names = library.names
     request = Request(library, demand, streams, exclude)
-    reach = Reach(Request(library, demand, (), exclude), is_whole=True)
+    reach = Reach(request, is_whole=True)
     tags: dict[str, set[Term]] = {}
     for stream, terms in streams:
         if stream.label not in exclude:

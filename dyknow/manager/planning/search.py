@@ -24,7 +24,7 @@ from typing import Any, Callable, Iterable, Iterator, NamedTuple, Sequence, Tupl
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
 from dyknow.manager.planning.library import Offer, Operator
-from dyknow.manager.planning.patterns import Known, Limit, Pattern, Theta, ground, solutions
+from dyknow.manager.planning.patterns import Known, Pattern, Theta, ground, solutions
 from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.request import Request
 
@@ -308,14 +308,8 @@ class Search:
         """Return the order of an action's in-ports: each time the one of which most is known."""
         if len(action.shares) < 2:
             return range(len(action.shares))
-        known = tuple([at for at, each in enumerate(bounds) if self._is_one(each)])
+        known = tuple([at for at, each in enumerate(bounds) if self._names.is_one(each)])
         return _ordered(action.shares, known)
-
-    def _is_one(self, limit: Limit) -> bool:
-        """Whether the constraint of a variable leaves one name at most."""
-        if isinstance(limit, frozenset):
-            return len(self._names.below(limit)) < 2
-        return limit is not None
 
     def _extend(self, join: _Join, node: Node) -> None:
         """Go on with a join when its next in-port is supplied."""
