@@ -6,36 +6,17 @@
 from __future__ import annotations
 
 import gc
-from typing import FrozenSet, Iterable, List, Sequence
+from typing import FrozenSet, Iterable
+
+from unit.manager.planning.examples import demand, labels, make, planner_with
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Demand, NoPlan, Plan
-from dyknow.manager.specifications.tags import parse_tag
-from dyknow.model.transformation import Port, Transformation
-
-
-def make(
-    label: str, needs: Sequence[str], gives: Sequence[str], cost: int = 1, datatype: str = ""
-) -> Transformation:
-    """Make a transformation with one port for each tag; ``a&b`` are two tags of one port."""
-    ports = [Port(f"i{i}", "in", datatype, tuple(t.split("&"))) for i, t in enumerate(needs)]
-    ports += [Port(f"o{i}", "out", datatype, tuple(t.split("&"))) for i, t in enumerate(gives)]
-    return Transformation(label, "pkg/X", "nodelet", cost, (), tuple(ports))
-
-
-def demand(tag: str, datatype: str = "") -> Demand:
-    return Demand(frozenset([parse_tag(tag)]), datatype)
+from dyknow.manager.planning.problem import Answer, NoPlan, Plan
+from dyknow.model.transformation import Transformation
 
 
 def plan(transformations: Iterable[Transformation], tag: str, **kwds) -> Answer:  # type: ignore[no-untyped-def]
-    planner = Planner()
-    planner.add(transformations)
-    return planner.plan(demand(tag), **kwds)
-
-
-def labels(answer: Answer) -> List[str]:
-    assert isinstance(answer, Plan)
-    return [step.action.label for step in answer.steps]
+    return planner_with(transformations).plan(demand(tag), **kwds)
 
 
 def test_what_is_missing_is_named() -> None:
@@ -108,8 +89,8 @@ def test_names_beside_a_variable_in_what_is_supplied_are_looked_up() -> None:
         def canonical(self, name: str) -> str:
             return name
 
-    planner = Planner(Sizes())
-    planner.add([make("cam", [], ["Raw(cam)"]), make("part", ["Raw(?c)"], ["Part(?c, half)"])])
+    library = [make("cam", [], ["Raw(cam)"]), make("part", ["Raw(?c)"], ["Part(?c, half)"])]
+    planner = planner_with(library, Sizes())
     for wanted in ("Part(?c, half)", "Part(cam, size)"):
         answer = planner.plan(demand(wanted))
         assert isinstance(answer, Plan) and answer.cost == 2, answer
@@ -151,30 +132,27 @@ def test_one_nodelet_is_free_for_one_instance() -> None:
     assert plan(library, "Depth", free={"rectifier": ()}).cost == 2
 
 
-def rated(each: Transformation, rate: float) -> Transformation:
-    return each._replace(ports=(*each.ports[:-1], each.ports[-1]._replace(rate=rate)))
-
-
-SLOW, FAST = rated(make("slow", [], ["Raw"], 1), 5.0), rated(make("fast", [], ["Raw"], 9), 30.0)
+SLOW, FAST = make("slow", [], ["Raw"], rate=5.0), make("fast", [], ["Raw"], 9, rate=30.0)
 FILTER = make("filter", ["Raw"], ["Smooth"], 1)
 
 
 def fast_plan(*transformations: Transformation) -> Answer:
-    planner = Planner()
-    planner.add(transformations)
-    return planner.plan(demand("Smooth")._replace(min_rate=10.0))
+    return planner_with(transformations).plan(demand("Smooth", min_rate=10.0))
 
 
 def test_a_port_that_states_no_rate_is_as_fast_as_what_feeds_it() -> None:
     refused = str(fast_plan(SLOW, FILTER))
     assert "Raw [at least 10 Hz] cannot be used: it is stated at 5 Hz, below 10 Hz" in refused
     assert labels(fast_plan(SLOW, FAST, FILTER)) == ["fast", "filter"]
-    assert labels(fast_plan(SLOW, FAST, rated(FILTER, 20.0))) == ["slow", "filter"]
+    assert labels(fast_plan(SLOW, FAST, make("filter", ["Raw"], ["Smooth"], rate=20.0))) == [
+        "slow",
+        "filter",
+    ]
 
 
 def test_a_nodelet_with_slow_inputs_does_not_feed_itself_with_fast_ones() -> None:
     # The tree that costs least has the filter twice: after the camera and after the doubler.
-    doubler = rated(make("doubler", ["Smooth"], ["Raw"], 1), 30.0)
+    doubler = make("doubler", ["Smooth"], ["Raw"], rate=30.0)
     answer = fast_plan(SLOW, FAST, FILTER, doubler)
     assert labels(answer) == ["fast", "filter"]
     assert isinstance(answer, Plan)

@@ -10,14 +10,9 @@ from typing import Dict, List, Sequence, Tuple
 
 import numpy
 from scipy.optimize import Bounds, LinearConstraint, milp
+from unit.manager.planning.examples import make
 
-from dyknow.model.transformation import Port, Transformation
-
-
-def make(label: str, needs: Sequence[str], gives: Sequence[str], cost: int) -> Transformation:
-    ports = [Port(f"i{at}", "in", "", (tag,)) for at, tag in enumerate(needs)]
-    ports += [Port(f"o{at}", "out", "", (tag,)) for at, tag in enumerate(gives)]
-    return Transformation(label, "pkg/X", "nodelet", cost, (), tuple(ports))
+from dyknow.model.transformation import Transformation
 
 
 def set_cover(seed: int) -> List[Transformation]:

@@ -8,40 +8,23 @@ from __future__ import annotations
 from typing import List, Sequence
 
 import pytest
+from unit.manager.planning.examples import demand, labels, make, planner_with
 
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
-from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Demand, Live, Plan, TaggedStream
+from dyknow.manager.planning.problem import Answer, Live, Plan, TaggedStream
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 
-
-def make(
-    label: str, needs: Sequence[str], supplied: str, cost: int, latency: float
-) -> Transformation:
-    ports = [Port(f"in{number}", "in", "", (need,)) for number, need in enumerate(needs)]
-    ports.append(Port("out", "out", "", (supplied,), 0.0, latency))
-    return Transformation(label, "p/X", cost=cost, ports=tuple(ports))
-
-
 LIBRARY = [
-    make("camera", [], "Image(field)", 1, 0.03),
-    make("network", ["Image(field)"], "Ball(field)", 1, 0.2),
-    make("colors", ["Image(field)", "Lamps(field)"], "Ball(field)", 3, 0.01),
-    make("lamps", [], "Lamps(field)", 1, 0.05),
+    make("camera", [], ["Image(field)"], 1, latency=0.03),
+    make("network", ["Image(field)"], ["Ball(field)"], 1, latency=0.2),
+    make("colors", ["Image(field)", "Lamps(field)"], ["Ball(field)"], 3, latency=0.01),
+    make("lamps", [], ["Lamps(field)"], 1, latency=0.05),
 ]
 
 
 def ball(max_age: float, live: Sequence[TaggedStream] = ()) -> Answer:
-    planner = Planner()
-    planner.add(LIBRARY)
-    goal = Demand(frozenset((parse_tag("Ball(field)"),)), max_age=max_age)
-    return planner.plan(goal, live)
-
-
-def labels(answer: Answer) -> List[str]:
-    assert isinstance(answer, Plan)
-    return [step.action.label for step in answer.steps]
+    return planner_with(LIBRARY).plan(demand("Ball(field)", max_age=max_age), live)
 
 
 def test_the_longest_path_counts() -> None:
@@ -88,9 +71,8 @@ def test_of_several_out_ports_the_soonest_one_supplies() -> None:
         Port("full", "out", "", ("Image(field)",), 0.0, 0.1),
         Port("half", "out", "", ("Image(field)",), 0.0, 0.02),
     )
-    planner = Planner()
-    planner.add([Transformation("camera", "p/C", ports=ports)])
-    answer = planner.plan(Demand(frozenset((parse_tag("Image(field)"),)), max_age=0.05))
+    planner = planner_with([Transformation("camera", "p/C", ports=ports)])
+    answer = planner.plan(demand("Image(field)", max_age=0.05))
     assert isinstance(answer, Plan)
     assert answer.goal.port == "half"
 
@@ -102,10 +84,7 @@ def test_of_several_out_ports_one_supplies_that_is_fast_enough() -> None:
         Port("preview", "out", "", ("Image(field)",), 5.0),
         Port("whole", "out", "", ("Image(field)",), 0.0, 0.02),
     )
-    planner = Planner()
-    planner.add(
-        [make("camera", [], "Raw(field)", 1, 0.0), Transformation("filter", "p/F", ports=ports)]
-    )
-    answer = planner.plan(Demand(frozenset((parse_tag("Image(field)"),)), min_rate=10.0))
+    library = [make("camera", [], ["Raw(field)"]), Transformation("filter", "p/F", ports=ports)]
+    answer = planner_with(library).plan(demand("Image(field)", min_rate=10.0))
     assert isinstance(answer, Plan)
     assert answer.goal.port == "whole"

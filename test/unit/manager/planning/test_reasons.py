@@ -6,17 +6,18 @@
 from __future__ import annotations
 
 import random
-from typing import FrozenSet, List
+from typing import FrozenSet
 
 import pytest
 from unit.manager.planning.brute_force import Problem, supplied, supplies
+from unit.manager.planning.examples import demand, make, planner_with
 from unit.manager.planning.random_problems import look_up_by_name, random_problem
 
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Demand, Live, NoPlan
+from dyknow.manager.planning.problem import Answer, Live, NoPlan
 from dyknow.manager.specifications.tags import parse_tag
-from dyknow.model.transformation import Port, Transformation
+from dyknow.model.transformation import Transformation
 
 
 def solve(problem: Problem) -> Answer:
@@ -57,16 +58,16 @@ def test_refusals_of_random_problems_state_no_falsehood(
             continue
         assert answer.missing or answer.obstacles or answer.circular, seed
         streams = supplied(problem)
-        for demand in answer.missing:
+        for wanted in answer.missing:
             missing += 1
-            assert not supplies(streams, demand, problem), (seed, str(demand))
-        for demand, causes in answer.obstacles:
+            assert not supplies(streams, wanted, problem), (seed, str(wanted))
+        for wanted, causes in answer.obstacles:
             usable = [each for each in streams if each.label not in problem.exclude]
             # Types of variables that have names are not written.
             is_written = not any("has to be" in cause or ", not a" in cause for cause in causes)
             is_written = is_written and not any("not known" in cause for cause in causes)
-            assert not (is_written and supplies(usable, demand, problem)), (seed, str(demand))
-            fast = [each for each in streams if not 0 < each.rate < demand.min_rate]
+            assert not (is_written and supplies(usable, wanted, problem)), (seed, str(wanted))
+            fast = [each for each in streams if not 0 < each.rate < wanted.min_rate]
             for cause in causes:
                 if "excluded" in cause:
                     excluded += 1
@@ -74,12 +75,12 @@ def test_refusals_of_random_problems_state_no_falsehood(
                     assert {*named.split(", ")} <= problem.exclude, (seed, cause)
                 elif "Hz" in cause:
                     slow += 1
-                    assert not supplies(fast, demand, problem), (seed, cause)
+                    assert not supplies(fast, wanted, problem), (seed, cause)
                 elif "has to be" in cause:
                     assert " and a " in cause
                 elif "it is a " in cause:
                     of_datatypes += 1
-                    assert demand.datatype not in ("", "*")
+                    assert wanted.datatype not in ("", "*")
                 else:
                     typed += 1
                     for said in cause.split("; "):
@@ -95,7 +96,7 @@ def test_refusals_of_random_problems_state_no_falsehood(
                     if any(port.direction == "in" for port in each.ports)
                 ]
                 is_needy = not {*named.split(", ")}.isdisjoint(needy)
-                assert is_needy or supplies(streams, demand, problem), (seed, causes)
+                assert is_needy or supplies(streams, wanted, problem), (seed, causes)
     assert min(missing, excluded, typed, of_datatypes, slow) > 10
 
 
@@ -110,37 +111,27 @@ class Cameras:
         return name
 
 
-def make(label: str, needs: List[str], supplied: str, datatype: str = "", rate: float = 0.0):  # type: ignore[no-untyped-def]
-    ports = [Port(f"in{number}", "in", "", (need,)) for number, need in enumerate(needs)]
-    ports.append(Port("out", "out", datatype, (supplied,), rate))
-    return Transformation(label, "p/X", ports=tuple(ports))
-
-
 def refused(tag: str, *transformations: Transformation, **kwds) -> str:  # type: ignore[no-untyped-def]
-    planner = Planner(Cameras())
-    planner.add(transformations)
-    demand = Demand(
-        frozenset((parse_tag(tag),)), kwds.pop("datatype", ""), kwds.pop("min_rate", 0.0)
-    )
-    answer = planner.plan(demand, **kwds)
+    limits = {each: kwds.pop(each) for each in ("datatype", "min_rate") if each in kwds}
+    answer = planner_with(transformations, Cameras()).plan(demand(tag, **limits), **kwds)
     assert isinstance(answer, NoPlan)
     assert all(str(each) in as_tree(answer) for each in answer.obstacles)
     return str(answer).partition(": ")[2]
 
 
 def test_an_individual_of_another_type_is_named_with_its_own() -> None:
-    detector = make("detector", ["Image(?c: FieldCamera)"], "Ball(?c)")
+    detector = make("detector", ["Image(?c: FieldCamera)"], ["Ball(?c)"])
     why = "cannot be used: nose is a RobotCamera, not a FieldCamera"
-    camera = make("camera", [], "Image(nose)")
+    camera = make("camera", [], ["Image(nose)"])
     assert refused("Ball(nose)", camera, detector) == f"Image(nose) {why}"
     assert refused("Ball(?which)", camera, detector) == f"Image(?c: FieldCamera) {why}"
-    unknown = refused("Ball(ear)", make("camera", [], "Image(ear)"), detector)
+    unknown = refused("Ball(ear)", make("camera", [], ["Image(ear)"]), detector)
     assert unknown == "Image(ear) cannot be used: ear is not known to be a FieldCamera"
     assert refused("Ball(ear)", camera, detector) == "nothing supplies Image(ear)"
 
 
 def test_what_must_not_be_used_is_named() -> None:
-    camera = make("camera", [], "Image(nose)")
+    camera = make("camera", [], ["Image(nose)"])
     excluded = refused("Image(nose)", camera, exclude=frozenset(("camera",)))
     assert excluded == "Image(nose) cannot be used: camera is excluded"
     paused = refused("Image(nose)", camera, paused=frozenset(("camera",)))
@@ -152,7 +143,7 @@ def test_what_must_not_be_used_is_named() -> None:
 
 
 def test_a_rate_and_a_ros_type_are_named() -> None:
-    camera = make("camera", [], "Image(nose)", "t/One", 5.0)
+    camera = make("camera", [], ["Image(nose)"], datatype="t/One", rate=5.0)
     slow = refused("Image(nose)", camera, min_rate=10.0)
     assert slow == (
         "Image(nose) [at least 10 Hz] cannot be used: it is stated at 5 Hz, below 10 Hz"
@@ -162,10 +153,10 @@ def test_a_rate_and_a_ros_type_are_named() -> None:
 
 
 def test_what_is_missing_comes_before_what_cannot_be_used() -> None:
-    detector = make("detector", ["Image(?c: FieldCamera)", "Lamps"], "Ball(?c)")
-    text = refused("Ball(nose)", make("camera", [], "Image(nose)"), detector)
+    detector = make("detector", ["Image(?c: FieldCamera)", "Lamps"], ["Ball(?c)"])
+    text = refused("Ball(nose)", make("camera", [], ["Image(nose)"]), detector)
     why = "Image(nose) cannot be used: nose is a RobotCamera, not a FieldCamera"
     assert text == f"nothing supplies Lamps; {why}"
-    lamps = make("lamps", ["Power"], "Lamps")
-    text = refused("Ball(nose)", make("camera", [], "Image(nose)"), detector, lamps)
+    lamps = make("lamps", ["Power"], ["Lamps"])
+    text = refused("Ball(nose)", make("camera", [], ["Image(nose)"]), detector, lamps)
     assert text == f"nothing supplies Power; {why}"

@@ -9,31 +9,19 @@ import threading
 from typing import List
 
 import pytest
+from unit.manager.planning.examples import demand, make, planner_with
 
 from dyknow.manager.planning import planner
 from dyknow.manager.planning.library import OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names
-from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Demand, NoPlan, Plan
+from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
-from dyknow.model.transformation import IN, OUT, Port, Transformation
+from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow_benchmark.planning_libraries import PlanningLibrary, individuals, rooms
 
 _MANY_STEPS = 10**9
-
-
-def wanted(tag: str) -> Demand:
-    return Demand(frozenset([parse_tag(tag)]))
-
-
-def made(label: str, needs: str, supplied: str, cost: int = 1) -> Transformation:
-    ports = [Port(f"in{k}", IN, "", (each,)) for k, each in enumerate(needs.split())]
-    return Transformation(
-        label, "dyknow/Relay", cost=cost, ports=(*ports, Port("out", OUT, "", (supplied,)))
-    )
 
 
 def indexed(large: PlanningLibrary) -> OperatorIndex:
@@ -44,7 +32,7 @@ def indexed(large: PlanningLibrary) -> OperatorIndex:
 
 def looked_at(index: OperatorIndex, tag: str) -> int:
     """Return how many actions and instances it took to plan."""
-    request = Request(index, wanted(tag), ())
+    request = Request(index, demand(tag), ())
     reach = Reach(request)
     search = Search(request, reach, reach.cheapest(reach.costs, use_sum=True)[0])
     left = search.run(_MANY_STEPS)
@@ -65,39 +53,35 @@ def test_a_demand_for_one_robot_does_not_combine_the_cameras_of_others() -> None
 
 def test_names_that_grow_along_a_chain() -> None:
     count = 300
-    links = [made(f"link{k}", "", f"Link(n{k}, n{k + 1})") for k in range(count)]
-    links.append(made("start", "", "Near(n0)"))
-    links.append(made("next", "Near(?x) Link(?x,?y)", "Near(?y)"))
-    planner = Planner()
-    planner.add(links)
-    plan = planner.plan(wanted(f"Near(n{count})"), budget=0.0)
+    links = [make(f"link{k}", [], [f"Link(n{k}, n{k + 1})"]) for k in range(count)]
+    links.append(make("start", [], ["Near(n0)"]))
+    links.append(make("next", ["Near(?x)", "Link(?x,?y)"], ["Near(?y)"]))
+    plan = planner_with(links).plan(demand(f"Near(n{count})"), budget=0.0)
     assert isinstance(plan, Plan)
     assert plan.cost == 2 * count + 1
 
 
 def test_a_search_that_reaches_its_limit_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner, "_SEARCH", 20_000)
-    links = [made(f"link{k}", "", f"Link(n{k}, n{k + 1})") for k in range(300)]
-    links.append(made("start", "", "Near(n0)"))
-    links.append(made("next", "Near(?x) Link(?x,?y)", "Near(?y)"))
-    short = Planner()
-    short.add(links)
-    answer = short.plan(wanted("Near(n300)"), budget=0.0)
+    links = [make(f"link{k}", [], [f"Link(n{k}, n{k + 1})"]) for k in range(300)]
+    links.append(make("start", [], ["Near(n0)"]))
+    links.append(make("next", ["Near(?x)", "Link(?x,?y)"], ["Near(?y)"]))
+    short = planner_with(links)
+    answer = short.plan(demand("Near(n300)"), budget=0.0)
     assert isinstance(answer, NoPlan)
     assert answer.is_cut_short
     assert "the search reached its limit" in str(answer)
     assert not answer.missing and not answer.circular
-    assert isinstance(short.plan(wanted("Near(n2)"), budget=0.0), Plan)
+    assert isinstance(short.plan(demand("Near(n2)"), budget=0.0), Plan)
 
 
 def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
     """While one thread exchanges all transformations at once, others plan."""
     versions = [
-        [made("camera", "", "Raw(a)", cost), made("filter", "Raw(?x)", "Goal(?x)", cost)]
+        [make("camera", [], ["Raw(a)"], cost), make("filter", ["Raw(?x)"], ["Goal(?x)"], cost)]
         for cost in (1, 10)
     ]
-    planner = Planner()
-    planner.add(versions[0])
+    planner = planner_with(versions[0])
     costs: List[int] = []
     errors: List[BaseException] = []
     is_over = threading.Event()
@@ -105,10 +89,10 @@ def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
     def plan() -> None:
         try:
             while not is_over.is_set():
-                answer = planner.plan(wanted("Goal(?x)"))
+                answer = planner.plan(demand("Goal(?x)"))
                 assert isinstance(answer, Plan)
                 costs.append(answer.cost)
-                assert planner.bindings(wanted("Goal(?x)")) == ([(("?x", "a"),)], True)
+                assert planner.bindings(demand("Goal(?x)")) == ([(("?x", "a"),)], True)
         except BaseException as error:
             errors.append(error)
 

@@ -10,6 +10,7 @@ from typing import List, Tuple
 
 import pytest
 from unit.manager.planning.brute_force import Problem, TooLarge, least_cost
+from unit.manager.planning.examples import demand, labels, make, planner_with
 from unit.manager.planning.random_problems import Kinds, look_up_by_name, random_problem
 
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
@@ -17,7 +18,6 @@ from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import (
     AVOIDED,
     NOT_PREFERRED,
-    Demand,
     Live,
     NoPlan,
     Plan,
@@ -86,31 +86,22 @@ def test_the_cheapest_plan_with_charges(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def camera(label: str, cost: int, tag: str = "Raw(field)") -> Transformation:
-    return Transformation(label, "p/C", cost=cost, ports=(Port("image", "out", "", (tag,)),))
+    return make(label, [], [tag], cost)
 
 
-FILTER = Transformation(
-    "filter",
-    "p/F",
-    ports=(Port("in", "in", "", ("Raw(?x)",)), Port("out", "out", "", ("Filtered(field)",))),
-)
-GOAL = Demand(frozenset((parse_tag("Filtered(field)"),)))
+FILTER = make("filter", ["Raw(?x)"], ["Filtered(field)"])
+GOAL = demand("Filtered(field)")
 CEILING: TaggedStream = (
-    Live("/ceiling", "image", "/ceiling_1", "ceiling", ""),
+    Live("/ceiling", "o0", "/ceiling_1", "ceiling", ""),
     (parse_tag("Raw(field)"),),
 )
 
 
 def plan(*wishes: Tuple[str, ...], live: Tuple[TaggedStream, ...] = ()) -> Plan:
-    planner = Planner()
-    planner.add([camera("bottom", 1), camera("top", 3), camera("ceiling", 5), FILTER])
-    answer = planner.plan(GOAL, live, wishes=Wishes(*wishes))
+    library = [camera("bottom", 1), camera("top", 3), camera("ceiling", 5), FILTER]
+    answer = planner_with(library).plan(GOAL, live, wishes=Wishes(*wishes))
     assert isinstance(answer, Plan)
     return answer
-
-
-def labels(answer: Plan) -> List[str]:
-    return [step.action.label for step in answer.steps]
 
 
 def test_where_there_is_a_choice_the_preferred_one_is_taken() -> None:
@@ -130,8 +121,8 @@ def test_what_is_avoided_is_taken_only_without_a_choice() -> None:
     assert (AVOIDED, NOT_PREFERRED) == (1000, 100)  # as documented
     assert as_tree(answer).split("\n") == [
         "Filtered(field): cost 1002 (proven least)",
-        "└─ filter.out [?x=field] (new, cost 1)",
-        "   └─ in ← bottom.image (new, cost 1, charged 1000)",
+        "└─ filter.o0 [?x=field] (new, cost 1)",
+        "   └─ i0 ← bottom.o0 (new, cost 1, charged 1000)",
     ]
 
 
@@ -143,17 +134,16 @@ def test_what_runs_is_charged_too() -> None:
     assert answer.live == (CEILING[0],)
     assert answer.cost == answer.least_cost == 1 + AVOIDED
     tree = as_tree(answer)
-    assert "in ← ceiling.image (runs as /ceiling_1, charged 1000)" in tree
+    assert "i0 ← ceiling.o0 (runs as /ceiling_1, charged 1000)" in tree
     assert "/ceiling_1" in tree_as_dot(tree)
 
 
 def test_what_feeds_a_running_part_is_charged_with_it() -> None:
     stream: TaggedStream = (
-        Live("/f", "out", "/filter_1", "filter", ""),
+        Live("/f", "o0", "/filter_1", "filter", ""),
         (parse_tag("Filtered(field)"),),
     )
-    planner = Planner()
-    planner.add([camera("bottom", 1), camera("top", 3), FILTER])
+    planner = planner_with([camera("bottom", 1), camera("top", 3), FILTER])
     wishes = Wishes((), ("bottom",))
     fed = {"/filter_1": frozenset(("bottom",))}
     answer = planner.plan(GOAL, (stream,), wishes=wishes, feeders=fed)
@@ -162,14 +152,11 @@ def test_what_feeds_a_running_part_is_charged_with_it() -> None:
 
 
 def test_concepts_are_those_of_the_tags() -> None:
-    planner = Planner(Kinds())
-    planner.add([camera("one", 1, "A(a)"), camera("two", 2, "D(b)"), camera("three", 3, "A(c)")])
-    goal = Demand(frozenset((parse_tag("D(?x)"),)))
+    library = [camera("one", 1, "A(a)"), camera("two", 2, "D(b)"), camera("three", 3, "A(c)")]
+    planner = planner_with(library, Kinds())
 
     def taken(*wishes: Tuple[str, ...]) -> List[str]:
-        answer = planner.plan(goal, wishes=Wishes(*wishes))
-        assert isinstance(answer, Plan)
-        return labels(answer)
+        return labels(planner.plan(demand("D(?x)"), wishes=Wishes(*wishes)))
 
     assert taken() == ["one"]
     assert taken(("L",)) == ["two"]
