@@ -359,6 +359,8 @@ class Reader:
     def __init__(self, names: Names) -> None:
         self._names = names
         self._patterns: dict[Any, Pattern] = {}
+        #: Patterns by the texts that were read: most are written in the same way.
+        self._by_text: dict[Any, Pattern] = {}
         self._types: dict[tuple[Types, ...], tuple[Types, ...]] = {}
 
     def read(self, transformations: Iterable[Transformation]) -> list[Operator]:
@@ -370,6 +372,7 @@ class Reader:
             pattern.uses -= 1
             if not pattern.uses:
                 del self._patterns[pattern.key]
+                self._by_text.clear()
 
     def _read(self, transformation: Transformation) -> Operator:
         ports = [each for each in transformation.ports if each.direction == IN and each.tags]
@@ -408,9 +411,13 @@ class Reader:
         return action
 
     def _pattern(self, port: Port, wanted: Sequence[str], types: Sequence[Types]) -> Pattern:
-        terms = read_tags(port.tags)
-        found = pattern_of(terms, port.datatype, self._names, wanted, types)
-        found = self._patterns.setdefault(found.key, found)
+        text = port.tags, port.datatype, tuple(wanted), tuple(types)
+        found = self._by_text.get(text)
+        if found is None:
+            terms = read_tags(port.tags)
+            found = pattern_of(terms, port.datatype, self._names, wanted, types)
+            found = self._patterns.setdefault(found.key, found)
+            self._by_text[text] = found
         found.uses += 1
         return found
 
