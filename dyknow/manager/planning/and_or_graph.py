@@ -81,7 +81,7 @@ class AndOrGraph:
         self.thetas: list[Theta] = []
         self.costs: list[int] = []
         self.needs: list[tuple[Node, ...]] = []
-        self.makes: list[tuple[Node, ...]] = []
+        self.makes: list[Sequence[Node]] = []
 
     def add_node(self, pattern: Pattern, names: Theta) -> Node:
         self.patterns.append(pattern)
@@ -99,7 +99,11 @@ class AndOrGraph:
         return len(self.costs) - 1
 
     def add_maker(self, node: Node, instance: Instance) -> None:
-        self.makes[instance] = (*self.makes[instance], node)
+        made = self.makes[instance]
+        if isinstance(made, list):
+            made.append(node)
+        else:
+            self.makes[instance] = [*made, node] if made else (node,)
 
     def key(self, instance: Instance) -> tuple[Operator | None, Theta]:
         """Return what is equal for equal instances of several graphs."""

@@ -5,10 +5,10 @@
 
 The problem is that of a Steiner arborescence with AND nodes, which is NP-hard; set cover is a case
 of it. First every instance is left out that cannot be part of a cheaper plan, since no plan costs
-less than the maximum over its inputs. On the others landmark cuts are a lower bound, and a
+less than the maximum over its inputs. On the rest landmark cuts are a lower bound, and a
 branch-and-bound search is exact if it ends within the budget. It first tries the plans that differ
-little from what seems best at each step (W. D. Harvey and M. L. Ginsberg, "Limited discrepancy
-search", IJCAI 1995), so it has found a good one if it does not end.
+little from the best-looking choice at each step (W. D. Harvey and M. L. Ginsberg, "Limited
+discrepancy search", IJCAI 1995), so it has found a good one if it does not end.
 
 A solver for integer programs would do the same in fewer lines, but HiGHS in scipy holds the
 interpreter's lock until it has ended, and the manager would stand still for as long.
@@ -17,6 +17,10 @@ interpreter's lock until it has ended, and the manager would stand still for as 
 from __future__ import annotations
 
 import sys
+from bisect import bisect_left
+from functools import reduce
+from itertools import accumulate
+from operator import or_
 from typing import Callable, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
@@ -33,6 +37,10 @@ _COPIED = 50
 BOUNDED = 60
 #: Parts in which the price of a cut is paid: several cuts share an action more evenly.
 _PARTS = 4
+#: Parts of a unit of cost in the prices of the first plan.
+_FINE = 1_000
+#: Steps that a branch of the exact search takes, and each set of actions or choice in it.
+_BRANCH, _CHOICE = 35, 8
 #: Steps of each search for a plan that is allowed.
 _EACH_RISE = 5_000_000
 
@@ -145,22 +153,48 @@ class _Solver:
                 ):
                     self._given.setdefault(node, instance)
         self._makers = makers
-        nodelets: dict[object, list[Instance]] = {}
+        #: Sets of numbers are bits.
+        self._given_set = _set(self._given)
+        self._makers_of = [_set(each) for each in makers]
+        self._makes = [_set(each) for each in graph.makes]
+        self._needs = [_set(each) & ~self._given_set for each in graph.needs]
+        #: The instances of one nodelet, of which a plan has one.
+        self._twins: dict[Instance, int] = {}
         if graph.request.demand.min_rate:
-            for instance, nodes in enumerate(graph.makes):
-                if nodes:
-                    nodelets.setdefault(graph.nodelet(instance), []).append(instance)
-        #: Instances of one nodelet, of which a plan has one.
-        self._twins = {each: some for some in nodelets.values() for each in some}
+            nodelets: dict[object, int] = {}
+            for each in range(len(graph.costs)):
+                nodelet = graph.nodelet(each)
+                nodelets[nodelet] = nodelets.get(nodelet, 0) | 1 << each
+            self._twins = {each: nodelets[graph.nodelet(each)] for each in range(len(graph.costs))}
         self._size = sum(map(len, graph.needs)) + sum(map(len, graph.makes)) + len(graph.costs)
 
     def improved(self, draft: Draft) -> tuple[Draft, int]:
         """Improve a draft that may be of another graph; return it with a bound for its cost."""
+        graph = self._graph
         bound, rest = self._cuts()
-        best, is_exact = self.solve(bound, rest, draft.cost)
-        if best:
-            draft = self._graph.drafted(self.derive(best))
+        best = self._first()
+        below = min(draft.cost, graph.cost(best)) if best else draft.cost
+        found, is_exact = self.solve(bound, rest, below)
+        if found or below < draft.cost:
+            draft = graph.drafted(self.derive(found or best))
         return draft, draft.cost if is_exact else min(bound, draft.cost)
+
+    def _first(self) -> list[Instance]:
+        """Return a tree of actions that are cheap for all that they make; none if it is late."""
+        graph = self._graph
+        made = [max(1, len(nodes)) for nodes in graph.makes]
+        prices = [_FINE * cost // count for cost, count in zip(self._costs, made)]
+        _, way, _ = graph.cheapest(prices, use_sum=True)
+        actions = graph.drafted(way).order if 0 in way else []
+        return self._pruned(actions) if 0 in self.derive(actions) else []
+
+    def _pruned(self, actions: list[Instance]) -> list[Instance]:
+        """Leave out actions that the goal is reached without, the dearest first."""
+        for action in sorted(actions, key=lambda each: (-self._costs[each], each)):
+            fewer = [each for each in actions if each != action]
+            if self._budget.spend(_CHOICE * len(actions)) and 0 in self.derive(fewer):
+                actions = fewer
+        return actions
 
     def derive(self, actions: Iterable[Instance]) -> dict[Node, Instance]:
         """Make all nodes that actions can make, with what is there at no cost."""
@@ -239,59 +273,110 @@ class _Solver:
             The best plan that costs less, empty if none was found; and whether everything was
             tried.
         """
-        graph, budget, costs = self._graph, self._budget, self._costs
+        graph, costs = self._graph, self._costs
+        by_rest = sorted(range(len(costs)), key=rest.__getitem__)
+        rests = [rest[each] for each in by_rest]
+        #: Sets of the actions whose remaining costs are the least.
+        least = list(accumulate([1 << each for each in by_rest], or_, initial=0))
         best: list[Instance] = []
         discrepancies, is_cut = 1, True
-        stack: list[tuple[int, frozenset[Instance], frozenset[Instance]]] = []
+        stack: list[_Branch] = []
         while stack or is_cut:
             if not stack:
-                stack.append((discrepancies, frozenset(), frozenset()))
+                stack.append(_Branch(discrepancies, 0, 0, 1 & ~self._given_set, 0, 0, 0))
                 discrepancies, is_cut = 2 * discrepancies, False
-            left, has, lacks = stack.pop()
-            if not budget.spend(4 * len(has) + 20):
+            left, has, lacks, opened, made, paid, spent = stack.pop()
+            slack = below - bound - spent
+            if not self._budget.spend(_BRANCH):
                 return best, False
-            paid = graph.cost(has)
-            #: The remaining cost that one more action has to be below.
-            slack = below - bound - sum([rest[action] for action in has])
             if paid >= below or slack <= 0:
                 continue
-            opened, sets = self._open(has)
-            if not opened:
-                best, below = sorted(has), paid
-                continue
-            choices = min(
-                [[e for e in some if e not in lacks and rest[e] < slack] for some in sets], key=len
-            )
-            budget.spend(2 * len(choices))
+            usable = least[bisect_left(rests, slack)] & ~lacks
+            missing = opened
+            if opened:
+                sets = [self._makers_of[node] & usable for node in _members(opened)]
+            else:
+                missing = self._circular(has)
+                if not missing:
+                    best, below = _members(has), paid
+                    continue
+                every = [self._makers_of[node] for node in _members(missing)]
+                sets = [reduce(or_, every) & usable & ~has]
+            choices = _members(min(sets, key=_count))
+            if not self._budget.spend(_CHOICE * (len(sets) + len(choices))):
+                return best, False
             worth = {
-                each: costs[each] / max(1, len(opened.intersection(graph.makes[each])))
-                for each in choices
+                each: costs[each] / max(1, _count(missing & self._makes[each])) for each in choices
             }
             branches = []
             for rank, action in enumerate(sorted(choices, key=lambda each: (worth[each], each))):
                 if rank > left:
                     is_cut = True
                     break
-                twins = self._twins.get(action, ())
-                branches.append((left - rank, has | {action}, lacks.union(twins)))
-                lacks = lacks | {action}
+                more, there = has | 1 << action, made | self._makes[action]
+                price = paid + costs[action]
+                if graph.request.kept:
+                    price = graph.cost(_members(more))
+                branches.append(
+                    _Branch(
+                        left - rank,
+                        more,
+                        lacks | self._twins.get(action, 0),
+                        (opened | self._needs[action]) & ~there,
+                        there,
+                        price,
+                        spent + rest[action],
+                    )
+                )
+                lacks |= 1 << action
             stack += reversed(branches)
         return best, True
 
-    def _open(self, has: frozenset[Instance]) -> tuple[set[Node], list[Sequence[Instance]]]:
-        """Return the nodes that some actions need and lack; none if they are a plan.
+    def _circular(self, has: int) -> int:
+        """Return the nodes of which actions that supply each other lack one more maker.
 
-        Every plan with these actions has one more of each of the sets that are returned besides.
+        Some need each other in a circle: another supplier of their needs breaks it. Where some
+        are too late, another supplier of anything that they need may be sooner.
         """
-        graph, makers = self._graph, self._makers
-        needed = {0}.union(*[graph.needs[action] for action in has]) - self._given.keys()
-        opened = {node for node in needed if has.isdisjoint(makers[node])}
-        if opened:
-            return opened, [makers[node] for node in sorted(opened)]
-        way = self.derive(has)
+        actions = _members(has)
+        way = self.derive(actions)
         if 0 in way:
-            return set(), []
-        # Some need each other in a circle: another supplier of their needs breaks it. Where
-        # some are too late, another supplier of anything that they need may be sooner.
-        circular = needed - way.keys() if graph.request.limit is None else needed
-        return circular, [sorted({e for node in circular for e in makers[node]} - has)]
+            return 0
+        needed = {0}.union(*[self._graph.needs[each] for each in actions]) - self._given.keys()
+        return _set(needed - way.keys() if self._graph.request.limit is None else needed)
+
+
+class _Branch(NamedTuple):
+    """A part of the search: plans with some actions, but without others; sets are of bits.
+
+    Attributes:
+        left: discrepancies that it may have.
+        opened: the nodes that its actions need and do not make.
+        made: the nodes that its actions make.
+        spent: the remaining costs of its actions.
+    """
+
+    left: int
+    has: int
+    lacks: int
+    opened: int
+    made: int
+    paid: int
+    spent: int
+
+
+def _set(numbers: Iterable[int]) -> int:
+    return reduce(or_, [1 << each for each in numbers], 0)
+
+
+def _members(numbers: int) -> list[int]:
+    found = []
+    while numbers:
+        lowest = numbers & -numbers
+        found.append(lowest.bit_length() - 1)
+        numbers ^= lowest
+    return found
+
+
+def _count(numbers: int) -> int:
+    return bin(numbers).count("1")

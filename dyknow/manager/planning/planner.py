@@ -85,8 +85,8 @@ class Planner:
 
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
-        added = list(transformations)
-        self._change([each.label for each in added], [e for e in added if e.type != TOPIC])
+        added = {each.label: each for each in transformations}
+        self._change(added, [each for each in added.values() if each.type != TOPIC])
 
     def remove(self, *labels: str) -> None:
         """Forget transformations, as far as they are known."""

@@ -64,7 +64,8 @@ class Reach(AndOrGraph):
                     if need not in self.numbers:
                         self.numbers[need] = self.add_node(need, ())
                 self.needs[instance] = tuple([self.numbers[need] for need in action.inputs])
-        if self.makes[instance][-1:] != (node,):
+        made = self.makes[instance]
+        if not made or made[-1] != node:
             self.add_maker(node, instance)
         return instance
 

@@ -141,6 +141,7 @@ class Search:
         self.is_complete = True
         self.reached = 0
         self._best: dict[Node, int] = {}
+        self._made: set[tuple[Instance, Node]] = set()
         self._heap: list[tuple[Any, ...]] = []
         self._pushed = 0
         known = (None,) * len(request.goal.wanted)
@@ -360,7 +361,8 @@ class Search:
 
     def _supply(self, subgoal: Subgoal, instance: Instance, node: Node, value: int) -> None:
         """Supply a node of a subgoal; the first time is the cheapest."""
-        if self._below is not None and node not in self.graph.makes[instance]:
+        if self._below is not None and (instance, node) not in self._made:
+            self._made.add((instance, node))
             self.graph.add_maker(node, instance)
         if node not in self.value:
             self.value[node] = value

@@ -22,7 +22,7 @@ _TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
 
 #: Lists of tags whose terms are remembered.
-_REMEMBERED = 5_000
+_REMEMBERED = 2_000
 
 #: Longest tag that is read, in characters, and most arguments.
 MAX_LENGTH = 4096
