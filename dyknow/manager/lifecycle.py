@@ -27,7 +27,7 @@ from dyknow.guards import Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.loading import Loading
-from dyknow.manager.record import NOTHING_HEARD, Record
+from dyknow.manager.record import NOTHING_HEARD, Record, with_present_ports
 from dyknow.manager.specifications.given import completed, names_of
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
@@ -280,3 +280,10 @@ class Lifecycle:
             self._host.forget(record.name, [*declared, *names_of(record.parameters)])
         if record.isolated:
             self._host.retire(record.manager)
+
+
+def show_ports(graph: Graph, host: Host, name: str, patience: float = 0.0) -> None:
+    """Show the present ports of a nodelet at once."""
+    with graph.changing(name, patience=patience) as record:
+        if record is not None and record.state is State.RUNNING:
+            graph.put(with_present_ports(record, host.ports(name)))

@@ -27,14 +27,14 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeeper
+from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeeper, show_ports
 from dyknow.manager.observer import Observer, at_once
-from dyknow.manager.record import Record, with_present_ports
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import Model, SpawnRequest, State
+from dyknow.model.graph import Model, SpawnRequest
 from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.periodic import STEADY, Clock
 
@@ -202,7 +202,7 @@ class Manager:
         finally:
             for move in checked:  # if that fails, the next look shows the ports
                 with contextlib.suppress(HostError, Busy):
-                    self.show_ports(move.name, PATIENCE)
+                    show_ports(self.graph, self.host, move.name, PATIENCE)
 
     def _checked(self, name: str, config: Mapping[str, str]) -> _Move:
         name = self.resolve(name)
@@ -223,12 +223,6 @@ class Manager:
         back = {p: topic for p, topic in move.before.items() if now.get(p) == move.after[p]}
         if back:
             self.host.connect(move.name, back)
-
-    def show_ports(self, name: str, patience: float = 0.0) -> None:
-        """Show the present ports of a nodelet at once."""
-        with self.graph.changing(name, patience=patience) as record:
-            if record is not None and record.state is State.RUNNING:
-                self.graph.put(with_present_ports(record, self.host.ports(name)))
 
     # The model
 

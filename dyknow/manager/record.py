@@ -197,11 +197,14 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
     """Return the ports of a nodelet without a proxy, as its transformation and topics say."""
     if record.transformation is None:
         return ()
+    topics = record.topics
     return tuple(
-        PortState(
-            port.name, port.direction, port.datatype, record.topics.get(port.name, ""), port.tags
-        )
-        for port in record.transformation.ports
+        [
+            PortState(
+                each.name, each.direction, each.datatype, topics.get(each.name, ""), each.tags
+            )
+            for each in record.transformation.ports
+        ]
     )
 
 
@@ -211,8 +214,9 @@ def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     For a port that was connected before the nodelet made it, the proxy reports the topic alone. A
     nodelet that was written for DyKnow makes its ports when it is loaded.
     """
+    declared = record.transformation.ports if record.transformation is not None else ()
     made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
-    awaited = [port.name for port in declared_ports(record) if port.name not in made]
+    awaited = [port.name for port in declared if port.name not in made]
     return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
 
 

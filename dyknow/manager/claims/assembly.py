@@ -18,10 +18,10 @@ from typing import AbstractSet, Any, Iterable, Iterator, Mapping
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
-from dyknow.errors import DyKnowError, HostTimeout, NameTaken, SpawnFailed, StreamTypeMismatch
+from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_planner import STAMPED
-from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.connector import ClaimContext, Transaction
 from dyknow.manager.claims.ends import Producer, relay
 from dyknow.manager.host import Count
 from dyknow.manager.planning.problem import Instance, Live, New, Plan, PlanStep, Source
@@ -70,7 +70,7 @@ class Acquired:
         return {name: getattr(self.claim, name) for name in names_}
 
 
-class Assembly:
+class Assembly(Transaction):
     """One plan that is carried out for a claim."""
 
     def __init__(
@@ -92,19 +92,13 @@ class Assembly:
             movable: all healthy nodelets that can be connected elsewhere for the claim.
             ordinary: topics that the library describes and ordinary nodes publish.
         """
+        super().__init__(context)
         self._manager = context.manager
-        #: The world after the latest change of this plan, or pause.
-        self._world = context.world()
-        self._lock = context.lock
-        self._monitor = context.monitor
-        self._context = context
         self._claim = claim
         self._plan = plan
         self._own = own
         self._movable = movable
         self._ordinary = ordinary
-        self._transaction = context.transaction()
-        self._spawned = self._transaction.spawned
         #: Out-ports that the plan uses of its new nodelets.
         self._used: dict[Instance, set[str]] = {}
         for source in plan.sources:
@@ -115,8 +109,6 @@ class Assembly:
         self._remarks: list[str] = []
         #: When the replacements of the plan have to have delivered.
         self._deadline: float | None = None
-        #: Label of the transformation of which no nodelet could be made; empty if there is none.
-        self.failed_label = ""
 
     def carry_out(self) -> Acquired:
         """Carry the plan out; an exception undoes every change.
@@ -125,13 +117,13 @@ class Assembly:
         """
         try:
             # Nothing that the plan counts on is to be destroyed meanwhile.
-            self._lock.reserve([*self._movable, *self._upstream()[0]])
+            self._context.lock.reserve([*self._movable, *self._upstream()[0]])
             for step in self._plan.steps:
                 self._take(step)
             goal, present = self._plan.goal, self._topic_of(self._plan.goal)
             claim = self._publish(goal, present)
         except BaseException:
-            self._transaction.undo(self._context.world().needed)
+            self.undo()
             raise
         name, source = claim.goal[0], self._name_of(goal)
         wiring, sources = self._upstream(name, *self._made.values())
@@ -150,13 +142,13 @@ class Assembly:
             bindings=self._plan.bindings,
             state=ClaimState.ACTIVE,
         )
-        spawned, reused = tuple(self._spawned), sorted(wiring.keys() - {*self._spawned})
+        spawned, reused = tuple(self.spawned), sorted(wiring.keys() - {*self.spawned})
         return Acquired(claim, self._plan, spawned, tuple(reused), tuple(self._remarks))
 
     def _upstream(self, *made: str) -> tuple[dict[str, dict[str, str]], set[str]]:
         """Find the nodelets and topics of the plan."""
         used = {*made, *[live.nodelet for live in self._plan.live]}
-        return self._world.upstream(used - {""}, self._ordinary)
+        return self.world.upstream(used - {""}, self._ordinary)
 
     # Steps
 
@@ -165,18 +157,18 @@ class Assembly:
         inputs = self._inputs(step)
         name = self._own.get(instance, "")
         if name:
-            self._check_types(self._world.get(name), step)
+            self._check_types(self.world.get(name), step)
             for port, source in step.inputs:
-                self._await(source, self._world.get(name).topics.get(port, ""), inputs[port])
+                self._await(source, self.world.get(name).topics.get(port, ""), inputs[port])
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
             types = {port: self._sent(source).datatype for port, source in step.inputs}
             typed = {port: (topic, types[port]) for port, topic in inputs.items()}
             name = self._spawn(transformation, typed, self._used[instance], given)
-            self._check_types(self._world.get(name), step)
+            self._check_types(self.world.get(name), step)
         self._made[instance] = name
-        self._connect(name, self._inputs(step))
+        self.connect(name, self._inputs(step))
 
     def _inputs(self, step: PlanStep) -> dict[str, str]:
         """Topics of a step's suppliers, as they are now."""
@@ -196,14 +188,14 @@ class Assembly:
         if not claim.topic and present in self._taken_topics() and datatype not in ANY:
             # The clients there want something else, and their stream may change.
             name, port = self._relay(goal, present), "out"
-            topic = self._world.get(name).topics[port]
+            topic = self.world.get(name).topics[port]
         elif present != topic:
             if not name or not self._may_move(name, present):
                 name, port = self._relay(goal, present, topic), "out"
             else:
                 self._await(goal, topic, present)
                 self._separate(goal, name, topic)
-                self._connect(name, {port: topic})
+                self.connect(name, {port: topic})
             self._clear(topic, name)
         place = (name, port) if name else ("", "")
         datatype = claim.wanted_type if datatype in ANY else datatype
@@ -212,13 +204,13 @@ class Assembly:
     def _relay(self, goal: Source, present: str, topic: str = "") -> str:
         """Relay a stream that stays on its topic to ``topic``, or a new one; name the relay."""
         # The tags that hold for all messages there.
-        tags = self._world.common_tags(present, self._sent(goal).tags)
+        tags = self.world.common_tags(present, self._sent(goal).tags)
         datatype = self._sent(goal).datatype
         made = relay(present, datatype, tuple(map(str, tags)))
         name = self._spawn(made, {"in": (present, datatype)}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._separate(goal, name, topic)
-        self._connect(name, {"in": self._topic_of(goal), **out})
+        self.connect(name, {"in": self._topic_of(goal), **out})
         return name
 
     def _separate(self, goal: Source, publisher: str, topic: str) -> None:
@@ -226,23 +218,18 @@ class Assembly:
 
         Else it goes afterwards, without a gap.
         """
-        tags, producers = set(self._sent(goal).tags), self._world.producers(topic)
+        tags, producers = set(self._sent(goal).tags), self.world.producers(topic)
         if any(set(each.tags) != tags for each in producers):
             self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Disconnect every other publisher of the client's topic: it was replaced."""
-        for record, ports in self._world.publishers(topic):
+        for record, ports in self.world.publishers(topic):
             is_other = record.name != publisher and record.transformation is not None
-            if is_other and self._monitor.is_reachable(record):
-                self._transaction.connect(record.name, dict.fromkeys(ports, ""))
-        self._world = self._context.world()
+            if is_other and self._context.monitor.is_reachable(record):
+                self.connect(record.name, dict.fromkeys(ports, ""))
 
     # Parts of a step
-
-    def _connect(self, name: str, config: Mapping[str, str]) -> None:
-        self._transaction.connect(name, config)
-        self._world = self._context.world()
 
     def _spawn(
         self,
@@ -266,7 +253,7 @@ class Assembly:
             and types_fit(types[port], datatype)
         }
         for name in self._free_names(transformation.label):
-            self._lock.reserve([name])
+            self._context.lock.reserve([name])
             try:
                 kind = self._manager.host.kind_of(transformation)
             except DyKnowError:
@@ -275,28 +262,19 @@ class Assembly:
             own = {port: names.topic_after(name, port) for port in sorted(outputs)}
             config = {**(certain if kind.is_written_for_dyknow else topics), **own}
             request = SpawnRequest(transformation.label, name, config, parameters=given)
-            cut = self._transaction.make_way_for(transformation, request)
             try:
-                with self._lock.pause():
-                    self._transaction.spawn(transformation, request, topics.values())
+                self.spawn(transformation, request, topics.values())
             except NameTaken:
-                self._transaction.connect_again(cut)
                 continue
-            except DyKnowError as error:
-                if not timed_out(error):
-                    self.failed_label = transformation.label
-                raise
-            self._transaction.connect_again(cut)
-            self._world = self._context.world()
             return name
         raise SpawnFailed(transformation.label, "all names for it are taken")
 
     def _await(self, source: Source, old: str, new: str) -> None:
         """Wait for a new supplier to deliver, if it replaces one that still delivers."""
         name = self._name_of(source)
-        if name not in self._spawned or old in ("", new) or not self._flows(old):
+        if name not in self.spawned or old in ("", new) or not self._flows(old):
             return
-        record, clock = self._world.get(name), self._context.clock
+        record, clock = self.world.get(name), self._context.clock
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
         with contextlib.ExitStack() as closing:
@@ -307,9 +285,9 @@ class Assembly:
                     late = f"though it sent nothing within {_HANDOVER:g} s"
                     self._remarks.append(f"{name} took over {late}")
                     return
-                with self._lock.pause():
+                with self._context.lock.pause():
                     self._context.sleep(_STEP)
-                self._world = self._context.world()
+                self.world = self._connector.world()
 
     def _counter(
         self, record: Record, port: str, closing: contextlib.ExitStack
@@ -327,19 +305,19 @@ class Assembly:
 
     def _flows(self, topic: str) -> bool:
         """Whether a healthy nodelet publishes on a topic."""
-        unhealthy = self._monitor.unhealthy
-        return any(record.name not in unhealthy for record, _ in self._world.publishers(topic))
+        unfit = self._context.monitor.unfit()
+        return any(record.name not in unfit for record, _ in self.world.publishers(topic))
 
     def _may_move(self, name: str, topic: str) -> bool:
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
-        if name in self._spawned or not topic:
+        if name in self.spawned or not topic:
             return True
-        if not self._world.get(name).claimed or topic in self._taken_topics():
+        if not self.world.get(name).claimed or topic in self._taken_topics():
             return False
-        own = {*self._movable, *self._spawned}
+        own = {*self._movable, *self.spawned}
         return not any(
             ports_on(record, IN, topic)
-            for record in self._world.records.values()
+            for record in self.world.records.values()
             if record.name not in own and record.state is State.RUNNING
         )
 
@@ -354,22 +332,22 @@ class Assembly:
         name = self._name_of(source)
         if isinstance(source, Live) and not name:
             return source.topic
-        topic = self._world.get(name).topics.get(source.port, "")
+        topic = self.world.get(name).topics.get(source.port, "")
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
             topic = self._free_topic(name, source.port)
-        self._connect(name, {source.port: topic})
+        self.connect(name, {source.port: topic})
         return topic
 
     def _is_mixed(self, source: New, topic: str) -> bool:
         """Whether something else may be sent on a supplier's topic as well."""
         tags = self._sent(source).tags
-        return self._world.common_tags(topic, tags) != tags
+        return self.world.common_tags(topic, tags) != tags
 
     def _sent(self, source: Source) -> Producer:
         """Tags and type of a supplier's messages, as far as they are certain."""
         name = self._name_of(source)
         if name or isinstance(source, New):
-            return self._world.sent(name, source.port)
+            return self.world.sent(name, source.port)
         port = self._manager.library.get(source.label).ports[0]
         return Producer("", "", read_tags(port.tags), source.datatype)
 
@@ -386,14 +364,14 @@ class Assembly:
 
     def _taken_topics(self) -> set[str]:
         """Topics on which the clients of other claims listen."""
-        return self._world.taken_topics(but=self._claim.claim_id)
+        return self.world.taken_topics(but=self._claim.claim_id)
 
     def _free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port, but none that a successor has taken over."""
         taken = self._taken_topics() | {self._claim.topic}
         taken |= {
             each.topic
-            for record in self._world.records.values()
+            for record in self.world.records.values()
             for each in record.ports
             if each.direction == OUT and record.name != name
         }
@@ -401,7 +379,7 @@ class Assembly:
 
     def _free_names(self, label: str) -> Iterator[str]:
         """Yield global names for nodelets of a transformation: /bottom_camera_1, _2 ..."""
-        records = self._world.records.values()
+        records = self.world.records.values()
         taken = {topic for record in records for topic in record.topics.values()}
         taken |= self._taken_topics() | {self._claim.topic}
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
@@ -412,13 +390,6 @@ class Assembly:
             has_left_topics = any(topic.startswith(name + "/") for topic in taken)
             if not has_left_topics and not self._manager.graph.is_busy(name):
                 yield name
-
-
-def timed_out(error: BaseException | None) -> bool:
-    """Whether an error comes from a nodelet manager, or a nodelet, that did not answer."""
-    while error is not None and not isinstance(error, HostTimeout):
-        error = error.__cause__
-    return error is not None
 
 
 def _shows_messages(count: Count | None, since: float) -> bool:

@@ -15,9 +15,9 @@ from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTupl
 from dyknow.datatypes import ANY
 from dyknow.errors import HostError, StreamTypeMismatch
 from dyknow.manager.claim import Claim, demand_of
-from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.ends import RELAY_COST
-from dyknow.manager.claims.own_nodelets import OwnNodelet, assigned, is_current
+from dyknow.manager.claims.connector import ClaimContext
+from dyknow.manager.claims.ends import RELAY_COST, is_relay
+from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
     NO_LABELS,
@@ -34,7 +34,7 @@ from dyknow.manager.planning.problem import (
 )
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
-from dyknow.manager.specifications.tags import Bindings, Term
+from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 
@@ -42,6 +42,22 @@ from dyknow.model.transformation import Transformation
 STAMPED = "a type that begins with a header (for max_age)"
 #: Seconds for which the answer to "which topics are published?" is good enough.
 _FRESH = 0.5
+
+
+class OwnNodelet(NamedTuple):
+    """A healthy nodelet that can be connected elsewhere for a claim.
+
+    Attributes:
+        name: its name.
+        label: its transformation.
+        kept: names that its variables have to stand for wherever it is connected.
+        present: names that they stand for now, as far as known.
+    """
+
+    name: str
+    label: str
+    kept: Bindings = ()
+    present: Bindings = ()
 
 
 class Situation(NamedTuple):
@@ -96,7 +112,7 @@ class ClaimPlanner:
         self._manager = context.manager
         self._table = context.table
         self._lock = context.lock
-        self._world = context.world
+        self._world = context.connector.world
         self._monitor = context.monitor
         self._clock = context.clock
         self._ontology = context.manager.library.ontology
@@ -130,9 +146,7 @@ class ClaimPlanner:
             self._manager.library.revision,
             self._manager.graph.revision,
             self.published,
-            self._monitor.paused,
-            self._monitor.unhealthy,
-            self._monitor.quality.signature,
+            self._monitor.signature,
         )
 
     def offers(self) -> Hashable:
@@ -200,7 +214,7 @@ class ClaimPlanner:
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        situation = self._situation([claim])
+        situation = self.situation(claim)
         is_paused = bool(situation.paused)
         return is_paused and isinstance(self._solved(situation._replace(paused=NO_LABELS)), Plan)
 
@@ -225,7 +239,7 @@ class ClaimPlanner:
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
-        streams = self._without_relays(self._streams(NO_LABELS))
+        streams = self._without_relays(self._streams(NO_LABELS, self._monitor.unfit()))
         with self._planning(self.transformations()) as (planner, _):
             return planner.bindings(demand, streams)
 
@@ -242,31 +256,22 @@ class ClaimPlanner:
         without: AbstractSet[str] = frozenset(),
     ) -> Situation:
         """Read all that a plan for a claim follows from."""
-        return self._situation(self._table.together(claim), avoid, without)
-
-    def _situation(
-        self,
-        claims: list[Claim],
-        avoid: frozenset[str] = NO_LABELS,
-        without: AbstractSet[str] = frozenset(),
-    ) -> Situation:
-        first = claims[0]
-        exclude = avoid | {label for claim in claims for label in claim.request.exclude}
-        own = tuple(each for each in self.own(first, without) if each.label not in exclude)
-        quality = self._monitor.quality
-        streams = tuple(self._streams(exclude, quality.unfit(claims) | without))
+        claims = self._table.together(claim)
+        exclude = avoid.union(*(each.request.exclude for each in claims))
+        own = tuple(each for each in self.own(claim, without) if each.label not in exclude)
+        streams = tuple(self._streams(exclude, self._monitor.unfit(claims) | without))
         return Situation(
             demand_of(claims),
-            first.topic,
+            claim.topic,
             streams,
             self._without_relays(streams),
             own,
             exclude,
-            self._monitor.paused | quality.paused(claims),
+            self._monitor.paused(claims),
             self._world().described_nodes - {each.label for each in own},
-            first.wishes,
-            self._upstream(first, streams),
-            max(claim.request.budget for claim in claims) or BUDGET,
+            claim.wishes,
+            self._upstream(claim, streams),
+            max(each.request.budget for each in claims) or BUDGET,
             self.transformations(),
         )
 
@@ -294,7 +299,7 @@ class ClaimPlanner:
         sharing = [each for each in self._table.living if each.claim_id != claim.claim_id]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
-        unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
+        unfit = self._monitor.unfit(self._table.together(claim)) | without
         found: list[OwnNodelet] = []
         for name in reversed((*idle, *claim.nodelets)):
             record = world.records.get(name)
@@ -302,7 +307,6 @@ class ClaimPlanner:
             if (
                 record is None
                 or name in unfit
-                or name in without
                 or not _is_connectable(record, known)
                 or not all(_may_lend(each, claim) for each in users)
             ):
@@ -321,9 +325,7 @@ class ClaimPlanner:
                 found.append(OwnNodelet(name, record.label, bound, bound))
         return found
 
-    def _streams(
-        self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
-    ) -> list[TaggedStream]:
+    def _streams(self, exclude: AbstractSet[str], without: AbstractSet[str]) -> list[TaggedStream]:
         """List the streams that can be relied on.
 
         Labels of ``exclude`` have no part in them, directly or further up, nor have nodelets and
@@ -335,14 +337,12 @@ class ClaimPlanner:
             for each in world.descriptions
             if each.label not in exclude
             and each.source in self.published
-            and each.source not in self._monitor.silent
             and each.source not in without
         ]
         records = [
             record
             for record in world.records.values()
             if record.name not in without
-            and record.name not in self._monitor.unhealthy
             and record.label not in exclude
             and (not record.claimed or is_current(library, record))
         ]
@@ -463,8 +463,9 @@ class ClaimPlanner:
             return price
         exclude = frozenset(claim.request.exclude)
         demand = demand_of(self._table.together(claim))
+        streams = self._streams(exclude, self._monitor.unfit())
         with self._planning(known) as (planner, _):
-            charges = planner.charges(demand, self._streams(exclude), exclude, wishes)
+            charges = planner.charges(demand, streams, exclude, wishes)
         labels = self._labels(claim.nodelets, claim.sources)
         return price + sum(charges.get(label, 0) for label in labels)
 
@@ -509,3 +510,36 @@ def _may_lend(user: Claim, claim: Claim) -> bool:
     """Whether a claim may connect elsewhere what another one uses."""
     excluded = set(user.request.exclude)
     return excluded <= set(claim.request.exclude) and user.wishes == claim.wishes
+
+
+def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> dict[Instance, str]:
+    """Choose nodelets for the steps of a plan, by instance; the other instances need new ones.
+
+    The preferred ones come first in ``own``. Those that stay as they are take precedence, since
+    nothing that they supply changes.
+    """
+    left = list(own)
+    found: dict[Instance, str] = {}
+    instances = dict.fromkeys([step.instance for step in plan.steps])
+    for stays in (True, False):
+        for instance in [each for each in instances if each not in found]:
+            for each in left:
+                bound = each.present if stays else each.kept
+                if stays and not bound:
+                    continue
+                if each.label == instance[0] and _agree(bound, instance[1], ontology):
+                    found[instance] = each.name
+                    left.remove(each)
+                    break
+    return found
+
+
+def _agree(some: Bindings, all_: Bindings, ontology: Subsumption) -> bool:
+    """Whether all that is bound in ``some`` stands for the same individual in ``all_``."""
+    known = {variable: ontology.canonical(name) for variable, name in all_}
+    return all(known.get(variable) == ontology.canonical(name) for variable, name in some)
+
+
+def is_current(library: Library, record: Record) -> bool:
+    """Whether the library still has a nodelet's transformation, perhaps in a newer version."""
+    return is_relay(record.transformation) or record.label in library

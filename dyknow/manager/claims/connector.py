@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Connects ports, one nodelet at a time or several changes as one.
+"""Reads the world, and changes it: connects ports, one nodelet at a time or several as one.
 
 A connection that was not answered in time may be made later. Its nodelet is polled until it
 answers, and for a while after that its ports count on the topics that they were sent to.
@@ -11,13 +11,21 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import AbstractSet, Callable, Iterable, Mapping
+from typing import Callable, Hashable, Iterable, Mapping
 
-from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
+from dyknow import names
+from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout, NameTaken
+from dyknow.guards import Guards
+from dyknow.manager.claims.claim_table import ClaimLock, ClaimTable
 from dyknow.manager.claims.ends import ends_of
-from dyknow.manager.claims.world import Config, WorldReader
+from dyknow.manager.claims.judgements import StreamMonitor
+from dyknow.manager.claims.world import Config, World
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import show_ports
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports
 from dyknow.manager.steps import ReversibleStep, take_back
@@ -35,24 +43,63 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Connector:
-    """Connects ports, and asks the nodelets whose connections are not known."""
+    """Reads the world, connects ports, and asks the nodelets whose connections are not known."""
 
-    def __init__(self, manager: Manager, worlds: WorldReader, clock: Callable[[], float]) -> None:
-        self._manager = manager
-        self._graph = manager.graph
-        self._worlds = worlds
+    def __init__(
+        self,
+        host: Host,
+        graph: Graph,
+        library: Library,
+        table: ClaimTable,
+        guards: Guards,
+        namespace: str,
+        clock: Callable[[], float],
+    ) -> None:
+        """Topics of ordinary nodes are relative to ``namespace``."""
+        self._host = host
+        self._graph = graph
+        self._library = library
+        self._table = table
+        self._guards = guards
+        self._namespace = namespace
         self._clock = clock
-        #: Returns the world of this moment.
-        self.world = worlds.now
-        #: Topics that a port was sent to without an answer, and until when it may arrive there.
-        self._late: dict[tuple[str, str], dict[str, float]] = {}
+        self._world = World(library.ontology, {})
+        self._world_at: Hashable = None
+        self._basis: Hashable = None
+        #: Topics that a port was sent to without an answer, and until when it may arrive there;
+        #: replaced as a whole by every change.
+        self._late: Mapping[tuple[str, str], Mapping[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
-        self._unknown: dict[str, float] = {}
+        self.unknown: dict[str, float] = {}
 
-    @property
-    def unknown(self) -> frozenset[str]:
-        """Nodelets of which it is not known how they are connected."""
-        return frozenset(self._unknown)
+    def world(self) -> World:
+        """Return the world of this moment; what is unchanged is not read again."""
+        # The revisions come first: a change meanwhile is read the next time.
+        at = (self._library.revision, self._late, self._graph.revision, self._table.living)
+        if self._world_at == at:
+            return self._world
+        records = self._graph.records
+        if self._basis != at[:2]:
+            self._basis = at[:2]
+            self._world = World(self._library.ontology, self._descriptions(), self._late)
+        lost = [each for each in records.values() if each.state is State.LOST]
+        states = self._host.states() if lost else {}
+        gone = {name for name, each in records.items() if each.state is State.FAILED}
+        for each in lost:  # it may run on while its process does
+            state = states.get(each.manager)
+            if state is None or state.incarnation != each.incarnation:
+                gone.add(each.name)
+        self._world = self._world.read(records, at[3], records.keys() - gone)
+        self._world_at = None if lost else at
+        return self._world
+
+    def _descriptions(self) -> dict[str, tuple[Transformation, ...]]:
+        found: dict[str, tuple[Transformation, ...]] = {}
+        for each in self._library.topics():
+            topic = names.join(self._namespace, each.source)
+            topic = each.source if each.source[:1] == "/" else topic
+            found[topic] = (*found.get(topic, ()), each._replace(source=topic))
+        return found
 
     def remember(self) -> None:
         """Store the bindings of nodelets with variables."""
@@ -70,19 +117,19 @@ class Connector:
     def connect(self, name: str, config: Config) -> None:
         """Connect ports of a nodelet, and show it in the graph at once."""
         for topic in config.values():
-            self._manager.guards.check_topic(topic)
+            self._guards.check_topic(topic)
         record = self._graph.get(name)
         if record.is_fixed:
             raise FixedTopics(name, record.manager)
         try:
-            self._manager.host.connect(name, config)
+            self._host.connect(name, config)
             self._show(name, config)
         except (HostError, Busy) as error:
-            self._unknown[name] = self._clock()
+            self.unknown[name] = now = self._clock()
             if isinstance(error, HostTimeout):
-                for port, topic in config.items():
-                    self._late.setdefault((name, port), {})[topic] = self._clock() + _LATE
-                self._worlds.expect(self._late)
+                new = {(name, port): {topic: now + _LATE} for port, topic in config.items()}
+                known = {place: {**self._late.get(place, {}), **new[place]} for place in new}
+                self._late = {**self._late, **known}
             raise
         self.remember()
 
@@ -90,18 +137,18 @@ class Connector:
         """Ask the nodelets whose connections are not known, and show these in the graph."""
         now = self._clock()
         hanging: set[str] = set()
-        for name in sorted(self._unknown):
+        for name in sorted(self.unknown):
             record = self._graph.find(name)
             if record is None:
                 self._settle(name)
             elif (
                 record.state is State.RUNNING
-                and self._unknown[name] <= now
+                and self.unknown[name] <= now
                 and record.manager not in hanging
             ):
-                self._unknown[name] = now + _PAUSE
+                self.unknown[name] = now + _PAUSE
                 try:
-                    self._manager.show_ports(name)
+                    show_ports(self._graph, self._host, name)
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
@@ -131,56 +178,80 @@ class Connector:
             for place, topics in self._late.items()
         }
         self._late = {place: topics for place, topics in late.items() if topics}
-        self._worlds.expect(self._late)
         if not any(place[0] == name for place in self._late):
-            self._unknown.pop(name, None)
+            self.unknown.pop(name, None)
+
+
+@dataclass(frozen=True)
+class ClaimContext:
+    """The context that the parts of the reconciler share."""
+
+    manager: Manager
+    table: ClaimTable
+    lock: ClaimLock
+    connector: Connector
+    monitor: StreamMonitor
+    clock: Callable[[], float]
+    sleep: Callable[[float], None]
 
 
 class Transaction:
-    """Spawns and connects nodelets; everything that it did can be undone."""
+    """Spawns and connects nodelets for claims; everything that it did can be undone."""
 
-    def __init__(
-        self, manager: Manager, connector: Connector, is_reachable: Callable[[Record], bool]
-    ) -> None:
-        self._manager = manager
-        self._connector = connector
-        self._is_reachable = is_reachable
+    def __init__(self, context: ClaimContext) -> None:
+        self._context = context
+        self._graph = context.manager.graph
+        self._connector = context.connector
+        #: The world after the latest change.
+        self.world = context.connector.world()
         #: Names of the nodelets that were made.
         self.spawned: list[str] = []
+        #: Label of the transformation of which no nodelet could be made; empty if there is none.
+        self.failed_label = ""
         self._done: list[ReversibleStep] = []
 
-    def make_way_for(
-        self, transformation: Transformation, request: SpawnRequest
-    ) -> dict[str, Mapping[str, str]]:
-        """Disconnect the consumers that would mismatch a nodelet, for ``connect_again``."""
+    def spawn(
+        self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
+    ) -> None:
+        """Make a nodelet, close to the publishers of some topics.
+
+        Consumers that would mismatch it are disconnected first. A request lets rounds pass
+        meanwhile.
+        """
+        lifecycle, name = self._context.manager.lifecycle, request.name
         planned = Record(
-            request.name,
+            name,
             transformation,
             "",
             topics=request.config,
             claimed=True,
             parameters=request.parameters,
         )
-        return self._make_way(planned, request.config)
-
-    def spawn(
-        self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
-    ) -> None:
-        """Make a nodelet, close to the publishers of some topics."""
-        lifecycle, name = self._manager.lifecycle, request.name
+        cut = self._make_way(planned, request.config)
         spawn = partial(lifecycle.spawn, transformation, request, True, near)
         step = ReversibleStep(f"spawning '{name}'", name, spawn, partial(lifecycle.destroy, name))
-        step.do()
+        try:
+            with self._context.lock.pause():
+                step.do()
+        except NameTaken:
+            self._connect_again(cut)
+            raise
+        except DyKnowError as error:
+            if not timed_out(error):
+                self.failed_label = transformation.label
+            raise
         self._done.append(step)
         self.spawned.append(name)
         self._connector.remember()
+        self._connect_again(cut)
+        self.world = self._connector.world()
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports of a nodelet that are not connected so already.
 
         Consumers whose demand would not be met are disconnected first.
         """
-        record = self._manager.graph.get(name)
+        record = self._graph.get(name)
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and name not in self._connector.unknown:
             return
@@ -190,7 +261,8 @@ class Transaction:
         step = ReversibleStep(f"connecting '{name}'", name, connect, undo)
         self._done.append(step)  # without an answer it may have been done, too
         step.do()
-        self.connect_again(cut)
+        self._connect_again(cut)
+        self.world = self._connector.world()
 
     def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
         """Disconnect ports and connect them again: their nodelet forgets earlier messages.
@@ -198,27 +270,16 @@ class Transaction:
         They stay disconnected if they do not fit together by then.
         """
         self.connect(name, dict.fromkeys(ports, ""))
-        self._connect_if_fitting(self._manager.graph.get(name), ports)
+        self._connect_if_fitting(self._graph.get(name), ports)
 
-    def connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
-        """After a change, connect the ports that users connected, if they fit together again.
-
-        Nodelets of claims are connected by their repair.
-        """
-        for name, ports in cut.items():
-            record = self._manager.graph.find(name)
-            if record is not None and not record.claimed:
-                self._connect_if_fitting(record, ports)
-
-    def undo(self, needed: AbstractSet[str]) -> None:
-        """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
-        kept = needed & set(self.spawned)
+    def undo(self) -> None:
+        """Undo everything, the latest change first; nodelets that claims need by now stay."""
+        kept = self._connector.world().needed & set(self.spawned)
         for trouble in take_back([step for step in self._done if step.subject not in kept]):
             _log.warning("undoing a plan: %s", trouble)
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
         """Disconnect the consumers that would mismatch a connection; returns their topics."""
-        graph = self._manager.graph
         cut: dict[str, dict[str, str]] = {}
         is_forgetful = False
         while True:
@@ -232,20 +293,29 @@ class Transaction:
             }
             if not more:
                 return dict(sorted(cut.items()))
-            reached = {
-                name: ports for name, ports in more.items() if self._is_reachable(graph.get(name))
-            }
+            is_reachable = self._context.monitor.is_reachable
+            reached = [name for name in sorted(more) if is_reachable(self._graph.get(name))]
             if not reached:
                 if is_forgetful or world.forgetful.in_the_way(record, config):
-                    first = graph.get(min(more))
+                    first = self._graph.get(min(more))
                     why = "has fixed topics" if first.is_fixed else "does not answer"
                     raise HostError(f"{first.name} has to be disconnected first, and {why}")
                 is_forgetful = True  # they are reconfigured as soon as they answer
-            for name, ports in sorted(reached.items()):
-                topics = graph.get(name).topics
-                self.connect(name, ports)
-                before = {port: topics.get(port, "") for port in ports}
+            for name in reached:
+                topics = self._graph.get(name).topics
+                self.connect(name, more[name])
+                before = {port: topics.get(port, "") for port in more[name]}
                 cut.setdefault(name, {}).update(before)
+
+    def _connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
+        """After a change, connect the ports that users connected, if they fit together again.
+
+        Nodelets of claims are connected by their repair.
+        """
+        for name, ports in cut.items():
+            record = self._graph.find(name)
+            if record is not None and not record.claimed:
+                self._connect_if_fitting(record, ports)
 
     def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
         fits = self._connector.world().fitting(replace(record, topics={**record.topics, **ports}))
@@ -253,8 +323,15 @@ class Transaction:
             self.connect(record.name, ports)
 
     def _reconnect(self, name: str, before: dict[str, str]) -> None:
-        record = self._manager.graph.find(name)
+        record = self._graph.find(name)
         if record is None or name in self._connector.unknown:
             return  # it is polled, and connected as it should be then
         fits = self._connector.world().fitting(replace(record, topics=before))
         self._connector.connect(name, fits)
+
+
+def timed_out(error: BaseException | None) -> bool:
+    """Whether an error comes from a nodelet manager, or a nodelet, that did not answer."""
+    while error is not None and not isinstance(error, HostTimeout):
+        error = error.__cause__
+    return error is not None

@@ -14,7 +14,7 @@ of the nodelet. In-ports that contradict each other leave no way.
 from __future__ import annotations
 
 import itertools
-from typing import Iterable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Collection, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.datatypes import ANY
 from dyknow.errors import SpawnFailed
@@ -153,14 +153,14 @@ class Consumer(NamedTuple):
 
 Where = Tuple[str, ...]
 """The topics on which a port may be."""
-Late = Mapping[Tuple[str, str], Where]
+Late = Mapping[Tuple[str, str], Collection[str]]
 """Topics on which late connections may put ports, by nodelet and port."""
 NOWHERE: Late = {}
 """No connection is late."""
 
 
 class Ends(NamedTuple):
-    """The ends of streams at a nodelet, a topic of ordinary nodes, or a client.
+    """The ends of streams at a nodelet or a client.
 
     A port is on each topic on which it may be: where it was seen last, where it should be, and
     where a connection without an answer may have put it. The tags are those that the nodelet was
@@ -194,17 +194,12 @@ class Ends(NamedTuple):
         return self.heard or (self.given,)
 
 
-NO_ENDS = Ends("")
-"""Nothing sends, and nothing receives."""
-
-
-def ends_of_topic(topic: str, described: Iterable[Transformation]) -> Ends:
-    """Return the ordinary nodes that the library describes, as one producer."""
-    key = f"topic {topic}"
+def sent_on(topic: str, described: Iterable[Transformation]) -> Producer:
+    """Return the ordinary nodes that publish on a topic, as the library describes them."""
     ports = [each.ports[0] for each in described]
     tags = tuple([term for port in ports for term in read_tags(port.tags)])
     datatype = next((port.datatype for port in ports if port.datatype), "")
-    return Ends(key, ((Producer("", "", tags, datatype, key=key), (topic,)),))
+    return Producer("", "", tags, datatype)
 
 
 def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:

@@ -16,40 +16,72 @@ read allows none.
 from __future__ import annotations
 
 import collections
-import itertools
 from dataclasses import dataclass, field
-from typing import Callable, Iterable, Mapping, NamedTuple, Tuple
+from typing import Callable, Mapping, NamedTuple, Tuple
 
-from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
-from dyknow.model.transformation import IN, OUT
+from dyknow.model.transformation import IN
 
 #: Seconds without an answer after which a nodelet is unresponsive.
-UNANSWERED = 2.0
+_UNANSWERED = 2.0
 #: Seconds between two questions to an unresponsive nodelet.
 _RETRY = 0.5
 #: Seconds that a part may take to begin, before its rate is judged.
-GRACE = 2.0
+_GRACE = 2.0
 #: Seconds over which a rate is taken at least.
 WINDOW = 4.5
 #: Ages that are judged together, and seconds that lie between two of them at the least.
 SAMPLES = 9
 _SPACING = 0.4
+#: Before every moment.
+NEVER = float("-inf")
 
 Place = Tuple[str, str]
 """A nodelet and its out-port, or an empty name and a topic."""
 
-_NEVER = float("-inf")
+
+class Watch(NamedTuple):
+    """How a place is counted.
+
+    Attributes:
+        period: seconds between two counts.
+        window: seconds over which its rate is taken, at least; 0 if only its next message is
+            awaited, which it need not send without a subscriber.
+    """
+
+    period: float
+    window: float = 0.0
+
+    def merged(self, other: Watch | None) -> Watch:
+        """Return how it is counted for two purposes."""
+        if other is None:
+            return self
+        return Watch(min(self.period, other.period), max(self.window, other.window))
 
 
-class Sample(NamedTuple):
-    """The age of a message in seconds, None if not known, and the time of its query."""
+class Span(NamedTuple):
+    """Two counts of one place."""
 
-    age: float | None
-    asked: float
+    first: Count
+    last: Count
+
+    @property
+    def messages(self) -> int:
+        """Messages between the two."""
+        return self.last.messages - self.first.messages
+
+    @property
+    def seconds(self) -> float:
+        """Seconds that certainly lie between them."""
+        return self.last.asked - self.first.answered
+
+    @property
+    def rate(self) -> float:
+        """About how many messages a second there were, in Hz."""
+        return self.messages / self.seconds
 
 
 @dataclass
@@ -61,20 +93,21 @@ class Flow:
         quiet_from: the last message had come by then.
         quiet_until: no other had come until then.
         came_after: a message that was noticed came after this moment.
+        is_sending: whether messages had come by the latest count.
         counts: the latest counts without a gap, for rates.
-        samples: ages of the latest messages.
     """
 
     last: Count
     quiet_from: float
     quiet_until: float
-    came_after: float = _NEVER
+    came_after: float = NEVER
+    is_sending: bool = False
     counts: collections.deque[Count] = field(default_factory=collections.deque)
-    samples: collections.deque[Sample] = field(
-        default_factory=lambda: collections.deque(maxlen=SAMPLES)
-    )
     _counting_since: float = 0.0
-    _sampled: Count | None = None
+    #: Counts between each two of which messages came, for ages.
+    _samples: collections.deque[Count] = field(
+        default_factory=lambda: collections.deque(maxlen=SAMPLES + 1)
+    )
 
     @property
     def silence(self) -> float:
@@ -86,35 +119,74 @@ class Flow:
         """Whether any message has come."""
         return self.last.messages > 0
 
-    def add(self, count: Count, window: float) -> bool:
-        """Take a count in, and keep those of a window; returns whether messages have come."""
-        came = count.messages > self.last.messages
-        if came:
+    def add(self, count: Count, window: float) -> None:
+        """Take a count in, and keep those of a window."""
+        self.is_sending = count.messages > self.last.messages
+        if self.is_sending:
             self.came_after, self.quiet_from = self.quiet_until, count.answered
         self.quiet_until = count.asked
         self._add_for_rate(count, window)
-        if self._sampled is None:
-            self._sampled = count
-        elif (
-            count.messages > self._sampled.messages
-            and count.asked - self._sampled.asked >= _SPACING
+        last = self._samples[-1] if self._samples else None
+        if last is None or (
+            count.messages > last.messages and count.asked - last.asked >= _SPACING
         ):
-            self.samples.append(Sample(count.age, self._sampled.answered))
-            self._sampled = count
+            self._samples.append(count)
         self.last = count
-        return came
 
     def _add_for_rate(self, count: Count, window: float) -> None:
         counts = self.counts
-        if counts and count.asked - counts[-1].answered > UNANSWERED:
+        if counts and count.asked - counts[-1].answered > _UNANSWERED:
             counts.clear()  # its process may have been stopped
         if not counts:
             self._counting_since = count.answered
-        elif count.messages == counts[0].messages and count.asked - self._counting_since < GRACE:
+        elif count.messages == counts[0].messages and count.asked - self._counting_since < _GRACE:
             counts.clear()  # it has not begun to send
         counts.append(count)
         while len(counts) > 2 and count.asked - counts[1].answered >= window:
             counts.popleft()
+
+    def span(self, window: float) -> Span | None:
+        """Return the shortest span of a window at least, up to the latest count."""
+        for first in reversed(self.counts):
+            span = Span(first, self.counts[-1])
+            if span.seconds >= window:
+                return span
+        return None
+
+    def ages(self, since: float = NEVER) -> list[float]:
+        """Known ages of the latest messages that were sent after a moment."""
+        samples = list(self._samples)
+        return [
+            each.age
+            for before, each in zip(samples, samples[1:])
+            if each.age is not None and before.answered >= since
+        ]
+
+    @property
+    def is_age_unknown(self) -> bool:
+        """Whether enough messages have come, and the age of none of them is known."""
+        return len(self._samples) > SAMPLES and not self.ages()
+
+
+@dataclass(frozen=True)
+class _Unanswered:
+    """Questions for the counts of a nodelet without an answer.
+
+    Attributes:
+        places: those that were counted.
+        since: the first of these questions, in seconds for which this process has run.
+        latest: the time without an answer to the latest one.
+        is_listed: whether its process may run it; if not, it answers for the others.
+    """
+
+    places: list[Place]
+    since: float
+    latest: float
+    is_listed: bool = True
+
+    @property
+    def is_late(self) -> bool:
+        return self.latest - self.since >= _UNANSWERED
 
 
 class FlowMeter:
@@ -129,58 +201,27 @@ class FlowMeter:
         self._running = running
         #: The flow of each place that was counted.
         self.flows: dict[Place, Flow] = {}
-        #: Nodelets that do not answer.
+        #: Nodelets that do not answer, with all others of a process that hangs.
         self.unresponsive: frozenset[str] = frozenset()
-        self._unresponsive: dict[str, list[Place]] = {}
-        self._unanswered_since: dict[str, float] = {}
+        self._unanswered: dict[str, _Unanswered] = {}
         self._asked: dict[str, float] = {}
         self._listening: dict[str, Listening] = {}
-        self._parts: dict[str, StreamParts] = {}
-        self._parts_at = -1
 
-    def parts(self, claim: Claim) -> StreamParts:
-        """Return the places of a claim's stream; read again only after a change."""
-        if self._parts_at != self._graph.revision:
-            self._parts_at = self._graph.revision  # first: a change meanwhile counts the next time
-            self._parts = {}
-        known = self._parts.get(claim.claim_id)
-        if known is None or known.claim is not claim:
-            known = self._parts[claim.claim_id] = StreamParts(claim, self._graph)
-        return known
-
-    def restart(self, names: Iterable[str]) -> None:
+    def restart(self, names: set[str]) -> None:
         """Judge nodelets that were connected elsewhere by what they send from now on."""
-        names = set(names)
         for (name, _), flow in self.flows.items():
             if name in names:
                 flow.quiet_from = self._clock()
                 flow.counts.clear()
 
-    def read(
-        self,
-        awaited: Mapping[Place, float],
-        steady: Mapping[Place, float],
-        windows: Mapping[Place, float],
-    ) -> set[Place]:
-        """Count where a count is due; flows of other places are forgotten.
-
-        Args:
-            awaited: seconds between two counts, by place where a message is awaited.
-            steady: the same, by place that must send steadily.
-            windows: seconds over which rates of places are taken, if they are long.
-
-        Returns the places where messages have come.
-        """
-        records = self._graph.records
-        running = {name for name, each in records.items() if each.state is State.RUNNING}
-        self._unresponsive = {
-            name: places for name, places in self._unresponsive.items() if name in running
-        }
+    def read(self, wanted: Mapping[Place, Watch]) -> None:
+        """Count where a count is due; flows of other places are forgotten."""
+        records, wanted = self._graph.records, dict(wanted)
         # An unresponsive nodelet is polled until it answers, whether a claim needs it or not.
-        retried = {place: _RETRY for places in self._unresponsive.values() for place in places}
-        wanted: dict[Place, float] = {}
-        for place, period in itertools.chain(retried.items(), awaited.items(), steady.items()):
-            wanted[place] = min(wanted.get(place, period), period)
+        for name in self.unresponsive & self._unanswered.keys():
+            if name in records and records[name].state is State.RUNNING:
+                for place in self._unanswered[name].places:
+                    wanted[place] = Watch(_RETRY).merged(wanted.get(place))
         self.flows = {place: flow for place, flow in self.flows.items() if place in wanted}
         topics: dict[str, list[Place]] = {}
         asked: dict[str, dict[str, list[Place]]] = {}
@@ -193,28 +234,31 @@ class FlowMeter:
                 topics.setdefault(record.topics.get(port, ""), []).append(place)
             elif record is not None:
                 asked.setdefault(record.manager, {}).setdefault(name, []).append(place)
-        for topic in self._unheard(steady, records):
+        for topic in self._unheard(wanted, records):
             topics.setdefault(topic, [])
-        counted = {**self._listen(topics), **self._ask(asked, wanted)}
-        self.unresponsive = self._all_unresponsive(asked, records)
-        return {
-            place
-            for place, count in counted.items()
-            if self._add(place, count, windows.get(place, WINDOW))
+        for place, count in {**self._listen(topics), **self._ask(asked, wanted)}.items():
+            flow = self.flows.get(place)
+            if flow is None or count.messages < flow.last.messages:  # the nodelet is a new one
+                flow = self.flows[place] = Flow(count, count.answered, count.asked)
+            flow.add(count, max(wanted[place].window, WINDOW))
+        known = {name for names in asked.values() for name in names}
+        self._unanswered = {key: each for key, each in self._unanswered.items() if key in known}
+        hanging = {
+            records[name].manager
+            for name, each in self._unanswered.items()
+            if each.is_listed and each.is_late
         }
+        gone = {name for name, each in self._unanswered.items() if not each.is_listed}
+        self.unresponsive = frozenset(
+            name for name, each in records.items() if name in gone or each.manager in hanging
+        )
 
-    def _add(self, place: Place, count: Count, window: float) -> bool:
-        flow = self.flows.get(place)
-        if flow is None or count.messages < flow.last.messages:  # the nodelet was loaded again
-            flow = self.flows[place] = Flow(count, count.answered, count.asked)
-        return flow.add(count, window)
-
-    def _unheard(self, steady: Iterable[Place], records: Mapping[str, Record]) -> set[str]:
-        """Topics of C++ nodelets that no nodelet listens to."""
+    def _unheard(self, wanted: Mapping[Place, Watch], records: Mapping[str, Record]) -> set[str]:
+        """Topics of C++ nodelets that have to send steadily, and that no nodelet listens to."""
         lazy = {
             records[name].topics.get(port, "")
-            for name, port in steady
-            if name in records and not records[name].kind.is_written_for_dyknow
+            for (name, port), watch in wanted.items()
+            if watch.window and name in records and not records[name].kind.is_written_for_dyknow
         }
         if not lazy:
             return set()
@@ -234,96 +278,28 @@ class FlowMeter:
         return found
 
     def _ask(
-        self, asked: Mapping[str, Mapping[str, list[Place]]], periods: Mapping[Place, float]
+        self, asked: Mapping[str, Mapping[str, list[Place]]], wanted: Mapping[Place, Watch]
     ) -> dict[Place, Count]:
         now, began = self._clock(), self._running()
-        self._asked = {manager: self._asked.get(manager, _NEVER) for manager in asked}
-        due = []
-        for manager in sorted(asked):
-            periods_here = [periods[place] for each in asked[manager].values() for place in each]
-            if self._asked[manager] + min(periods_here) <= now:
-                due.append(manager)
-                self._asked[manager] = now
+        periods = {
+            manager: min(wanted[place].period for places in names.values() for place in places)
+            for manager, names in asked.items()
+        }
+        self._asked = {manager: self._asked.get(manager, NEVER) for manager in asked}
+        due = [each for each in sorted(asked) if self._asked[each] + periods[each] <= now]
+        self._asked.update(dict.fromkeys(due, now))
         answers = self._host.counts({each: list(asked[each]) for each in due}) if due else {}
         found: dict[Place, Count] = {}
-        for manager in due:
-            for name, places in asked[manager].items():
-                counts = answers.get(name)
-                if counts is not None:
-                    self._unanswered_since.pop(name, None)
-                    if self._unresponsive.pop(name, None):  # its process may have been stopped
-                        for place in places:
-                            self.flows.pop(place, None)
-                    found.update({each: counts[each[1]] for each in places if each[1] in counts})
-                    continue
-                if name in answers:  # its process answers, and does not run it
-                    self._unanswered_since.pop(name, None)
-                    self._unresponsive[name] = places
-                elif self._is_late(name, began):
-                    self._unresponsive[name] = places
+        for name, places in [pair for manager in due for pair in asked[manager].items()]:
+            counts, before = answers.get(name), self._unanswered.pop(name, None)
+            if counts is not None:
+                if name in self.unresponsive and before is not None:
+                    for place in places:  # its process may have been stopped
+                        self.flows.pop(place, None)
+                found.update({each: counts[each[1]] for each in places if each[1] in counts})
+            elif name in answers:  # its process answers, and does not run it
+                self._unanswered[name] = _Unanswered(places, began, began, is_listed=False)
+            else:
+                since = began if before is None else before.since
+                self._unanswered[name] = _Unanswered(places, since, self._running())
         return found
-
-    def _is_late(self, name: str, began: float) -> bool:
-        since = self._unanswered_since.setdefault(name, began)
-        return self._running() - since >= UNANSWERED
-
-    def _all_unresponsive(
-        self, asked: Mapping[str, Iterable[str]], records: Mapping[str, Record]
-    ) -> frozenset[str]:
-        """Return the nodelets that do not answer, with all others of a process that hangs."""
-        known = {name for names in asked.values() for name in names}
-        self._unanswered_since = {
-            name: since for name, since in self._unanswered_since.items() if name in known
-        }
-        late = self._unresponsive.keys() & self._unanswered_since.keys()
-        hanging = {records[name].manager for name in late}
-        others = [each.name for each in records.values() if each.manager in hanging]
-        return frozenset({*self._unresponsive, *others})
-
-
-class StreamParts:
-    """Out-ports and ordinary topics of a claim, by the topics on which they send."""
-
-    def __init__(self, claim: Claim, graph: Graph) -> None:
-        self.claim = claim
-        self.topics: dict[Place, str] = {("", topic): topic for topic in claim.sources}
-        for name in claim.nodelets:
-            record = graph.find(name)
-            if record is not None and record.transformation and record.state is State.RUNNING:
-                ports = record.transformation.ports
-                outs = {port.name for port in ports if port.direction == OUT}
-                for port, topic in claim.wiring[name].items():
-                    if port in outs:
-                        self.topics[(name, port)] = topic
-        self._senders: dict[str, list[Place]] = {}
-        for place, topic in sorted(self.topics.items()):
-            self._senders.setdefault(topic, []).append(place)
-
-    @property
-    def goal(self) -> Place:
-        """The place that publishes on the topic of the client."""
-        return goal_of(self.claim)
-
-    def suppliers(self, place: Place) -> list[list[Place]]:
-        """List the suppliers of a place, by in-port of its nodelet."""
-        name, _ = place
-        topics = self.claim.wiring.get(name, {}).values()
-        feeding = [
-            [each for each in self._senders.get(topic, ()) if each[0] != name] for topic in topics
-        ]
-        return [senders for senders in feeding if senders]
-
-
-def goal_of(claim: Claim) -> Place:
-    """Return the place that publishes on the topic of a claim's client."""
-    return claim.goal if claim.goal[0] else ("", claim.topic)
-
-
-def name_of(place: Place) -> str:
-    """Name of the nodelet, or of the topic where there is none."""
-    return place[0] or place[1]
-
-
-def described(place: Place) -> str:
-    """Name a place for people."""
-    return f"nodelet {place[0]}" if place[0] else f"topic {place[1]}"

@@ -12,7 +12,7 @@ from typing import AbstractSet, Callable, Iterable, Tuple
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.connector import ClaimContext, Transaction
 from dyknow.manager.claims.ends import Consumer, Producer
 from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
@@ -38,7 +38,7 @@ class GarbageCollector:
         self._graph = context.manager.graph
         self._table = context.table
         self._lock = context.lock
-        self._world = context.world
+        self._world = context.connector.world
         self._monitor = context.monitor
         self._is_reachable = context.monitor.is_reachable
         self._idle_since: dict[str, float] = {}
@@ -82,7 +82,7 @@ class GarbageCollector:
         """Reconfigure a nodelet where people have put another individual on a topic."""
         record = self._graph.find(name)
         if record is not None and self._is_reachable(record):
-            self._try(record, partial(self._context.transaction().reconfigure, name, topics))
+            self._try(record, partial(Transaction(self._context).reconfigure, name, topics))
 
     def _separate(
         self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]
@@ -150,8 +150,9 @@ class GarbageCollector:
             if record.claimed and not record.is_protected and record.name not in needed
         }
         self._idle_since = {name: self._idle_since.get(name, now) for name in idle}
+        unfit = self._monitor.unfit()
         for name, record in idle.items():
-            linger = 0.0 if name in self._monitor.unhealthy else _LINGER
+            linger = 0.0 if name in unfit else _LINGER
             is_over = now - self._idle_since[name] >= linger
             if is_over and record.state in (State.RUNNING, State.FAILED):
                 self._try(record, partial(self._context.manager.lifecycle.destroy, name))

@@ -26,13 +26,11 @@ from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.answers import CheaperPlans, refusal
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.claim_planner import STAMPED, ClaimPlanner, Proposal
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.context import ClaimContext, ClaimLock
+from dyknow.manager.claims.claim_table import ClaimLock, ClaimTable
+from dyknow.manager.claims.connector import ClaimContext, Connector
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.repair import Repair
-from dyknow.manager.claims.world import WorldReader
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
@@ -311,12 +309,15 @@ def open_reconciler(
     running = running or now
     graph = Graph(store, clock, on_change)
     table = ClaimTable(store, now, running, on_event)
-    worlds = WorldReader(graph, table, library, host, options.namespace)
-    monitor = StreamMonitor(host, graph, table, lambda: worlds.now().descriptions, now, running)
-    keeper = StreamKeeper(worlds.fitting, monitor.fell, monitor.failed)
+    connector = Connector(host, graph, library, table, guards, options.namespace, now)
+    monitor = StreamMonitor(
+        host, graph, table, lambda: connector.world().descriptions, now, running
+    )
+    keeper = StreamKeeper(
+        lambda record: connector.world().fitting(record), monitor.fell, monitor.failed
+    )
     manager = Manager(host, store, library, guards, options, run, clock, graph, keeper)
-    connector = Connector(manager, worlds, now)
-    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep, worlds.now)
+    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep)
     return StreamReconciler(context)
 
 

@@ -11,13 +11,11 @@ from typing import Any, Hashable, Iterable, Sequence
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import Acquired, Assembly, timed_out
-from dyknow.manager.claims.claim_planner import ClaimPlanner
-from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.assembly import Acquired, Assembly
+from dyknow.manager.claims.claim_planner import ClaimPlanner, OwnNodelet, is_current
+from dyknow.manager.claims.connector import ClaimContext, timed_out
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.own_nodelets import OwnNodelet, is_current
 from dyknow.manager.planning.problem import NoPlan, Plan, ways_to_meet
-from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Bindings, written_bindings
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -77,15 +75,14 @@ class Repair:
             for port, topic in claim.wiring[name].items():
                 if record.topics.get(port, "") != topic:
                     return Fault(f"port {port} of {name} was connected elsewhere")
-            weaknesses += self._weaknesses(record)
-        weaknesses += self._monitor.quality.faults(claim)
-        silent = self._monitor.silent
-        weaknesses += [silent[topic] for topic in claim.sources if topic in silent]
+            if record.claimed and not is_current(self._context.manager.library, record):
+                weaknesses.append(f"transformation {record.label} was removed")
+        weaknesses = self._monitor.faults(claim) + weaknesses
         return Fault(weaknesses[0], severed=False) if weaknesses else None
 
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as the claim needs it."""
-        world = self._context.world()
+        world = self._context.connector.world()
         consumers = [
             consumer
             for consumer in world.consumers(topic)
@@ -97,16 +94,6 @@ class Repair:
             for producer in world.producers(topic)
             for consumer in consumers
         )
-
-    def _weaknesses(self, record: Record) -> list[str]:
-        """Say why a nodelet that runs cannot be relied on."""
-        if record.name in self._monitor.silent:
-            return [self._monitor.silent[record.name]]
-        if record.name in self._monitor.unresponsive:
-            return [f"nodelet {record.name} does not answer"]
-        if record.claimed and not is_current(self._context.manager.library, record):
-            return [f"transformation {record.label} was removed"]
-        return []
 
     # Making a stream
 
@@ -136,7 +123,7 @@ class Repair:
                 if is_late:  # the nodelets of managers that do not answer are lost from now on
                     with self._context.lock.pause():
                         self._context.manager.look()
-                    late |= self._context.connector.unknown
+                    late |= self._context.connector.unknown.keys()
                 failure = error
             answer = self._planner.propose(claim, lenient, frozenset(wrong), late).answer
             if isinstance(answer, NoPlan):
@@ -217,7 +204,10 @@ class Repair:
             is_made_now = claim.claim_id == self._context.lock.claim_id
             if not claim.bindings or claim.state is not ClaimState.ACTIVE or is_made_now:
                 continue
-            world, ontology = self._context.world(), self._context.manager.library.ontology
+            world, ontology = (
+                self._context.connector.world(),
+                self._context.manager.library.ontology,
+            )
             for producer in world.producers(claim.topic):
                 found = ways_to_meet(producer.tags, producer.datatype, claim.demand, ontology)
                 ways = [tuple(sorted(way.items())) for way in found]

@@ -25,26 +25,21 @@ import math
 from dataclasses import replace
 from functools import cached_property
 from math import inf
+from types import MappingProxyType
 from typing import (
     AbstractSet,
     Collection,
     Dict,
-    Hashable,
     Iterable,
     Iterator,
     Mapping,
     Sequence,
     Tuple,
-    TypeVar,
-    Union,
 )
 
-from dyknow import names
 from dyknow.errors import UnknownNodelet, WrongStream
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import (
-    NO_ENDS,
     NOWHERE,
     Consumer,
     Ends,
@@ -53,15 +48,11 @@ from dyknow.manager.claims.ends import (
     Producer,
     Sent,
     Way,
-    Where,
     ends_of,
-    ends_of_topic,
+    sent_on,
     supplied,
     ways_to_bind,
 )
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.library import Library
 from dyknow.manager.planning.problem import Demand, Live, TaggedStream, meets, ways_to_meet
 from dyknow.manager.record import NOTHING_HEARD, Heard, Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
@@ -74,7 +65,6 @@ Mismatch = Tuple[str, Producer, Consumer]
 """A topic, and two that may meet there and do not fit."""
 Place = Tuple[str, str]
 """A nodelet, or the key of ends, and a port."""
-_End = TypeVar("_End", bound=Union[Producer, Consumer])
 _Outputs = Dict[Place, Tuple[Producer, ...]]
 """Each possibility of the out-ports whose streams depend on what their nodelets receive."""
 
@@ -100,35 +90,20 @@ class World:
         ontology: Subsumption,
         described: Mapping[str, tuple[Transformation, ...]],
         late: Late = NOWHERE,
+        records: Mapping[str, Record] = MappingProxyType({}),
+        claims: tuple[Claim, ...] = (),
+        ends: Mapping[str, Ends] = MappingProxyType({}),
     ) -> None:
-        """A world without nodelets and clients; ports may be on ``late`` topics, too."""
-        self.records: Mapping[str, Record] = {}
-        self.claims: tuple[Claim, ...] = ()
+        """``ends`` are those of nodelets and clients; ports may be on ``late`` topics, too."""
+        self.records = records
+        self.claims = claims
         self.described = described
         self._ontology = ontology
         self._late = late
-        self._ends: dict[str, Ends] = {}
-        self._producers: dict[str, tuple[Producer, ...]] = {}
-        self._consumers: dict[str, tuple[Consumer, ...]] = {}
+        self._ends = ends
         self._beside: dict[Place, list[list[Way]]] = {}
-        self._enter([ends_of_topic(topic, each) for topic, each in described.items()])
 
     # Other worlds, which differ a little from this one
-
-    def updated(
-        self,
-        records: Mapping[str, Record],
-        claims: tuple[Claim, ...],
-        new: Iterable[Ends],
-        gone: Iterable[str] = (),
-    ) -> World:
-        """Return the world with other records and claims: with ``new`` ends, and some ``gone``."""
-        found = World(self._ontology, {}, self._late)
-        found.records, found.claims, found.described = records, claims, self.described
-        found._ends = dict(self._ends)
-        found._producers, found._consumers = dict(self._producers), dict(self._consumers)
-        found._enter(new, gone)
-        return found
 
     def read(
         self, records: Mapping[str, Record], claims: tuple[Claim, ...], acting: AbstractSet[str]
@@ -145,15 +120,13 @@ class World:
             if name in acting
         }
         ends.update({claim.claim_id: _client(claim) for claim in claims if claim.topic})
-        before = {*self.records, *[claim.claim_id for claim in self.claims]}
-        new = [each for key, each in ends.items() if self._ends.get(key) != each]
-        return self.updated(records, claims, new, before - ends.keys())
+        return World(self._ontology, self.described, self._late, records, claims, ends)
 
-    def with_records(self, records: Iterable[Record]) -> World:
+    def with_records(self, new: Iterable[Record]) -> World:
         """Return the world in which nodelets are as these records say."""
-        new = {record.name: record for record in records}
-        ends = [ends_of(record, self._late) for record in new.values()]
-        return self.updated({**self.records, **new}, self.claims, ends)
+        changed = {record.name: record for record in new}
+        ends = {name: ends_of(record, self._late) for name, record in changed.items()}
+        return self._derived({**self.records, **changed}, ends)
 
     def _with(self, record: Record, is_replaced: bool = False) -> World:
         """Return the world if a nodelet were as a record says, besides its present or instead."""
@@ -163,8 +136,12 @@ class World:
         record = replace(record, ports=tuple(ports))
         if is_replaced:
             return self.with_records([record])
-        ends = ends_of(record, self._late, f"{record.name} then")
-        return self.updated(self.records, self.claims, [ends])
+        key = f"{record.name} then"
+        return self._derived(self.records, {key: ends_of(record, self._late, key)})
+
+    def _derived(self, records: Mapping[str, Record], ends: Mapping[str, Ends]) -> World:
+        ends = {**self._ends, **ends}
+        return World(self._ontology, self.described, self._late, records, self.claims, ends)
 
     @cached_property
     def forgetful(self) -> World:
@@ -172,15 +149,25 @@ class World:
         heard = [self.records[each.key] for each in self._dependent if each.heard]
         return self.with_records([replace(each, heard=NOTHING_HEARD) for each in heard])
 
-    def _enter(self, new: Iterable[Ends], gone: Iterable[str] = ()) -> None:
-        """Put ``new`` ends in the place of those of the same keys, and take out some others."""
-        changes = {**dict.fromkeys(gone, NO_ENDS), **{each.key: each for each in new}}
-        for key, ends in changes.items():
-            old = self._ends.pop(key, NO_ENDS)
-            _replace(self._producers, old.producers, ends.producers)
-            _replace(self._consumers, old.consumers, ends.consumers)
-            if ends is not NO_ENDS:
-                self._ends[key] = ends
+    @cached_property
+    def _producers(self) -> dict[str, list[Producer]]:
+        """Producers by topic; what the library describes comes first."""
+        found = {topic: [sent_on(topic, each)] for topic, each in self.described.items()}
+        for ends in self._ends.values():
+            for producer, topics in ends.producers:
+                for topic in topics:
+                    found.setdefault(topic, []).append(producer)
+        return found
+
+    @cached_property
+    def _consumers(self) -> dict[str, list[Consumer]]:
+        """Consumers by topic."""
+        found: dict[str, list[Consumer]] = {}
+        for ends in self._ends.values():
+            for consumer, topics in ends.consumers:
+                for topic in topics:
+                    found.setdefault(topic, []).append(consumer)
+        return found
 
     # Nodelets
 
@@ -263,15 +250,15 @@ class World:
     def producers(self, topic: str, outputs: _Outputs | None = None) -> list[Producer]:
         """Return the producers of a topic; its description stands for nodelets without tags."""
         outputs = self._outputs if outputs is None else outputs
-        here = self._producers.get(topic, ())
+        here: Sequence[Producer] = self._producers.get(topic, ())
         if topic in self.described:
-            here = tuple([each for each in here if each.tags or not each.nodelet])
+            here = [each for each in here if each.tags or not each.nodelet]
         found: list[Producer] = []
         for each in here:
             found += outputs.get((each.key, each.port), (each,))
         return found
 
-    def consumers(self, topic: str) -> tuple[Consumer, ...]:
+    def consumers(self, topic: str) -> Sequence[Consumer]:
         """Return the consumers of a topic."""
         return self._consumers.get(topic, ())
 
@@ -321,8 +308,8 @@ class World:
 
     def sent(self, nodelet: str, port: str) -> Producer:
         """Return what an out-port sends; without tags if these are not certain."""
-        ends = self._ends.get(nodelet, NO_ENDS)  # it may have gone meanwhile
-        ports = [each for each, _ in ends.producers if each.port == port]
+        ends = self._ends.get(nodelet)  # it may have gone meanwhile
+        ports = [each for each, _ in ends.producers if each.port == port] if ends else []
         possible = self._outputs.get((nodelet, port), ports)
         first = possible[0] if possible else Producer(nodelet, port)
         return first if len(possible) == 1 else first._replace(tags=())
@@ -600,80 +587,10 @@ class World:
         return found
 
 
-class WorldReader:
-    """Reads the world: unchanged parts are not read again."""
-
-    def __init__(
-        self, graph: Graph, table: ClaimTable, library: Library, host: Host, namespace: str
-    ) -> None:
-        self._graph = graph
-        self._table = table
-        self._library = library
-        self._host = host
-        self._namespace = namespace
-        self._late: Late = NOWHERE
-        self._basis: Hashable = None
-        self._world_at: Hashable = None
-        self._world = World(library.ontology, {})
-
-    def now(self) -> World:
-        """Return the world of this moment."""
-        # The revisions come first: a change meanwhile is read the next time.
-        at = (self._library.revision, self._graph.revision, self._table.living, self._late)
-        if self._world_at == at:
-            return self._world
-        revision, _, claims, late = at
-        if self._basis != (revision, late):
-            self._basis = revision, late
-            self._world = World(self._library.ontology, self._descriptions(), late)
-        records = self._graph.records
-        acting = {name for name, each in records.items() if each.state is not State.FAILED}
-        lost = [each for each in records.values() if each.state is State.LOST]
-        states = self._host.states() if lost else {}
-        for each in lost:  # it may run on while its process does
-            state = states.get(each.manager)
-            if state is None or state.incarnation != each.incarnation:
-                acting.discard(each.name)
-        self._world = self._world.read(records, claims, acting)
-        self._world_at = None if lost else at
-        return self._world
-
-    def fitting(self, record: Record) -> dict[str, str]:
-        """Return a nodelet's connections, without those that must not be made at present."""
-        return self.now().fitting(record)
-
-    def expect(self, late: Mapping[Place, Iterable[str]]) -> None:
-        """Count ports on further topics: where late connections may put them."""
-        self._late = {place: tuple(topics) for place, topics in late.items()}
-
-    def _descriptions(self) -> dict[str, tuple[Transformation, ...]]:
-        found: dict[str, tuple[Transformation, ...]] = {}
-        for each in self._library.topics():
-            topic = names.join(self._namespace, each.source)
-            topic = each.source if each.source[:1] == "/" else topic
-            found[topic] = (*found.get(topic, ()), each._replace(source=topic))
-        return found
-
-
 def _client(claim: Claim) -> Ends:
     """Return the client of a claim."""
     client = Consumer("", claim.claim_id, claim.demand, claim.claim_id)
     return Ends(claim.claim_id, consumers=((client, (claim.topic,)),))
-
-
-def _replace(
-    by_topic: dict[str, tuple[_End, ...]],
-    old: Iterable[tuple[_End, Where]],
-    new: Iterable[tuple[_End, Where]],
-) -> None:
-    for end, topics in old:
-        for topic in topics:
-            left = tuple([each for each in by_topic.pop(topic) if each is not end])
-            if left:
-                by_topic[topic] = left
-    for end, topics in new:
-        for topic in topics:
-            by_topic[topic] = (*by_topic.get(topic, ()), end)
 
 
 def _together(producers: Iterable[Producer]) -> list[tuple[Sent, ...]]:

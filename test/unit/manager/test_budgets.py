@@ -61,7 +61,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]
 @pytest.mark.parametrize("length", [1, 2, 4, 8])
 def test_a_chain_is_spawned_connected(length: int, monkeypatch: pytest.MonkeyPatch) -> None:
     client = client_with_chain(length)
-    worlds = counted(monkeypatch, World, "updated")
+    worlds = counted(monkeypatch, World, "__init__")
     writes = counted(monkeypatch, Store, "write")
     got = client.acquire_stream(StreamRequest(f"Step{length}(x)"))
     calls = collections.Counter(operation for operation, _ in client.host.calls)

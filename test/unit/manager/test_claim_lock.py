@@ -13,7 +13,7 @@ from unit.manager.field import GOAL, LINGER, Field, transformation
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.manager.claims.assembly import Acquired
-from dyknow.manager.claims.context import ClaimLock
+from dyknow.manager.claims.claim_table import ClaimLock
 from dyknow.model.streams import ClaimState, StreamRequest
 
 BALL = "RelativePosition(ball)"

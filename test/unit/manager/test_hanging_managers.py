@@ -59,7 +59,7 @@ def test_the_transformation_is_not_blamed(field: Field) -> None:
         hang(field, name)
     got = field.acquire("YUV(field)")
     assert got.claim.state is ClaimState.ACTIVE
-    assert "bottom camera" not in field.reconciler._monitor.paused
+    assert "bottom camera" not in field.reconciler._monitor.paused(())
 
 
 def test_the_loss_of_a_manager_that_shows_at_one_nodelet_is_one_repair(field: Field) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dyknow.manager.claims.own_nodelets import OwnNodelet, assigned
+from dyknow.manager.claims.claim_planner import OwnNodelet, assigned
 from dyknow.manager.planning.problem import Action, Demand, Instance, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 
