@@ -1,18 +1,25 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Making and destroying nodelets; a failure leaves nothing behind."""
+"""Making, restoring and destroying nodelets; a failure leaves nothing behind.
+
+A nodelet is placed in a nodelet manager, loaded there, checked against its transformation, and
+connected.
+"""
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import logging
 from dataclasses import dataclass, replace
-from typing import Callable, Iterable, Mapping
+from typing import Callable, Counter, Iterable, Mapping
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.errors import (
     DyKnowError,
+    FixedTopics,
     HostError,
     HostTimeout,
     InvalidConfiguration,
@@ -24,19 +31,32 @@ from dyknow.errors import (
     UnknownPort,
 )
 from dyknow.guards import Guards
+from dyknow.locks import state_condition
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.loading import Loading
-from dyknow.manager.record import NOTHING_HEARD, Record, with_present_ports
-from dyknow.manager.specifications.given import completed, names_of
+from dyknow.manager.host import Host, LoadRequest
+from dyknow.manager.record import (
+    NOTHING_HEARD,
+    Record,
+    declared_ports,
+    missing_connections,
+    topics_of,
+    with_ports,
+    with_present_ports,
+)
+from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import SpawnRequest, State
-from dyknow.model.transformation import NODE, Program, Transformation
+from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
+from dyknow.model.transformation import NODE, Port, Program, Transformation
 from dyknow.periodic import Clock
 
 #: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
+#: Seconds without a further port after which those of a node that are missing come later: it is
+#: lazy, and makes them once it has a subscriber or receives a message.
+_SETTLED = 1.0
+#: Seconds between two questions for the ports of a node that starts.
+_STEP = 0.05
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -79,10 +99,14 @@ class Lifecycle:
         self._host = host
         self._graph = graph
         self._guards = guards
-        self._loading = Loading(host, graph, spawn_timeout, clock)
+        self._timeout = spawn_timeout
         self._suspects = suspects
         self._ontology = ontology
+        self._clock = clock
+        self._pause = state_condition("ports of nodes that start")
         self.fitting = keeper.fitting
+
+    # Making
 
     def spawn(
         self,
@@ -96,7 +120,7 @@ class Lifecycle:
             what = f"node '{transformation.node}'" if transformation.node else ""
             what = what or f"topic '{transformation.source}'"
             raise NotSpawnable(transformation.label, what)
-        count = len(self._graph.all()) + 1
+        count = len(self._graph.records) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
         if transformation.type == NODE:
@@ -120,15 +144,15 @@ class Lifecycle:
             )
             self._suspects.know(record)
             if request.manager:
-                self._loading.check(record)
+                self._check_place(record)
             else:
                 record = self._judged(record)
-            place = self._loading.place(record, near)
+            place = self._place(record, near)
             detail = f"it is being started{'' if kind.is_node else f' in {place}'}"
             record = replace(record, manager=place, detail=detail)
             try:
                 self._graph.put(record)
-                running = self._loading.bring_up(record)
+                running = self._bring_up(record)
             except NameTaken:  # by an external nodelet that was not seen yet: it stays
                 self._graph.remove(record.name)
                 with contextlib.suppress(HostError):
@@ -152,19 +176,15 @@ class Lifecycle:
         """
         record = self._judged(record)
         why = (record.detail, "" if record.suspicion in record.detail else record.suspicion)
-        starting = replace(
-            record,
-            state=State.STARTING,
-            detail="; ".join(filter(None, why)),
-            heard=NOTHING_HEARD,
-        )
+        detail = "; ".join(filter(None, why))
+        starting = replace(record, state=State.STARTING, detail=detail, heard=NOTHING_HEARD)
         self._graph.put(starting)
         try:
             # Its place is on disk before it is there: the manager's next life finds it.
-            starting = replace(starting, manager=self._loading.place(starting))
+            starting = replace(starting, manager=self._place(starting))
             self._graph.put(starting)
             starting = replace(starting, topics=self.fitting(starting))
-            running = self._loading.bring_up(starting)
+            running = self._bring_up(starting)
         except NameTaken as error:  # if it is a nodelet of ours, the next look finds it
             running = replace(starting, detail=error.holder)
         except DyKnowError as error:
@@ -177,6 +197,173 @@ class Lifecycle:
         else:
             _log.info("%s is back", record.name)
         self._graph.put(running)
+
+    def _judged(self, record: Record) -> Record:
+        """Isolate a nodelet that is suspected of having crashed its process."""
+        suspicion = self._suspects.verdict(record.name)
+        if not suspicion:
+            return record
+        if not record.isolated:
+            _log.warning("%s is given a process of its own; %s", record.name, suspicion)
+            # Without the name of the process that it leaves, which does not end with it.
+            record = replace(record, isolated=True, manager="", kind=record.kind.alone)
+        return replace(record, suspicion=suspicion)
+
+    def _resolved(
+        self, transformation: Transformation, name: str, config: Mapping[str, str]
+    ) -> dict[str, str]:
+        known = [port.name for port in transformation.ports]
+        problems: list[DyKnowError] = []
+        resolved: dict[str, str] = {}
+        for port, text in config.items():
+            if port not in known:
+                problems.append(UnknownPort(port, known))
+                continue
+            try:
+                topic = names.resolve(text, names.parent(name), name, "topic name") if text else ""
+                self._guards.check_topic(topic)
+                resolved[port] = topic
+            except DyKnowError as problem:
+                problems.append(problem)
+        if problems:
+            raise InvalidConfiguration(name, problems)
+        return resolved
+
+    # Its place
+
+    def _place(self, record: Record, near: Iterable[str] = ()) -> str:
+        """Return the nodelet manager of a nodelet that is made or brought back, started if needed.
+
+        It is the one where it was, or that the spawn names. Without one, it is the one that runs
+        most neighbours of the nodelet on its topics and those ``near`` it, since messages go by
+        reference there; else the one with fewest nodelets. One without live ports is used only if
+        the spawn names it, or if the host can start no other.
+        """
+        kind = record.kind.host
+        if record.isolated:
+            return self._host.ensure(kind, record.name)
+        states = self._host.states()
+        present = states.get(record.manager)
+        if present is not None:
+            if present.own and not present.alive:
+                self._host.ensure(present.kind)
+            return record.manager
+        shared = [
+            state.name
+            for state in states.values()
+            if state.alive
+            and state.responsive
+            and state.rewirable
+            and state.kind is kind
+            and not state.isolated_for
+        ]
+        if not shared:
+            return self._host.ensure(kind)
+        wanted = {*record.topics.values(), *near}
+        load: Counter[str] = collections.Counter()
+        neighbours: Counter[str] = collections.Counter()
+        for each in self._graph.all():
+            load[each.manager] += 1
+            used = {*topics_of(each).values(), *each.topics.values()}
+            neighbours[each.manager] += not wanted.isdisjoint(used)
+        return min(shared, key=lambda name: (-neighbours[name], load[name], name))
+
+    def _check_place(self, record: Record) -> None:
+        """Raise HostError if a new nodelet cannot be in the nodelet manager that was requested."""
+        asked, kind = record.manager, record.kind
+        if kind.is_node:
+            raise HostError(
+                f"a {kind.title} has a process of its own, and is in no nodelet manager such as "
+                f"'{asked}'"
+            )
+        if record.isolated:
+            raise HostError(
+                f"'{record.name}' cannot be isolated in nodelet manager '{asked}': "
+                "expected a process of its own or a named one, not both"
+            )
+        self._host.look_for(asked)
+        state = self._host.states().get(asked)
+        if state is None:
+            known = ", ".join(self._host.states()) or "none"
+            raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
+        if state.isolated_for:
+            raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
+        if not state.alive:
+            what = "does not answer" if state.away else "is not running"
+            raise HostError(f"nodelet manager '{asked}' {what}")
+        if state.kind is not kind.host:
+            raise HostError(
+                f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
+            )
+
+    # Loading
+
+    def _bring_up(self, record: Record) -> Record:
+        """Load a nodelet, or start a node; check and connect its ports."""
+        transformation = record.transformation
+        assert transformation is not None
+        request = LoadRequest(
+            record.name,
+            transformation.source,
+            set_on_load(transformation, record.parameters),
+            _remappings(record, transformation),
+            record.kind,
+        )
+        if record.claimed and record.kind is NodeletKind.CPP:
+            state = self._host.states().get(record.manager)
+            if state is not None and not state.rewirable:
+                raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
+        deadline = self._clock.now() + self._timeout
+        self._host.load(record.manager, request, self._timeout)
+        state = self._host.states().get(record.manager)
+        record = replace(
+            record,
+            state=State.RUNNING,
+            detail=record.suspicion,
+            incarnation=state.incarnation if state is not None else "",
+            host=state.host if state is not None else "",
+            is_fixed=state is not None and not state.rewirable,
+            heard=NOTHING_HEARD,
+        )
+        if record.is_fixed:
+            return replace(record, ports=declared_ports(record))
+        if transformation.type == NODE:
+            ports = self._settled_ports(record.name, transformation, deadline)
+        else:
+            ports = self._host.ports(record.name)
+        _check_ports(record, transformation, ports)
+        wiring = missing_connections(record, ports)
+        if wiring:
+            self._host.connect(record.name, wiring)
+            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
+        return with_ports(record, ports)
+
+    def _settled_ports(
+        self, name: str, transformation: Transformation, deadline: float
+    ) -> tuple[PortState, ...]:
+        """Wait for the declared ports of a node, which makes them one after the other."""
+        declared = {port.name for port in transformation.ports}
+        seen: set[str] = set()
+        since = self._clock.now()
+        while True:
+            ports = self._host.ports(name)
+            now = self._clock.now()
+            found = declared & {port.name for port in ports if port.datatype}
+            if found != seen:
+                seen, since = found, now
+            if found == declared or (found and (now - since >= _SETTLED or now >= deadline)):
+                return ports
+            if now >= deadline:
+                break
+            with self._pause:
+                self._clock.wait(self._pause, _STEP)
+        own = ", ".join(sorted(port.name for port in ports)) or "none"
+        raise HostError(
+            f"it has none of the declared ports {', '.join(sorted(declared))} within "
+            f"{self._timeout:g} s; its ports: {own}"
+        )
+
+    # Destroying
 
     def destroy(self, name: str) -> None:
         """Destroy a nodelet; if its process does not answer in time, as soon as it does."""
@@ -216,19 +403,6 @@ class Lifecycle:
         self._dispose(record)
         self._graph.remove(record.name)
 
-    # Inside
-
-    def _judged(self, record: Record) -> Record:
-        """Isolate a nodelet that is suspected of having crashed its process."""
-        suspicion = self._suspects.verdict(record.name)
-        if not suspicion:
-            return record
-        if not record.isolated:
-            _log.warning("%s is given a process of its own; %s", record.name, suspicion)
-            # Without the name of the process that it leaves, which does not end with it.
-            record = replace(record, isolated=True, manager="", kind=record.kind.alone)
-        return replace(record, suspicion=suspicion)
-
     def _unload(self, record: Record) -> None:
         try:
             self._host.unload(record.manager, record.name)
@@ -246,26 +420,6 @@ class Lifecycle:
         if record.incarnation not in ("", state.incarnation):
             return True
         return record.name not in self._host.list(record.manager)
-
-    def _resolved(
-        self, transformation: Transformation, name: str, config: Mapping[str, str]
-    ) -> dict[str, str]:
-        known = [port.name for port in transformation.ports]
-        problems: list[DyKnowError] = []
-        resolved: dict[str, str] = {}
-        for port, text in config.items():
-            if port not in known:
-                problems.append(UnknownPort(port, known))
-                continue
-            try:
-                topic = names.resolve(text, names.parent(name), name, "topic name") if text else ""
-                self._guards.check_topic(topic)
-                resolved[port] = topic
-            except DyKnowError as problem:
-                problems.append(problem)
-        if problems:
-            raise InvalidConfiguration(name, problems)
-        return resolved
 
     def _take_down(self, record: Record) -> None:
         try:
@@ -287,3 +441,68 @@ def show_ports(graph: Graph, host: Host, name: str, patience: float = 0.0) -> No
     with graph.changing(name, patience=patience) as record:
         if record is not None and record.state is State.RUNNING:
             graph.put(with_present_ports(record, host.ports(name)))
+
+
+def _check_ports(
+    record: Record, transformation: Transformation, ports: Iterable[PortState]
+) -> None:
+    """Raise HostError if the ports of a nodelet are not those that its transformation declares."""
+    found = {port.name: port for port in ports}
+    wrong = []
+    for port in transformation.ports:
+        real = found.get(port.name)
+        if not record.kind.is_written_for_dyknow and (real is None or not real.datatype):
+            # A lazy one subscribes once another node listens, unless this is its misspelling.
+            misspelt = _namesake(port, found.values(), transformation)
+            if misspelt:
+                wrong.append(f"it has no port '{port.name}'; did you mean '{misspelt}'?")
+        elif real is None:
+            known = ", ".join(sorted(found)) or "none"
+            wrong.append(f"it has no port '{port.name}'; its ports: {known}")
+        elif real.direction != port.direction:
+            wrong.append(
+                f"port '{port.name}' is an {real.direction}-port, "
+                f"the transformation says {port.direction}"
+            )
+        elif not types_fit(port.datatype, real.datatype):
+            wrong.append(
+                f"port '{port.name}' carries {real.datatype}, "
+                f"the transformation says {port.datatype}"
+            )
+    if wrong:
+        raise HostError("; ".join(wrong))
+
+
+def _namesake(port: Port, ports: Iterable[PortState], transformation: Transformation) -> str:
+    """Return a port that is there and not declared, whose name differs in its namespace alone."""
+    declared = {each.name for each in transformation.ports}
+    base = port.name.lstrip("~/")
+    alike = (
+        each.name
+        for each in ports
+        if each.datatype and each.direction == port.direction and each.name not in declared
+    )
+    return next((name for name in alike if name.lstrip("~/") == base), "")
+
+
+def _remappings(record: Record, transformation: Transformation) -> dict[str, str]:
+    """Return the remappings that connect a nodelet from its start.
+
+    What people spawn and was written for DyKnow is connected once it is up: the spawn returns when
+    the connections to its peers are made, too. Of a claim's stream the first message shows that.
+
+    What was not written for DyKnow would use the name of a port that is not remapped as its topic.
+    So a disconnected port is remapped to a topic below ``NODELET/disconnected``: a re-wirable
+    nodelet manager takes it for disconnected, and in a stock one nothing else uses it.
+    """
+    is_ours = record.kind.is_written_for_dyknow
+    if is_ours and not record.claimed:
+        return {}
+    found: dict[str, str] = {}
+    for port in transformation.ports:
+        topic = record.topics.get(port.name, "")
+        if not topic and not is_ours:
+            topic = names.disconnected(record.name, port.name)
+        if topic:
+            found[names.resolve(port.name, names.parent(record.name), record.name)] = topic
+    return found
