@@ -80,6 +80,10 @@ class SimulatedClock(Clock):
         self.time += seconds or 0.0
 
 
+def _ignore(model: Model) -> None:
+    """Nobody asked for the model."""
+
+
 class _Silent(HostError):
     """Nobody is there to answer."""
 
@@ -122,7 +126,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.calls: list[tuple[str, str]] = []
         self._clock = clock
         self.rates: dict[tuple[str, str], tuple[float, float]] = {}
-        self.on_model: Callable[[Model], None] = lambda model: None
+        self.on_model: Callable[[Model], None] = _ignore
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
         self._claims: set[str] = set()
@@ -304,7 +308,8 @@ class SimulatedManagerClient(BaseManagerClient):
         self.host.flow()
 
     def _tell_model(self) -> None:
-        self.on_model(self._show(self.core.graph_model()))
+        if self.on_model is not _ignore:
+            self.on_model(self._show(self.core.graph_model()))
 
     def _tell_event(self, event: ClaimEvent) -> None:
         is_new = event.after.claim_id not in self._claims

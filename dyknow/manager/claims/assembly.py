@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import re
 from dataclasses import dataclass, replace
-from typing import AbstractSet, Any, Iterable, Iterator, Mapping
+from typing import AbstractSet, Any, Iterable, Iterator, Mapping, NamedTuple
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
@@ -22,12 +22,12 @@ from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatc
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_planner import STAMPED
 from dyknow.manager.claims.connector import ClaimContext, Transaction
-from dyknow.manager.claims.ends import Producer, relay
+from dyknow.manager.claims.ends import relay
 from dyknow.manager.host import Count
 from dyknow.manager.planning.problem import Instance, Live, New, Plan, PlanStep, Source
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import filling
-from dyknow.manager.specifications.tags import read_tags
+from dyknow.manager.specifications.tags import Term, read_tags
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import IN, OUT, Parameter, Transformation
@@ -68,6 +68,28 @@ class Acquired:
         """The fields of the claim that say how its stream is made."""
         names_ = ("topic", "datatype", "goal", "wiring", "sources", "bindings", "state", "detail")
         return {name: getattr(self.claim, name) for name in names_}
+
+
+class _Supply(NamedTuple):
+    """A supplier of the plan as it is now, be it live or new.
+
+    Attributes:
+        source: what the plan says of it.
+        nodelet: its name; empty for a topic of ordinary nodes.
+        topic: where it sends.
+        tags: the tags of its messages, as far as they are certain.
+        datatype: ROS type of its messages.
+    """
+
+    source: Source
+    nodelet: str
+    topic: str
+    tags: tuple[Term, ...]
+    datatype: str
+
+    @property
+    def port(self) -> str:
+        return self.source.port
 
 
 class Assembly(Transaction):
@@ -120,21 +142,21 @@ class Assembly(Transaction):
             self._context.lock.reserve([*self._movable, *self._upstream()[0]])
             for step in self._plan.steps:
                 self._take(step)
-            goal, present = self._plan.goal, self._topic_of(self._plan.goal)
-            claim = self._publish(goal, present)
+            goal = self._supply(self._plan.goal)
+            claim = self._publish(goal)
         except BaseException:
             self.undo()
             raise
-        name, source = claim.goal[0], self._name_of(goal)
+        name = claim.goal[0]
         wiring, sources = self._upstream(name, *self._made.values())
-        if source:
-            wiring[source][goal.port] = present
-        if name != source:
-            wiring[name]["in"] = present  # of the relay
+        if goal.nodelet:
+            wiring[goal.nodelet][goal.port] = goal.topic
+        if name != goal.nodelet:
+            wiring[name]["in"] = goal.topic  # of the relay
         if name:
             wiring[name][claim.goal[1]] = claim.topic
-        if not name or present in self._ordinary:
-            sources.add(present)
+        if not name or goal.topic in self._ordinary:
+            sources.add(goal.topic)
         claim = replace(
             claim,
             wiring=wiring,
@@ -150,50 +172,68 @@ class Assembly(Transaction):
         used = {*made, *[live.nodelet for live in self._plan.live]}
         return self.world.upstream(used - {""}, self._ordinary)
 
+    def _supply(self, source: Source) -> _Supply:
+        """Return a supplier as it is now; an out-port that has no topic is connected to one."""
+        name = source.nodelet if isinstance(source, Live) else self._made[source.instance]
+        if isinstance(source, Live) and not name:
+            port = self._manager.library.get(source.label).ports[0]
+            return _Supply(source, name, source.topic, read_tags(port.tags), source.datatype)
+        sent = self.world.sent(name, source.port)
+        topic = self.world.get(name).topics.get(source.port, "")
+        is_new = isinstance(source, New)
+        if not topic or (is_new and self.world.common_tags(topic, sent.tags) != sent.tags):
+            topic = self._free_topic(name, source.port)
+        self.connect(name, {source.port: topic})
+        return _Supply(source, name, topic, sent.tags, sent.datatype)
+
     # Steps
 
     def _take(self, step: PlanStep) -> None:
-        instance = step.instance
-        inputs = self._inputs(step)
-        name = self._own.get(instance, "")
+        supplies = {port: self._supply(source) for port, source in step.inputs}
+        name = self._own.get(step.instance, "")
         if name:
-            self._check_types(self.world.get(name), step)
-            for port, source in step.inputs:
-                self._await(source, self.world.get(name).topics.get(port, ""), inputs[port])
+            topics = self.world.get(name).topics
+            self._check_types(name, step, supplies)
+            for port, supply in supplies.items():
+                self._await(supply, topics.get(port, ""), supply.topic)
         else:
             transformation = self._manager.library.get(step.action.label)
             given = filling(transformation, dict(step.bindings))
-            types = {port: self._sent(source).datatype for port, source in step.inputs}
-            typed = {port: (topic, types[port]) for port, topic in inputs.items()}
-            name = self._spawn(transformation, typed, self._used[instance], given)
-            self._check_types(self.world.get(name), step)
-        self._made[instance] = name
-        self.connect(name, self._inputs(step))
+            name = self._spawn(transformation, supplies, self._used[step.instance], given)
+            self._check_types(name, step, supplies)
+        self._made[step.instance] = name
+        # A round may have passed, and a supplier may be on another topic.
+        self.connect(name, {port: self._supply(source).topic for port, source in step.inputs})
 
-    def _inputs(self, step: PlanStep) -> dict[str, str]:
-        """Topics of a step's suppliers, as they are now."""
-        return {port: self._topic_of(source) for port, source in step.inputs}
+    def _check_types(self, name: str, step: PlanStep, supplies: Mapping[str, _Supply]) -> None:
+        """Compare the types of a nodelet's in-ports with those of their suppliers."""
+        types = {port.name: port.datatype for port in self.world.get(name).ports}
+        for port, supply in supplies.items():
+            wanted = types.get(port, "")
+            if not types_fit(wanted, supply.datatype):
+                what = f"for port '{port}' of transformation '{step.action.label}'"
+                raise StreamTypeMismatch(what, wanted, supply.datatype, supply.source.label)
 
-    def _publish(self, goal: Source, present: str) -> Claim:
-        """Let the goal, which is on a topic, be published where the client listens."""
-        claim = self._claim
-        datatype = self._sent(goal).datatype
+    def _publish(self, goal: _Supply) -> Claim:
+        """Let the goal be published where the client listens."""
+        claim, datatype = self._claim, goal.datatype
         if not types_fit(claim.wanted_type, datatype):
-            raise StreamTypeMismatch(claim.request.tag, claim.wanted_type, datatype, goal.label)
+            label = goal.source.label
+            raise StreamTypeMismatch(claim.request.tag, claim.wanted_type, datatype, label)
         is_stamped = datatype in ANY or self._manager.host.is_stamped(datatype)
         if claim.request.max_age > 0 and is_stamped is False:
-            raise StreamTypeMismatch(claim.request.tag, STAMPED, datatype, goal.label)
-        topic = claim.topic or present
-        name, port = self._name_of(goal), goal.port
-        if not claim.topic and present in self._taken_topics() and datatype not in ANY:
+            raise StreamTypeMismatch(claim.request.tag, STAMPED, datatype, goal.source.label)
+        topic = claim.topic or goal.topic
+        name, port = goal.nodelet, goal.port
+        if not claim.topic and goal.topic in self._taken_topics() and datatype not in ANY:
             # The clients there want something else, and their stream may change.
-            name, port = self._relay(goal, present), "out"
+            name, port = self._relay(goal), "out"
             topic = self.world.get(name).topics[port]
-        elif present != topic:
-            if not name or not self._may_move(name, present):
-                name, port = self._relay(goal, present, topic), "out"
+        elif goal.topic != topic:
+            if not name or not self._may_move(name, goal.topic):
+                name, port = self._relay(goal, topic), "out"
             else:
-                self._await(goal, topic, present)
+                self._await(goal, topic, goal.topic)
                 self._separate(goal, name, topic)
                 self.connect(name, {port: topic})
             self._clear(topic, name)
@@ -201,25 +241,23 @@ class Assembly(Transaction):
         datatype = claim.wanted_type if datatype in ANY else datatype
         return replace(claim, topic=topic, datatype=datatype, goal=place)
 
-    def _relay(self, goal: Source, present: str, topic: str = "") -> str:
+    def _relay(self, goal: _Supply, topic: str = "") -> str:
         """Relay a stream that stays on its topic to ``topic``, or a new one; name the relay."""
         # The tags that hold for all messages there.
-        tags = self.world.common_tags(present, self._sent(goal).tags)
-        datatype = self._sent(goal).datatype
-        made = relay(present, datatype, tuple(map(str, tags)))
-        name = self._spawn(made, {"in": (present, datatype)}, () if topic else ("out",))
+        tags = self.world.common_tags(goal.topic, goal.tags)
+        made = relay(goal.topic, goal.datatype, tuple(map(str, tags)))
+        name = self._spawn(made, {"in": goal}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._separate(goal, name, topic)
-        self.connect(name, {"in": self._topic_of(goal), **out})
+        self.connect(name, {"in": self._supply(goal.source).topic, **out})
         return name
 
-    def _separate(self, goal: Source, publisher: str, topic: str) -> None:
+    def _separate(self, goal: _Supply, publisher: str, topic: str) -> None:
         """Disconnect the replaced publisher before the goal comes if it is of another individual.
 
         Else it goes afterwards, without a gap.
         """
-        tags, producers = set(self._sent(goal).tags), self.world.producers(topic)
-        if any(set(each.tags) != tags for each in producers):
+        if any({*each.tags} != {*goal.tags} for each in self.world.producers(topic)):
             self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
@@ -234,23 +272,23 @@ class Assembly(Transaction):
     def _spawn(
         self,
         transformation: Transformation,
-        inputs: Mapping[str, tuple[str, str]],
+        supplies: Mapping[str, _Supply],
         outputs: Iterable[str],
         given: tuple[Parameter, ...] = (),
     ) -> str:
         """Make a nodelet that is connected from its start, and return its name.
 
-        ``inputs`` has topics and types of its in-ports; a port whose type may not fit is connected
-        later. The out-ports of ``outputs`` get topics of their own.
+        An in-port whose type may not fit that of its supplier is connected later. The out-ports of
+        ``outputs`` get topics of their own.
         """
         types = {port.name: port.datatype for port in transformation.ports}
-        topics = {port: topic for port, (topic, _) in inputs.items()}
+        topics = {port: supply.topic for port, supply in supplies.items()}
         certain = {
-            port: topic
-            for port, (topic, datatype) in inputs.items()
+            port: supply.topic
+            for port, supply in supplies.items()
             if types.get(port, "") not in ANY
-            and datatype not in ANY
-            and types_fit(types[port], datatype)
+            and supply.datatype not in ANY
+            and types_fit(types[port], supply.datatype)
         }
         for name in self._free_names(transformation.label):
             self._context.lock.reserve([name])
@@ -269,16 +307,16 @@ class Assembly(Transaction):
             return name
         raise SpawnFailed(transformation.label, "all names for it are taken")
 
-    def _await(self, source: Source, old: str, new: str) -> None:
+    def _await(self, supply: _Supply, old: str, new: str) -> None:
         """Wait for a new supplier to deliver, if it replaces one that still delivers."""
-        name = self._name_of(source)
+        name = supply.nodelet
         if name not in self.spawned or old in ("", new) or not self._flows(old):
             return
         record, clock = self.world.get(name), self._context.clock
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
         with contextlib.ExitStack() as closing:
-            counter = self._counter(record, source.port, closing)
+            counter = self._counter(record, supply.port, closing)
             begin = clock()  # earlier answers are about earlier nodelets of the name
             while not _shows_messages(next(counter), begin):
                 if clock() >= self._deadline:
@@ -321,45 +359,6 @@ class Assembly(Transaction):
             if record.name not in own and record.state is State.RUNNING
         )
 
-    # Suppliers of the plan, live and new ones alike
-
-    def _name_of(self, source: Source) -> str:
-        """Name of a supplier's nodelet; empty for a topic of ordinary nodes."""
-        return source.nodelet if isinstance(source, Live) else self._made[source.instance]
-
-    def _topic_of(self, source: Source) -> str:
-        """Return the topic of a supplier; an out-port that has none is connected to one."""
-        name = self._name_of(source)
-        if isinstance(source, Live) and not name:
-            return source.topic
-        topic = self.world.get(name).topics.get(source.port, "")
-        if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
-            topic = self._free_topic(name, source.port)
-        self.connect(name, {source.port: topic})
-        return topic
-
-    def _is_mixed(self, source: New, topic: str) -> bool:
-        """Whether something else may be sent on a supplier's topic as well."""
-        tags = self._sent(source).tags
-        return self.world.common_tags(topic, tags) != tags
-
-    def _sent(self, source: Source) -> Producer:
-        """Tags and type of a supplier's messages, as far as they are certain."""
-        name = self._name_of(source)
-        if name or isinstance(source, New):
-            return self.world.sent(name, source.port)
-        port = self._manager.library.get(source.label).ports[0]
-        return Producer("", "", read_tags(port.tags), source.datatype)
-
-    def _check_types(self, record: Record, step: PlanStep) -> None:
-        """Compare the types of a nodelet's in-ports with those of their suppliers."""
-        types = {port.name: port.datatype for port in record.ports}
-        for port, source in step.inputs:
-            wanted, found = types.get(port, ""), self._sent(source).datatype
-            if not types_fit(wanted, found):
-                what = f"for port '{port}' of transformation '{step.action.label}'"
-                raise StreamTypeMismatch(what, wanted, found, source.label)
-
     # Free names
 
     def _taken_topics(self) -> set[str]:
@@ -387,8 +386,8 @@ class Assembly(Transaction):
             stem = f"nodelet_{stem}".rstrip("_")
         for number in range(1, _MOST_NAMES):
             name = self._manager.resolve(f"{stem}_{number}")
-            has_left_topics = any(topic.startswith(name + "/") for topic in taken)
-            if not has_left_topics and not self._manager.graph.is_busy(name):
+            left = [topic for topic in taken if topic.startswith(name + "/")]
+            if not left and not self._manager.graph.is_busy(name):
                 yield name
 
 

@@ -209,16 +209,23 @@ def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
     consumers: list[tuple[Consumer, Where]] = []
     listening: list[tuple[str, Where]] = []
     has_variables = bool(record.given)
-    seen = {port.name: port.topic for port in record.ports}
-    for port in _ports(record):
+    declared = record.transformation.ports if record.transformation is not None else ()
+    seen = {port.name: port for port in record.ports}
+    names = [port.name for port in declared]
+    undeclared = [each for each in record.ports if each.name not in names]
+    others = [Port(each.name, each.direction, each.datatype) for each in undeclared]
+    for port in (*declared, *others):
+        found = seen.get(port.name)
+        is_typed = found is not None and found.datatype not in ANY
+        datatype = found.datatype if found is not None and is_typed else port.datatype
         tags = read_tags(port.tags)
-        topics = {record.topics.get(port.name, ""), seen.get(port.name, "")} - {""}
+        topics = {record.topics.get(port.name, ""), found.topic if found else ""} - {""}
         where = tuple(sorted(topics.union(late.get((name, port.name), ())) - {""}))
         is_open = "?" in "".join(port.tags)
         if port.direction == OUT:
-            producers.append((Producer(name, port.name, tags, port.datatype, key=key), where))
+            producers.append((Producer(name, port.name, tags, datatype, key=key), where))
         elif tags:
-            demand = Demand(frozenset(tags), port.datatype)
+            demand = Demand(frozenset(tags), datatype)
             consumers.append((Consumer(name, port.name, demand, key), where))
             if is_open:
                 listening.append((port.name, tuple(sorted(topics))))
@@ -235,22 +242,3 @@ def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
         has_variables,
         not record.claimed,
     )
-
-
-def _ports(record: Record) -> list[Port]:
-    """Declared ports with the types that were seen, then those that are not declared."""
-    seen = {port.name: port for port in record.ports}
-    declared = record.transformation.ports if record.transformation is not None else ()
-    names = {port.name for port in declared}
-    found = [
-        port._replace(datatype=seen[port.name].datatype)
-        if port.name in seen and seen[port.name].datatype not in ANY
-        else port
-        for port in declared
-    ]
-    found += [
-        Port(port.name, port.direction, port.datatype)
-        for port in record.ports
-        if port.name not in names
-    ]
-    return found

@@ -103,8 +103,8 @@ class StreamMonitor:
 
     def unfit(self, claims: Iterable[Claim] = ()) -> frozenset[str]:
         """Nodelets and topics that no claim, or none of these claims, can rely on."""
-        tables = [_ALL, *(claim.claim_id for claim in claims)]
-        return self._meter.unresponsive.union(*(self._shortfalls.get(each, ()) for each in tables))
+        tables = [_ALL, *[claim.claim_id for claim in claims]]
+        return self._meter.unresponsive.union(*[self._shortfalls.get(each, ()) for each in tables])
 
     def faults(self, claim: Claim) -> list[str]:
         """Say which parts of a claim's stream cannot be relied on."""

@@ -90,9 +90,9 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 2_000
-    assert len(functions) <= 440
-    assert len(calls) <= 37
+    assert sum(calls.values()) <= 1_725
+    assert len(functions) <= 420
+    assert len(calls) <= 34
     assert 0 < len(locks) <= 68
 
 
