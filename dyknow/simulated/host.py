@@ -70,6 +70,10 @@ class FakeProcess:
     nodelets: dict[str, FakeNodelet] = field(default_factory=dict)
 
 
+def _succeed(operation: str, argument: str) -> None:
+    """Let an operation succeed."""
+
+
 class FakeListening(Listening):
     """Counts the messages of one topic; ``FakeHost.flow`` sends them."""
 
@@ -133,7 +137,7 @@ class FakeHost(Host):
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
         #: Called before each operation with its name and argument; may raise.
-        self.fail: Callable[[str, str], object] = lambda operation, argument: None
+        self.fail: Callable[[str, str], object] = _succeed
         #: Called after each change of nodelets and connections.
         self.on_change: Callable[[], None] = lambda: None
         #: Every operation, in order.
@@ -150,6 +154,21 @@ class FakeHost(Host):
         self._on_the_way: list[tuple[FakeNodelet, dict[str, str]]] = []
 
     # Faults and other events
+
+    def fail_at(
+        self, operation: str, part: str = "", error: BaseException | str = "it is broken"
+    ) -> None:
+        """Let an operation fail from now on whenever its argument contains ``part``."""
+
+        def fail(what: str, argument: str) -> None:
+            if what == operation and part in argument:
+                raise HostError(error) if isinstance(error, str) else error
+
+        self.fail = fail
+
+    def recover(self) -> None:
+        """Let no operation fail any more."""
+        self.fail = _succeed
 
     def kill(self, manager: str) -> None:
         """Kill a nodelet manager, and its nodelets with it, or a node."""

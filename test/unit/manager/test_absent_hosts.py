@@ -115,14 +115,10 @@ def test_a_refusal_when_it_is_back_is_tried_again(world: World) -> None:
         world.manager.destroy("/a")
     world.host.mend(FAR)
 
-    def refuse(operation: str, argument: str) -> None:
-        if operation == "unload":
-            raise HostError("not now")
-
-    world.host.fail = refuse
+    world.host.fail_at("unload", error="not now")
     world.manager.look()
     assert world.states() == {"/a": "LOST"}
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     world.manager.look()
     assert world.states() == {}
 

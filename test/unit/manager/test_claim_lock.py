@@ -19,11 +19,6 @@ from dyknow.model.streams import ClaimState, StreamRequest
 BALL = "RelativePosition(ball)"
 
 
-@pytest.fixture
-def field() -> Field:
-    return Field()
-
-
 def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> List[str]:
     """Run something once while a nodelet is loaded; returns the results so far."""
     done: List[str] = []

@@ -71,11 +71,7 @@ def test_a_manager_goes_on_while_its_disk_is_full(disk: Path) -> None:
 def test_an_isolated_spawn_that_fails_leaves_no_process(disk: Path, error: Exception) -> None:
     world = World(str(disk / "state"))
 
-    def fail(operation: str, argument: str) -> None:
-        if operation == "load":
-            raise error
-
-    world.host.fail = fail
+    world.host.fail_at("load", error=error)
     with full(disk), pytest.raises((SpawnFailed, NameTaken)):
         world.spawn("camera", "x", isolated=True)
     assert world.host.states() == {}

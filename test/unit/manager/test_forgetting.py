@@ -15,11 +15,6 @@ from dyknow.errors import NoPlanFound
 from dyknow.model.streams import StreamRequest
 
 
-@pytest.fixture
-def field() -> Field:
-    return Field()
-
-
 def kept() -> int:
     """Objects that the planner keeps: values of its modules, whatever refers to them."""
     gc.collect()

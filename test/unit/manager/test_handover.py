@@ -22,11 +22,6 @@ OTHER = transformation(
 )
 
 
-@pytest.fixture
-def field() -> Field:
-    return Field()
-
-
 def watch(field: Field, topic: str) -> List[str]:
     """Record every operation before which nothing or two nodelets publish on a topic."""
     gaps: List[str] = []
@@ -114,7 +109,7 @@ def break_at(field: Field, operation: str, part: str) -> Callable[[], None]:
             raise HostError("it is broken")
 
     def mend() -> None:
-        field.host.fail = lambda what, argument: None
+        field.host.recover()
 
     field.host.fail = fail
     return mend

@@ -5,15 +5,9 @@
 
 from __future__ import annotations
 
-import pytest
 from unit.manager.field import GOAL, Field
 
 from dyknow.model.streams import ClaimState
-
-
-@pytest.fixture
-def field() -> Field:
-    return Field()
 
 
 def hang(field: Field, manager: str) -> None:

@@ -8,13 +8,8 @@ from __future__ import annotations
 import pytest
 from unit.manager.field import CHAIN, Field
 
-from dyknow.errors import HostError, HostTimeout
+from dyknow.errors import HostTimeout
 from dyknow.model.streams import ClaimState
-
-
-@pytest.fixture
-def field() -> Field:
-    return Field()
 
 
 def topic(field: Field, name: str, port: str) -> str:
@@ -26,16 +21,12 @@ def test_a_mend_that_was_not_answered_is_taken_back_when_it_comes(field: Field) 
     field.settle(3.0)
     field.host.slow.add("/subsampler_1")
 
-    def fail(operation: str, name: str) -> None:
-        if (operation, name) == ("load", "/subsampler_2"):
-            raise HostError("there is no other one")
-
-    field.host.fail = fail
+    field.host.fail_at("load", "/subsampler_2", "there is no other one")
     field.manager.remove_transformation("bottom camera")
     field.tick()
     assert field.state(claim.claim_id) is ClaimState.FAILED
     assert topic(field, "/subsampler_1", "yuv") == "/bottom_camera_1/image"
-    field.host.fail = lambda what, name: None
+    field.host.recover()
     field.manager.add_transformation(CAMERA)  # so that there is nothing else to do
     field.host.arrive()
     assert topic(field, "/subsampler_1", "yuv") == "/ceiling_camera_1/image"
@@ -64,7 +55,7 @@ def test_a_request_that_was_not_answered_leaves_nothing(field: Field) -> None:
     with pytest.raises(HostTimeout):
         field.acquire()
     assert "/localization_1" not in field.host.running
-    field.host.fail = lambda what, name: None
+    field.host.recover()
     field.host.slow.clear()
     field.host.arrive()
     field.settle()

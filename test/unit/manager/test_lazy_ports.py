@@ -10,7 +10,6 @@ from dataclasses import replace
 import pytest
 from unit.manager.field import IMAGE, Field, transformation
 
-from dyknow.errors import HostError
 from dyknow.model.streams import ClaimState
 
 RECTIFY = transformation(
@@ -61,13 +60,9 @@ def test_it_is_tried_again(field: Field) -> None:
     claim = field.acquire("Rect(field)").claim
     (name, _) = claim.goal
 
-    def fail(operation: str, argument: str) -> None:
-        if (operation, argument) == ("connect", name):
-            raise HostError("not now")
-
-    field.host.fail = fail
+    field.host.fail_at("connect", name, "not now")
     make_ports(field, name)
-    field.host.fail = lambda operation, argument: None
+    field.host.recover()
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert field.host.nodelet(name).ports["camera_info"].topic == "/info_1/info"

@@ -97,7 +97,7 @@ def test_a_failure_at_any_step_leaves_nothing(world: World, step: str, isolated:
     world.host.fail = failing(step, "went wrong")
     with pytest.raises((SpawnFailed, HostError), match="went wrong"):
         world.spawn("camera", "x", config={"image": "/i"}, isolated=isolated)
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     assert nothing_left(world, "/x")
     world.spawn("camera", "x", isolated=isolated)
     assert world.states() == {"/x": "RUNNING"}
@@ -108,7 +108,7 @@ def test_the_nodelet_manager_dying_during_the_spawn_leaves_nothing(world: World)
 
     def die(operation: str, argument: str) -> None:
         if (operation, argument) == ("loaded", "/x"):
-            world.host.fail = lambda operation, argument: None
+            world.host.recover()
             world.host.kill("/fake_0")
 
     world.host.fail = die
@@ -127,7 +127,7 @@ def test_a_name_is_taken_by_what_runs_and_by_what_is_being_made(world: World) ->
 
     def again(operation: str, argument: str) -> None:
         if operation == "load":
-            world.host.fail = lambda operation, argument: None
+            world.host.recover()
             with pytest.raises(NameTaken):
                 world.spawn("camera", "b")
             with pytest.raises(Busy):
@@ -155,7 +155,7 @@ def test_destroy_unloads_and_deletes_the_parameters_it_set(world: World) -> None
     with pytest.raises(HostError, match="not now"):
         world.manager.destroy("a")
     assert world.states() == {"/a": "RUNNING"}
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     world.manager.destroy("a")
     assert world.host.running == []
     assert world.host.parameters == {"/a/by_somebody_else": 1}

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Dict, Tuple
 
 import pytest
@@ -14,11 +13,6 @@ from unit.manager.world import World
 from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.model.graph import NodeletKind, State
-
-
-@pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(str(tmp_path / "state.db"))
 
 
 def test_a_dead_nodelet_manager_comes_back_with_everything_it_had(world: World) -> None:
@@ -121,7 +115,7 @@ def test_ports_that_could_not_be_asked_for_are_asked_for_again(world: World) -> 
 
     world.host.fail = fail
     world.manager.look({"/b"})
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/i"}
     world.manager.look()
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
@@ -197,17 +191,13 @@ def test_a_crash_is_remembered_while_its_nodelet_is_busy(world: World) -> None:
 def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> None:
     world.spawn("camera", "a")
 
-    def fail(operation: str, argument: str) -> None:
-        if operation == "load":
-            raise HostError("the camera is unplugged")
-
-    world.host.fail = fail
+    world.host.fail_at("load", error="the camera is unplugged")
     world.host.kill("/fake_0")
     world.manager.look()
     record = world.manager.graph.get("/a")
     assert record.state is State.FAILED
     assert "unplugged" in record.detail
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     world.manager.look()
     assert world.states() == {"/a": "RUNNING"}
 
@@ -248,11 +238,7 @@ def test_whatever_is_starting_says_why(world: World) -> None:
 def test_what_cannot_come_back_since_its_name_is_taken_says_so(world: World) -> None:
     world.spawn("camera", "a")
 
-    def take(operation: str, argument: str) -> None:
-        if operation == "load":
-            raise NameTaken("/a", "running", "another node")
-
-    world.host.fail = take
+    world.host.fail_at("load", error=NameTaken("/a", "running", "another node"))
     world.host.kill("/fake_0")
     world.manager.look()
     assert detail(world) == (State.STARTING, "another node named '/a' is running")
@@ -261,27 +247,19 @@ def test_what_cannot_come_back_since_its_name_is_taken_says_so(world: World) -> 
 def test_what_a_killed_manager_was_bringing_back_says_why_it_is_not_up(world: World) -> None:
     world.spawn("camera", "a", config={"image": "/i"})
 
-    def die(operation: str, argument: str) -> None:
-        if operation == "loaded":
-            raise Killed
-
-    world.host.fail = die
+    world.host.fail_at("loaded", error=Killed)
     world.host.kill("/fake_0")
     with pytest.raises(Killed):
         world.manager.look()
 
-    def refuse(operation: str, argument: str) -> None:
-        if operation == "connect":
-            raise HostError("the type differs")
-
-    world.host.fail = refuse
+    world.host.fail_at("connect", error="the type differs")
     world.kill_manager()
     assert detail(world) == (State.STARTING, "the type differs")
     world.host.hang("/fake_0")
     world.manager.look()
     assert detail(world) == (State.STARTING, "nodelet manager /fake_0 does not answer")
     world.host.wake("/fake_0")
-    world.host.fail = lambda operation, argument: None
+    world.host.recover()
     world.manager.look()
     assert detail(world) == (State.RUNNING, "")
     assert world.host.nodelet("/a").ports["image"].topic == "/i"

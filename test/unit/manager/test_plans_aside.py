@@ -58,11 +58,6 @@ class Slow:
         return result
 
 
-@pytest.fixture
-def field() -> Field:
-    return Field()
-
-
 def dry_run(field: Field, claim_id: str) -> Any:
     return field.reconciler.acquire(StreamRequest(GOAL, budget=60.0), dry_run=True)
 

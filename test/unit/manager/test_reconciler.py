@@ -10,7 +10,6 @@ import itertools
 import threading
 import uuid
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List
 from unittest import mock
 
@@ -31,11 +30,6 @@ from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState, StreamRequest
 
 
-@pytest.fixture
-def field(tmp_path: Path) -> Field:
-    return Field(str(tmp_path / "state.db"))
-
-
 def check_flows(field: Field, *claims: Claim) -> None:
     """Each claim is whole, and its client listens where it did."""
     for claim in claims:
@@ -52,7 +46,7 @@ def fail_at(field: Field, operation: str, part: str) -> None:
 
 
 def mend_host(field: Field) -> None:
-    field.host.fail = lambda operation, argument: None
+    field.host.recover()
 
 
 # Requests

@@ -12,7 +12,7 @@ import pytest
 from unit.manager.field import IMAGE, Field, specification
 from unit.manager.witness import Concepts, Witness
 
-from dyknow.errors import HostError, InvalidTag, NoPlanFound
+from dyknow.errors import InvalidTag, NoPlanFound
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState
@@ -272,18 +272,14 @@ def test_what_comes_back_does_not_change_what_others_receive(lab: Lab) -> None:
     field = lab.field
     field.spawn("camera right", "/right", config={"out": "/shared"}, isolated=True)
 
-    def fail(operation: str, argument: str) -> None:
-        if operation == "load" and argument == "/right":
-            raise HostError("not yet")
-
-    field.host.fail = fail
+    field.host.fail_at("load", "/right", "not yet")
     field.host.kill(field.manager.graph.get("/right").manager)
     field.settle()
     field.spawn("camera left", "/left", config={"out": "/shared"})
     claim = field.acquire("Ball(left)").claim
     assert field.host.publishers("/shared") == ["/left"]
     assert field.host.nodelet(claim.goal[0]).topics("in") == ["/shared"]
-    field.host.fail = lambda operation, argument: None
+    field.host.recover()
     lab.settle(60.0)
     assert field.host.nodelet("/right").topics("out") == []
     now = field.claim(claim.claim_id)

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import List
 
 import pytest
 from unit.manager.field import CHAIN, FIRST_MESSAGE, POINT, Field
 
-from dyknow.errors import HostError, HostTimeout
+from dyknow.errors import HostTimeout
 from dyknow.model.streams import NO_MESSAGE, ClaimState
 
 REFEREE = (
@@ -20,11 +19,6 @@ REFEREE = (
     '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
 )
 UNKNOWN = "not known whether messages come: the publisher of {} cannot be asked"
-
-
-@pytest.fixture
-def field(tmp_path: Path) -> Field:
-    return Field(str(tmp_path / "state"))
 
 
 def called(field: Field, operation: str) -> bool:
@@ -70,11 +64,7 @@ def test_a_nodelet_that_is_going_discredits_no_neighbour(field: Field, label: st
     victim = f"/{label.replace(' ', '_')}_1"
     others = set(field.host.running) - {victim}
 
-    def going(operation: str, argument: str) -> None:
-        if (operation, argument) == ("counts", victim):
-            raise HostError("the service is not offered any more")
-
-    field.host.fail = going
+    field.host.fail_at("counts", victim, "the service is not offered any more")
     field.settle(10.0)
     assert victim not in field.host.running
     assert others <= set(field.host.running), "they are re-wired"

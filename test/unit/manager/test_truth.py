@@ -11,7 +11,7 @@ from typing import Dict, List, Sequence, Tuple
 import pytest
 from unit.manager.field import CHAIN, IMAGE, Field, specification, transformation
 
-from dyknow.errors import HostError, SpawnFailed
+from dyknow.errors import SpawnFailed
 from dyknow.manager.claim import ClaimEvent
 from dyknow.model.streams import ClaimState
 
@@ -24,11 +24,6 @@ def described(label: str, topic: str, tag: str, datatype: str = JOINTS) -> str:
         f'<ports><port type="out" datatype="{datatype}">out</port></ports>'
         f'<tags><tag port="out">{tag}</tag></tags></transformation>'
     )
-
-
-@pytest.fixture
-def field() -> Field:
-    return Field()
 
 
 @pytest.fixture
@@ -230,17 +225,13 @@ def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> 
     manager = lab.manager.graph.get("/mine").manager
     lab.settle()
 
-    def fail(what: str, name: str) -> None:
-        if (what, name) == ("load", "/mine"):
-            raise HostError("not yet")
-
-    lab.host.fail = fail
+    lab.host.fail_at("load", "/mine", "not yet")
     lab.host.kill(manager)
     lab.tick()
     lab.manager.remove_transformation("ceiling")
     lab.settle()
     assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
-    lab.host.fail = lambda what, name: None
+    lab.host.recover()
     lab.settle(60.0)
     assert "/mine" in lab.host.running
     assert connected(lab, "/mine") == {}

@@ -14,11 +14,6 @@ from dyknow.errors import BadParameter
 from dyknow.model.streams import ClaimState
 
 
-@pytest.fixture
-def field() -> Field:
-    return Field()
-
-
 def test_what_is_avoided_is_used_when_there_is_nothing_else(field: Field) -> None:
     claim = field.acquire(avoid=("bottom camera",)).claim
     assert "/ceiling_camera_1" in claim.nodelets
