@@ -73,14 +73,6 @@ def test_it_is_made_good_after_a_restart_of_the_manager_too(world: World) -> Non
     assert (world.states(), world.host.running) == ({}, [])
 
 
-def test_a_manager_that_was_restarted_meanwhile_verifies_too(world: World) -> None:
-    world.host.cut(FAR, known=False)
-    world.kill_manager()
-    with pytest.raises(HostTimeout):
-        world.manager.destroy("/a")
-    assert world.host.running == ["/a"]
-
-
 def test_what_died_with_its_host_is_not_brought_back_to_be_destroyed(world: World) -> None:
     world.host.cut(FAR)
     with pytest.raises(HostTimeout):
@@ -97,16 +89,6 @@ def test_what_is_certainly_gone_is_destroyed_at_once(world: World) -> None:
     world.host.kill(FAR)
     world.manager.destroy("/a")
     assert world.states() == {}
-
-
-def test_a_destroy_that_hangs_is_made_good_when_the_process_goes_on(world: World) -> None:
-    world.spawn("camera", "/b")
-    world.host.hang(world.manager.graph.get("/b").manager)
-    with pytest.raises(HostTimeout):
-        world.manager.destroy("/b")
-    world.host.wake(world.manager.graph.get("/b").manager)
-    world.manager.look()
-    assert world.states() == {"/a": "RUNNING"}
 
 
 def test_a_refusal_when_it_is_back_is_tried_again(world: World) -> None:

@@ -151,15 +151,6 @@ def test_one_that_hangs_is_lost_and_replaced(robot: Robot) -> None:
     assert robot.claim(claim_id).nodelets == ("/bottom_camera_1",)
 
 
-def test_what_is_absent_supplies_nothing(robot: Robot) -> None:
-    robot.manager.remove_transformation("localization")
-    robot.manager.add_transformation(LOCALIZATION)
-    with pytest.raises(NoPlanFound):
-        robot.acquire()
-    robot.run("/robot/where", "robot/where", {})
-    assert robot.acquire().claim.state is ClaimState.ACTIVE
-
-
 def test_it_is_connected_to_what_it_demands_and_again_when_that_dies(robot: Robot) -> None:
     robot.manager.remove_transformation("localization")
     robot.manager.add_transformation(LOCALIZATION)

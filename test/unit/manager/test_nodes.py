@@ -14,7 +14,7 @@ from unit.manager.world import World
 
 from dyknow.errors import Denied, HostError, NameTaken, SpawnFailed
 from dyknow.guards import Guards
-from dyknow.model.graph import NodeletKind, State
+from dyknow.model.graph import NodeletKind
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
@@ -84,23 +84,6 @@ def test_a_node_is_a_process_of_its_own(world: World) -> None:
     world.manager.destroy("/robot/copier")
     assert world.host.running == ["/second"]
     assert world.host.parameters == {"/second/rate": 5}
-
-
-def test_a_node_that_dies_comes_back_as_it_was(world: World) -> None:
-    world.spawn("copier", "/copier", config={"words": "/a"}, parameters=(rate(7),))
-    world.host.connect("/copier", {"copy": "/b"})
-    world.manager.look({"/copier"})
-
-    world.host.kill("/copier")
-    world.manager.look()
-
-    record = world.manager.graph.get("/copier")
-    assert (record.state, record.status.connections) == (
-        State.RUNNING,
-        {"words": "/a", "copy": "/b"},
-    )
-    assert world.host.nodelet("/copier").request.remappings["/copy"] == "/b"
-    assert world.host.parameters == {"/copier/rate": 7}
 
 
 def rate(value: int) -> Parameter:

@@ -15,35 +15,6 @@ from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.model.graph import NodeletKind, State
 
 
-def test_a_dead_nodelet_manager_comes_back_with_everything_it_had(world: World) -> None:
-    world.spawn("camera", "a", config={"image": "/i"}, is_protected=True)
-    world.spawn("relay", "b", config={"in": "/i", "out": "/o"})
-    world.host.kill("/fake_0")
-    world.manager.look()
-    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
-    assert world.manager.graph.get("/a").is_protected
-    assert world.host.nodelet("/b").ports["in"].topic == "/i"
-    assert world.host.nodelet("/b").ports["out"].topic == "/o"
-
-
-@pytest.mark.parametrize("isolated", [False, True])
-@pytest.mark.parametrize("label", ["camera", "native", "program"])
-def test_every_kind_of_nodelet_comes_back_after_a_reboot(
-    world: World, label: str, isolated: bool
-) -> None:
-    world.host.sources["pkg/program"] = []
-    world.manager.add_transformation(
-        '<transformation type="node"><label>program</label><source>pkg/program</source>'
-        "</transformation>"
-    )
-    world.spawn(label, "a", isolated=isolated, is_protected=True)
-    before = world.manager.get_model().nodelets
-    world.host.reboot()
-    world.kill_manager()
-    assert world.manager.get_model().nodelets == before
-    assert world.host.running == ["/a"]
-
-
 def test_nodelets_of_a_nodelet_manager_that_exists_no_more_are_placed_again(world: World) -> None:
     world.spawn("relay", "a")
     world.host.hang("/fake_0")

@@ -26,7 +26,6 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
-from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState, StreamRequest
 
 
@@ -64,16 +63,6 @@ def test_a_stream_is_made_from_the_library(field: Field) -> None:
     assert field.host.nodelet("/detector_1").ports["joints"].topic == "/joint_states"
     field.settle()
     assert field.reasons() == ["requested", FIRST_MESSAGE]
-
-
-def test_running_nodelets_are_reused_and_not_collected(field: Field) -> None:
-    field.manager.spawn(SpawnRequest("bottom camera", "mine", config={"image": "/mine/image"}))
-    acquired = field.acquire()
-    assert acquired.reused == ("/mine",)
-    assert len(acquired.spawned) == 3
-    field.reconciler.release(acquired.claim.claim_id)
-    field.settle(60.0)
-    assert field.host.running == ["/mine"]
 
 
 def test_two_claims_share_and_the_last_one_clears(field: Field) -> None:
@@ -223,31 +212,6 @@ def test_a_nodelet_manager_that_dies_again_and_again_is_given_pauses(field: Fiel
     check_flows(field, claim)
 
 
-def test_a_part_that_others_unload_again_and_again_comes_back(field: Field) -> None:
-    claim = field.acquire().claim
-    for _ in range(10):
-        field.host.vanish(next(n for n in field.host.running if "localization" in n))
-        field.settle(0.5)
-        check_flows(field, claim)
-    field.tidy()
-
-
-def test_parts_made_by_hand_come_back_and_leave_the_topic_to_their_successor(
-    field: Field,
-) -> None:
-    field.acquire("RelativePosition(ball)")
-    ball = field.living()[0].topic
-    field.spawn("localization", "/mine", config={"ball": ball, "position": "/mine/position"})
-    claim = field.acquire().claim
-    assert claim.goal == ("/mine", "position")
-    field.settle()
-    field.host.kill("/fake_0")
-    field.tidy()
-    assert len(field.host.publishers("/mine/position")) == 1
-    check_flows(field, claim)
-    assert "/mine" in field.host.running
-
-
 def test_parts_that_users_destroy_or_protect(field: Field) -> None:
     field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
     claim = field.acquire().claim
@@ -383,22 +347,6 @@ def test_a_part_that_a_client_listens_to_is_replaced_on_its_topic(
     field.tidy()
     check_flows(field, whole, part)
     assert not [name for name in field.host.running if "relay" in name]
-
-
-def test_a_variable_is_not_bound_anew_at_the_cost_of_another_claim(field: Field) -> None:
-    first = field.acquire("FieldPosition(?what)").claim
-    second = field.acquire("FieldPosition(ball)").claim
-    assert first.topic != second.topic, "the stream of one may change without the other"
-    finder = ("goal finder", "soccer/Localization", "out position", "position FieldPosition(goal)")
-    field.manager.add_transformation(transformation(*finder, cost=0))
-    field.settle()
-    field.manager.destroy("/localization_1")
-    field.tidy()
-    for claim in (first, second):
-        assert field.state(claim.claim_id) is ClaimState.ACTIVE
-        assert field.claim(claim.claim_id).topic == claim.topic
-    assert field.host.publishers(first.topic) == ["/goal_finder_1"]
-    assert field.claim(second.claim_id).goal[0].startswith("/localization")
 
 
 def test_an_excluded_part_does_not_come_to_a_claim_through_others(field: Field) -> None:

@@ -14,7 +14,6 @@ from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import InvalidTag, NoPlanFound
 from dyknow.manager.claims.answers import StreamAnswers
-from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
@@ -155,17 +154,6 @@ def test_what_is_behind_those_that_are_cut_off_stays_where_it_is(lab: Lab) -> No
     assert (now.state, now.goal, now.topic) == (ClaimState.ACTIVE, claim.goal, claim.topic)
 
 
-def test_one_that_others_share_is_not_made_to_supply_something_else(lab: Lab) -> None:
-    lab.add_detector()
-    any_ball = lab.field.acquire("Ball(?c)").claim
-    left = lab.field.acquire("Ball(left)").claim
-    lab.settle()
-    lab.field.manager.remove_transformation("camera left")
-    lab.settle(10.0)
-    assert lab.field.claim(any_ball.claim_id).bindings == (("?c", "right"),)
-    assert lab.field.state(left.claim_id) is ClaimState.PENDING
-
-
 def test_a_plan_may_need_a_transformation_several_times(lab: Lab) -> None:
     lab.add_detector(FRAME)
     stereo: Ports = {
@@ -210,16 +198,6 @@ def test_what_variables_can_stand_for_is_found_in_what_runs_and_what_could(lab: 
     assert lab.field.claim(claim.claim_id).state is ClaimState.ACTIVE
 
 
-def test_types_restrict_what_a_variable_takes(lab: Lab) -> None:
-    lab.add_detector()
-    lab.field.manager.remove_transformation("camera left")
-    lab.field.manager.remove_transformation("camera right")
-    lab.add("painter", {"out": ("out", ["Image(painting)"])})
-    lab.add("hanger", {"out": ("out", ["Pose(painting)"])})
-    with pytest.raises(NoPlanFound):
-        lab.field.acquire("Ball(?c)")
-
-
 def test_a_nodelet_made_by_hand_supplies_what_its_inputs_say(lab: Lab) -> None:
     lab.add_detector()
     field = lab.field
@@ -252,21 +230,6 @@ def test_a_claim_follows_when_people_connect_its_source_elsewhere(lab: Lab) -> N
     assert any("?c=right from now on" in each for each in field.reasons())
 
 
-def test_others_are_cut_off_before_a_nodelet_supplies_something_else(lab: Lab) -> None:
-    lab.add_detector()
-    lab.add("keeper", {"in": ("in", ["Ball(left)"])})
-    field = lab.field
-    claim = field.acquire("Ball(?c)").claim
-    lab.settle()
-    field.spawn("keeper", "/keeper", config={"in": claim.topic})
-    lab.witness.excuse()
-    assert lab.reads("/keeper") == ["detector"]
-    field.manager.remove_transformation("camera left")
-    lab.settle()
-    assert field.claim(claim.claim_id).bindings == (("?c", "right"),)
-    assert lab.reads("/keeper") == []
-
-
 def test_what_comes_back_does_not_change_what_others_receive(lab: Lab) -> None:
     lab.add("detector", {"image": ("in", ["Image(?c)"]), "ball": ("out", ["Ball(?c)"])})
     field = lab.field
@@ -284,20 +247,3 @@ def test_what_comes_back_does_not_change_what_others_receive(lab: Lab) -> None:
     assert field.host.nodelet("/right").topics("out") == []
     now = field.claim(claim.claim_id)
     assert (now.state, now.goal, now.bindings) == (ClaimState.ACTIVE, claim.goal, ())
-
-
-def test_what_people_connect_to_an_unknown_topic_sends_nothing_to_clients(lab: Lab) -> None:
-    lab.add("frame", {"in": ("in", ["Image(?c)"]), "out": ("out", ["Frame(?c)"])})
-    claim = lab.field.acquire("Image(left)").claim
-    lab.field.manager.spawn(SpawnRequest("frame", "/mine", {"in": "", "out": claim.topic}))
-    lab.witness.by_hand.add("/mine")
-    lab.field.tick(3.0)
-    mine = lab.field.host.nodelet("/mine")
-    assert mine.ports["out"].topic == claim.topic, "it receives nothing, and sends nothing"
-    lab.field.host.topics.add("/driver/image")
-    lab.field.host.connect("/mine", {"in": "/driver/image"})
-    lab.witness.guilt.clear()
-    lab.field.manager.look({"/mine"})
-    lab.settle()
-    assert mine.ports["out"].topic == ""
-    assert lab.field.claim(claim.claim_id).state is ClaimState.ACTIVE

@@ -111,19 +111,6 @@ def test_an_ordinary_topic_can_be_silent_too(field: Field) -> None:
     assert field.labels() == CHAIN
 
 
-def test_a_silent_nodelet_made_by_hand_is_passed_over_not_destroyed(field: Field) -> None:
-    field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
-    claim = field.acquire(max_silence=1.0).claim
-    assert "/camera" in claim.nodelets
-    field.settle(5.0)
-    field.host.silent.add("/camera")
-    field.tidy()
-    assert claim.topic in field.moving
-    field.host.silent.clear()
-    field.settle(5.0)
-    assert "/camera" not in field.claim(claim.claim_id).nodelets, "it is not taken back by itself"
-
-
 def test_clients_with_different_patience_share_a_part(field: Field) -> None:
     limits = {"FieldPosition(ball)": 60.0, "RelativePosition(ball)": 0.0, "Planes(field)": 1.0}
     claims = [field.acquire(tag, max_silence=limit).claim for tag, limit in limits.items()]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
 import pytest
-from unit.manager.field import CHAIN, IMAGE, Field, specification, transformation
+from unit.manager.field import CHAIN, IMAGE, Field, specification
 
 from dyknow.errors import SpawnFailed
 from dyknow.manager.claim import ClaimEvent
@@ -53,33 +53,6 @@ def connected(field: Field, name: str) -> Dict[str, str]:
 # One claim is mended, another listens there
 
 
-def test_what_a_claim_is_mended_with_does_not_reach_another_claim(lab: Field) -> None:
-    any_camera = lab.acquire("RawYUV(?camera)").claim
-    ceiling = lab.acquire("BGR(ceiling)").claim
-    assert connected(lab, "/convert_1")["raw"] == any_camera.topic
-    heard: List[List[str]] = []
-
-    def look() -> None:
-        topic = connected(lab, "/convert_1").get("raw", "nowhere")
-        heard.append([name for name in lab.host.publishers(topic) if name != "/ceiling_1"])
-
-    lab.host.on_change = look
-    lab.manager.remove_transformation("ceiling")
-    for _ in range(5):
-        lab.tick()
-    lab.host.on_change = lambda: None
-    assert not any(heard), "not even for a moment"
-    assert lab.state(any_camera.claim_id) is ClaimState.ACTIVE
-    assert lab.claim(any_camera.claim_id).topic == any_camera.topic in lab.moving
-    assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
-    assert lab.state(ceiling.claim_id) is ClaimState.PENDING
-    assert lab.host.publishers(ceiling.topic) == []
-    lab.manager.add_transformation(specification("ceiling", "lab/ceiling", CEILING, 1, IMAGE))
-    lab.settle(3.0)
-    assert lab.state(ceiling.claim_id) is ClaimState.ACTIVE
-    assert lab.claim(ceiling.claim_id).topic == ceiling.topic in lab.moving
-
-
 CEILING = {"image": ("out", ["RawYUV(ceiling)"])}
 
 
@@ -94,26 +67,6 @@ def test_clients_share_a_topic_only_if_they_ask_for_the_same(lab: Field) -> None
     lab.reconciler.release(other.claim.claim_id)
     lab.tidy()
     assert lab.host.running == ["/ceiling_1"]
-
-
-def test_a_failed_mend_connects_nobody_to_what_does_not_fit(lab: Field) -> None:
-    any_camera = lab.acquire("RawYUV(?camera)").claim
-    ceiling = lab.acquire("BGR(ceiling)").claim
-    lab.settle(3.0)
-    before = connected(lab, "/convert_1")
-    lab.host.slow.add("/ceiling_1")  # it is not taken off the topic
-    lab.manager.remove_transformation("ceiling")
-    for _ in range(5):
-        lab.tick()
-        topic = connected(lab, "/convert_1").get("raw", "nowhere")
-        assert "/bottom_1" not in lab.host.publishers(topic)
-    lab.host.slow.clear()
-    lab.host.arrive()
-    lab.settle(5.0)
-    assert lab.state(any_camera.claim_id) is ClaimState.ACTIVE
-    assert lab.state(ceiling.claim_id) in (ClaimState.PENDING, ClaimState.DEGRADED)
-    if lab.state(ceiling.claim_id) is ClaimState.PENDING:
-        assert connected(lab, "/convert_1") == {} != before
 
 
 # Claims that wait, claims that ended
@@ -182,41 +135,7 @@ def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> 
     assert connected(field, "/detector_1")["joints"] == "/other/joints"
 
 
-def test_a_topic_that_is_described_as_something_else_is_used_no_more(field: Field) -> None:
-    claim = field.acquire().claim
-    field.host.topics.add("/other/joints")
-    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
-    field.manager.add_transformation(described("joints", "/joint_states", "Weather(here)"))
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert connected(field, "/detector_1")["joints"] == "/other/joints"
-
-
 # What people do
-
-
-def test_who_sends_something_else_on_a_claim_s_topic_is_taken_off(field: Field) -> None:
-    field.manager.add_transformation(
-        transformation("noise", "soccer/Localization", "in ball, out position", "position Noise")
-    )
-    claim = field.acquire().claim
-    field.spawn("noise", "/noise", config={"position": "/noise/position"})
-    field.host.connect("/noise", {"position": claim.topic})
-    field.manager.look({"/noise"})
-    field.settle()
-    assert field.host.publishers(claim.topic) == [claim.goal[0]]
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-
-
-def test_what_people_connected_is_cut_off_before_something_else_comes_there(lab: Field) -> None:
-    any_camera = lab.acquire("RawYUV(?camera)").claim
-    lab.spawn("convert", "/mine", config={"raw": any_camera.topic, "bgr": "/mine/bgr"})
-    lab.settle()
-    assert connected(lab, "/mine")["raw"] == any_camera.topic
-    lab.manager.remove_transformation("ceiling")
-    lab.settle()
-    assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
-    assert connected(lab, "/mine") == {"bgr": "/mine/bgr"}
 
 
 def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> None:
@@ -237,17 +156,6 @@ def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> 
     assert connected(lab, "/mine") == {}
 
 
-def test_a_topic_with_two_streams_is_neither(lab: Field) -> None:
-    lab.spawn("ceiling", "/one", config={"image": "/image"})
-    lab.spawn("bottom", "/two", config={"image": "/image"})
-    claim = lab.acquire("BGR(ceiling)").claim
-    assert connected(lab, "/convert_1")["raw"] != "/image"
-    either = lab.acquire("RawYUV(?camera)").claim
-    assert either.topic != "/image"
-    lab.settle()
-    assert {claim.topic, either.topic} <= lab.moving
-
-
 def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field) -> None:
     other = {"image": ("out", ["RawYUV(bottom)"])}
     lab.manager.add_transformation(specification("other", "lab/ceiling", other, 1, IMAGE))
@@ -264,28 +172,6 @@ def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field)
     assert claim.topic in lab.moving
 
 
-def test_ordinary_nodes_are_heard_beside_a_relay_only_while_somebody_describes_them(
-    lab: Field,
-) -> None:
-    lab.manager.remove_transformation("ceiling")
-    lab.host.topics.add("/image")
-    lab.manager.add_transformation(described("one", "/image", "Whole(ceiling)", IMAGE))
-    lab.manager.add_transformation(described("two", "/image", "RawYUV(ceiling)", IMAGE))
-    first = lab.acquire("Whole(ceiling)").claim
-    ports = {"image": ("out", ["Whole(ceiling)", "RawYUV(ceiling)"])}
-    lab.manager.add_transformation(specification("whole", "lab/ceiling", ports, 1, IMAGE))
-    lab.acquire("Whole(ceiling)", exclude=("one",))
-    claim = lab.acquire("BGR(ceiling)", exclude=("whole",)).claim
-    lab.manager.remove_transformation("one")
-    lab.settle(3.0)
-    assert lab.host.publishers("/image") == ["/relay_of_whole_1_image_1"]
-    assert lab.claim(first.claim_id).topic == connected(lab, "/convert_1")["raw"] == "/image"
-    lab.manager.remove_transformation("two")
-    lab.settle(3.0)
-    assert connected(lab, "/convert_1") == {}
-    assert lab.state(claim.claim_id) is ClaimState.PENDING
-
-
 # Plain nodelets, which come up again when they are connected elsewhere
 
 
@@ -294,17 +180,6 @@ def add_plain(lab: Field, ports: Dict[str, Tuple[str, Sequence[str]]]) -> None:
     lab.host.cpp.add("lab/plain")
     lab.host.stock = True
     lab.manager.add_transformation(specification("plain", "lab/plain", ports, 1, IMAGE))
-
-
-def test_a_claim_leaves_a_topic_that_a_nodelet_with_fixed_topics_spoils(lab: Field) -> None:
-    add_plain(lab, {"one": ("out", ["Other(one)"]), "two": ("out", ["Other(two)"])})
-    claim = lab.acquire("BGR(ceiling)").claim
-    topic = connected(lab, "/convert_1")["raw"]
-    lab.spawn("plain", "/mine", config={"one": topic, "two": topic})
-    lab.settle()
-    assert connected(lab, "/mine") == {"one": topic, "two": topic}
-    assert connected(lab, "/convert_1")["raw"] != topic
-    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
 
 
 def test_claims_are_made_of_nodelets_with_live_ports(lab: Field) -> None:

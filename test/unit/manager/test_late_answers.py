@@ -1,0 +1,252 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Nodelets and nodelet managers that answer late, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from unit.manager.field import CHAIN, GOAL, IMAGE, Field, transformation
+
+from dyknow.errors import HostTimeout
+from dyknow.model.streams import ClaimState
+
+# A nodelet manager that does not answer makes no request fail that can do without it
+
+
+def hang(field: Field, manager: str) -> None:
+    """Stop a nodelet manager; that shows when it is called."""
+    field.host.hang(manager)
+    field.host.unnoticed.add(manager)
+
+
+def managers(field: Field) -> set[str]:
+    return {record.manager for record in field.manager.graph.all()}
+
+
+def test_a_stream_is_made_elsewhere(field: Field) -> None:
+    field.host.add("/a_first")
+    hang(field, "/a_first")
+    got = field.acquire(GOAL)
+    assert got.claim.state is ClaimState.ACTIVE
+    assert "/a_first" not in managers(field)
+    field.settle()
+
+
+def test_a_stream_is_made_without_parts_that_do_not_answer(field: Field) -> None:
+    camera = field.acquire("YUV(field)").claim
+    place = field.manager.graph.get(camera.goal[0]).manager
+    hang(field, place)
+    got = field.acquire(GOAL)
+    assert got.claim.state is ClaimState.ACTIVE
+    assert camera.goal[0] not in got.claim.nodelets
+    assert place not in {field.manager.graph.get(name).manager for name in got.claim.nodelets}
+
+
+def test_a_stream_is_made_without_a_nodelet_that_does_not_answer(field: Field) -> None:
+    field.spawn("bottom camera", "/mine")
+    field.host.slow.add("/mine")
+    got = field.acquire("YUV(field)")
+    assert got.claim.state is ClaimState.ACTIVE
+    assert got.claim.goal[0] != "/mine"
+
+
+def test_the_transformation_is_not_blamed(field: Field) -> None:
+    for name in ("/a", "/b", "/c"):
+        field.host.add(name)
+        hang(field, name)
+    got = field.acquire("YUV(field)")
+    assert got.claim.state is ClaimState.ACTIVE
+    assert "bottom camera" not in field.reconciler._monitor.paused(())
+
+
+def test_the_loss_of_a_manager_that_shows_at_one_nodelet_is_one_repair(field: Field) -> None:
+    """Only the goal is counted, until its first message has come."""
+    field.host.add("/far")
+    field.spawn("bottom camera", "/camera", manager="/far", config={"image": "/camera/image"})
+    config = {"yuv": "/camera/image", "planes": "/planes/planes"}
+    field.spawn("subsampler", "/planes", manager="/far", config=config)
+    claim = field.acquire("Planes(field)").claim
+    assert claim.nodelets == ("/camera", "/planes")
+    looking = field.manager.look
+    field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
+    hang(field, "/far")
+    for _ in range(15):
+        field.tick()
+    field.manager.look = looking  # type: ignore[method-assign]
+    field.settle(5.0)
+    assert [reason for reason in field.reasons() if reason.startswith("mended")] == [
+        "mended: nodelet /camera does not answer; /bottom_camera_1, /subsampler_1 are used now"
+    ]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+# A connection that was not confirmed in time may be made later, and is noticed then
+
+
+def topic(field: Field, name: str, port: str) -> str:
+    return field.host.nodelet(name).ports[port].topic
+
+
+def test_a_mend_that_was_not_answered_is_taken_back_when_it_comes(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle(3.0)
+    field.host.slow.add("/subsampler_1")
+
+    field.host.fail_at("load", "/subsampler_2", "there is no other one")
+    field.manager.remove_transformation("bottom camera")
+    field.tick()
+    assert field.state(claim.claim_id) is ClaimState.FAILED
+    assert topic(field, "/subsampler_1", "yuv") == "/bottom_camera_1/image"
+    field.host.recover()
+    field.manager.add_transformation(CAMERA)  # so that there is nothing else to do
+    field.host.arrive()
+    assert topic(field, "/subsampler_1", "yuv") == "/ceiling_camera_1/image"
+    field.host.slow.clear()
+    for _ in range(10):
+        field.tick(0.5)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.tidy()
+    assert field.labels() == CHAIN
+
+
+CAMERA = """
+<transformation><label>bottom camera</label><source>soccer/Camera</source>
+  <ports><port type="out">image</port></ports>
+  <tags><tag port="image">YUV(field)</tag></tags></transformation>
+"""
+
+
+def test_a_request_that_was_not_answered_leaves_nothing(field: Field) -> None:
+    part = field.acquire("RelativePosition(ball)").claim
+    planes = field.acquire("Planes(field)").claim
+    field.host.fail = lambda what, name: (
+        field.host.slow.add("/localization_1") if what == "loaded" else None
+    )
+    with pytest.raises(HostTimeout):
+        field.acquire()
+    assert "/localization_1" not in field.host.running
+    field.host.recover()
+    field.host.slow.clear()
+    field.host.arrive()
+    field.settle()
+    for claim in (part, planes):
+        assert field.state(claim.claim_id) is ClaimState.ACTIVE
+        assert claim.topic in field.moving
+
+
+def test_a_claim_waits_only_once_its_parts_are_known_to_be_disconnected(field: Field) -> None:
+    claim = field.acquire("RelativePosition(ball)").claim
+    field.settle(3.0)
+    field.host.slow.add("/detector_1")
+    field.host.topics.clear()
+    field.settle(3.0)
+    assert field.state(claim.claim_id) is ClaimState.FAILED
+    assert "cannot be disconnected yet" in field.claim(claim.claim_id).detail
+    field.host.slow.clear()
+    field.host.arrive()
+    field.settle(10.0)
+    assert field.state(claim.claim_id) is ClaimState.PENDING
+    assert topic(field, "/detector_1", "ball") == "" == topic(field, "/detector_1", "planes")
+    field.host.topics.add("/joint_states")
+    field.settle(3.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+
+
+def test_nobody_is_asked_about_connections_that_are_known(field: Field) -> None:
+    field.acquire()
+    field.settle(3.0)
+    before = len(field.host.calls)
+    field.settle(3.0)
+    asked = {what for what, _ in field.host.calls[before:]}
+    assert asked <= {"published"}
+
+
+# A lazy C++ nodelet makes in-ports when a subscriber comes, which nobody connected elsewhere
+
+
+RECTIFY = transformation(
+    "rectify",
+    "image_proc/rectify",
+    "in image, in camera_info, out image_rect",
+    "image YUV(?c); camera_info Info(?c); image_rect Rect(?c)",
+)
+INFO = transformation("info", "lab/Info", "out info", "info Info(field)")
+
+
+@pytest.fixture
+def field() -> Field:
+    field = Field()
+    field.host.sources["image_proc/rectify"] = [
+        ("image", "in", IMAGE),
+        ("camera_info", "in", "sensor_msgs/CameraInfo"),
+        ("image_rect", "out", IMAGE),
+    ]
+    field.host.sources["lab/Info"] = [("info", "out", "sensor_msgs/CameraInfo")]
+    field.host.cpp.add("image_proc/rectify")
+    field.host.lazy["image_proc/rectify"] = ("image", "camera_info")
+    field.manager.add_transformation(RECTIFY)
+    field.manager.add_transformation(INFO)
+    return field
+
+
+def make_ports(field: Field, name: str) -> None:
+    """Let a subscriber come: one in-port is where the nodelet puts it."""
+    field.host.lazy.clear()
+    ports = field.host.nodelet(name).ports
+    ports["camera_info"] = replace(ports["camera_info"], topic="/beside/camera_info")
+    field.manager.look({name})
+
+
+def test_ports_that_are_made_late_are_connected_as_planned(field: Field) -> None:
+    claim = field.acquire("Rect(field)").claim
+    (name, _) = claim.goal
+    wanted = dict(claim.wiring[name])
+    make_ports(field, name)
+    assert field.host.nodelet(name).ports["camera_info"].topic == wanted["camera_info"]
+    field.settle()
+    assert field.claim(claim.claim_id).wiring[name] == wanted
+    assert not [each for each in field.reasons() if "elsewhere" in each]
+
+
+def test_it_is_tried_again(field: Field) -> None:
+    claim = field.acquire("Rect(field)").claim
+    (name, _) = claim.goal
+
+    field.host.fail_at("connect", name, "not now")
+    make_ports(field, name)
+    field.host.recover()
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert field.host.nodelet(name).ports["camera_info"].topic == "/info_1/info"
+    assert not [each for each in field.reasons() if "elsewhere" in each]
+
+
+@pytest.mark.parametrize("is_noticed", [True, False])
+def test_what_people_connect_before_it_is_made_is_their_will(
+    field: Field, is_noticed: bool
+) -> None:
+    field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/other"})
+    field.host.connect("/mine", {"camera_info": "/info"})
+    if is_noticed:
+        field.manager.look({"/mine"})
+        assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
+    field.host.lazy.clear()
+    field.manager.look({"/mine"})
+    assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
+    assert field.host.nodelet("/mine").ports["camera_info"].topic == "/info"
+    assert field.host.nodelet("/mine").ports["image"].topic == "/image"
+
+
+def test_what_people_connect_afterwards_is_their_will(field: Field) -> None:
+    field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/info"})
+    field.host.lazy.clear()
+    field.manager.look({"/mine"})
+    field.host.connect("/mine", {"camera_info": "/elsewhere"})
+    field.manager.look({"/mine"})
+    assert field.manager.graph.get("/mine").topics["camera_info"] == "/elsewhere"
+    assert field.host.nodelet("/mine").ports["camera_info"].topic == "/elsewhere"
