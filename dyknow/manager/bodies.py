@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the store keeps of transformations, and the check of stored values against their types."""
+"""What the store keeps of transformations; reads other stored values by their declared types."""
 
 from __future__ import annotations
 
 import collections.abc
 import dataclasses
+import enum
 import functools
 import json
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Mapping, Union, get_args, get_origin, get_type_hints
 
 from dyknow.model.transformation import Parameter, Port, Transformation
 
@@ -53,36 +54,43 @@ def unpack(body: str) -> Transformation:
     )
 
 
-def check_types(value: Any) -> None:
-    """Raise TypeError if a field of a dataclass or named tuple has not its declared type."""
-    for name, hint in _fields(value.__class__).items():
-        if not _fits(getattr(value, name), hint):
-            expected = getattr(hint, "__name__", None) or str(hint).replace("typing.", "")
-            raise TypeError(f"{name} is {getattr(value, name)!r}, expected {expected}")
+def read_fields(kind: Any, body: Mapping[str, Any]) -> dict[str, Any]:
+    """Read fields of a dataclass from JSON, by their declared types.
+
+    Raises:
+        KeyError, TypeError, ValueError: one is unknown, or has another type.
+    """
+    hints = _hints(kind)
+    return {name: read(hints[name], value) for name, value in body.items()}
+
+
+def read(hint: Any, value: Any) -> Any:
+    """Read a value of a type from JSON; TypeError or ValueError if it is none."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Union and value is None and type(None) in arguments:
+        return None
+    if origin is Union:
+        return read(arguments[0], value)
+    make: Any = hint
+    if dataclasses.is_dataclass(hint) and isinstance(value, dict):
+        return make(**read_fields(hint, value))
+    if hasattr(hint, "_fields") and isinstance(value, list):
+        return make(*map(read, _hints(hint).values(), value))
+    if origin is tuple and isinstance(value, list):
+        hints = arguments[:1] * len(value) if arguments[1:] == (Ellipsis,) else arguments
+        if len(hints) == len(value):
+            return tuple(map(read, hints, value))
+    if origin is collections.abc.Mapping and isinstance(value, dict):
+        return {read(arguments[0], key): read(arguments[1], each) for key, each in value.items()}
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return hint(value)
+    is_number = hint is float and type(value) in (int, float) and value == value
+    if not is_number and (hint is float or type(value) is not hint):
+        expected = getattr(hint, "__name__", None) or str(hint).replace("typing.", "")
+        raise TypeError(f"{value!r} is no {expected}")
+    return value
 
 
 @functools.lru_cache(maxsize=None)
-def _fields(kind: Any) -> dict[str, Any]:
+def _hints(kind: Any) -> dict[str, Any]:
     return get_type_hints(kind)
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Union:
-        return any(_fits(value, each) for each in arguments)
-    if origin is tuple:
-        if not isinstance(value, tuple):
-            return False
-        hints = arguments[:1] * len(value) if arguments[1:] == (Ellipsis,) else arguments
-        return len(value) == len(hints) and all(map(_fits, value, hints))
-    if origin is collections.abc.Mapping:
-        return isinstance(value, collections.abc.Mapping) and all(
-            all(map(_fits, each, arguments)) for each in value.items()
-        )
-    if hint is float:
-        return type(value) in (int, float) and value == value
-    if type(value) is not hint:
-        return False
-    if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
-        check_types(value)
-    return True

@@ -13,7 +13,7 @@ from typing import Callable, Iterable, Mapping, Optional, Tuple
 
 from dyknow.datatypes import same_type
 from dyknow.errors import BadParameter
-from dyknow.manager.bodies import check_types
+from dyknow.manager.bodies import read, read_fields
 from dyknow.manager.planning.problem import Demand, Wishes
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -127,26 +127,12 @@ class Claim:
     def from_body(cls, claim_id: str, text: str, now: Moment) -> Claim:
         """Read what ``body`` returned; the lease has run on since it was written."""
         fields = dict(json.loads(text))
-        left = fields.pop("left")
-        written = Moment(**fields.pop("written", asdict(now)))
-        check_types(written)
-        request = dict(fields.pop("request"))
-        for name in ("exclude", "prefer", "avoid"):  # the latter are not in older files
-            request[name] = tuple(request.get(name, ()))
-        claim = cls(
-            **{
-                **fields,
-                "request": StreamRequest(**request),
-                "state": ClaimState(fields["state"]),
-                "goal": tuple(fields["goal"]),
-                "sources": tuple(fields["sources"]),
-                "bindings": tuple(map(tuple, fields.get("bindings", ()))),
-                "deadline": None if left is None else now.steady + left - now.since(written),
-            }
-        )
+        left = read(Optional[float], fields.pop("left"))
+        written = read(Moment, fields.pop("written", asdict(now)))
+        deadline = None if left is None else now.steady + left - now.since(written)
+        claim = cls(**read_fields(cls, fields), deadline=deadline)
         if claim.claim_id != claim_id:
             raise ValueError(f"it says that it is '{claim.claim_id}'")
-        check_types(claim)
         parse_tag(claim.request.tag)
         return claim
 

@@ -30,10 +30,11 @@ from dyknow.errors import (
     SpawnFailed,
     UnknownPort,
 )
-from dyknow.guards import Guards
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_condition
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest
+from dyknow.manager.library import Library
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
@@ -44,11 +45,11 @@ from dyknow.manager.record import (
     with_present_ports,
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
-from dyknow.manager.specifications.tags import Subsumption
+from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
 from dyknow.model.transformation import NODE, Port, Program, Transformation
-from dyknow.periodic import Clock
+from dyknow.periodic import STEADY, Clock
 
 #: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
@@ -81,30 +82,54 @@ NO_STREAMS = StreamKeeper()
 """No streams are kept: nodelets come back with all their connections."""
 
 
+def at_once(key: str, work: Callable[[], object]) -> None:
+    """Call ``work`` now, in the thread of the caller."""
+    work()
+
+
+@dataclass(frozen=True)
+class ManagerContext:
+    """The context that the parts of a manager share.
+
+    Attributes:
+        host: reaches the nodelet managers.
+        store: durable state.
+        library: transformations.
+        graph: the nodelets.
+        guards: limits and denials.
+        clock: steady time.
+        run: brings a nodelet back, by key; it may take long.
+        keeper: keeps streams.
+        namespace: where relative names begin.
+        spawn_timeout: seconds that a nodelet may take to come up.
+    """
+
+    host: Host
+    store: Store
+    library: Library
+    graph: Graph
+    guards: Guards = NO_GUARDS
+    clock: Clock = STEADY
+    run: Callable[[str, Callable[[], object]], None] = at_once
+    keeper: StreamKeeper = NO_STREAMS
+    namespace: str = "/"
+    spawn_timeout: float = 10.0
+
+
 class Lifecycle:
     """Makes, restores and destroys the nodelets of the graph."""
 
-    def __init__(
-        self,
-        host: Host,
-        graph: Graph,
-        guards: Guards,
-        spawn_timeout: float,
-        suspects: Suspects,
-        ontology: Subsumption,
-        clock: Clock,
-        keeper: StreamKeeper = NO_STREAMS,
-    ) -> None:
-        """A nodelet may take ``spawn_timeout`` seconds to come up."""
-        self._host = host
-        self._graph = graph
-        self._guards = guards
-        self._timeout = spawn_timeout
-        self._suspects = suspects
-        self._ontology = ontology
-        self._clock = clock
+    def __init__(self, context: ManagerContext) -> None:
+        self._host = context.host
+        self._graph = context.graph
+        self._guards = context.guards
+        self._clock = context.clock
+        self._timeout = context.spawn_timeout
+        self._ontology = context.library.ontology
         self._pause = state_condition("ports of nodes that start")
-        self.fitting = keeper.fitting
+        self.fitting = context.keeper.fitting
+        #: Nodelets that are isolated since they crashed their processes.
+        self.suspects = Suspects(context.clock.now)
 
     # Making
 
@@ -142,7 +167,7 @@ class Lifecycle:
                 parameters=parameters,
                 kind=kind.alone if isolated else kind,
             )
-            self._suspects.know(record)
+            self.suspects.know(record)
             if request.manager:
                 self._check_place(record)
             else:
@@ -200,7 +225,7 @@ class Lifecycle:
 
     def _judged(self, record: Record) -> Record:
         """Isolate a nodelet that is suspected of having crashed its process."""
-        suspicion = self._suspects.verdict(record.name)
+        suspicion = self.suspects.verdict(record.name)
         if not suspicion:
             return record
         if not record.isolated:

@@ -14,7 +14,6 @@ import contextlib
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import (
-    Callable,
     Iterable,
     Mapping,
     NamedTuple,
@@ -23,20 +22,13 @@ from typing import (
 
 from dyknow import names
 from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
-from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import NO_STREAMS, PATIENCE, Lifecycle, StreamKeeper, show_ports
-from dyknow.manager.observer import Observer, at_once
+from dyknow.manager.lifecycle import PATIENCE, Lifecycle, ManagerContext, show_ports
+from dyknow.manager.observer import Observer
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
-from dyknow.manager.store import Store
-from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import Model, SpawnRequest
 from dyknow.model.transformation import NODE, Program, Transformation
-from dyknow.periodic import STEADY, Clock
 
 
 @dataclass(frozen=True)
@@ -62,46 +54,16 @@ class _Move(NamedTuple):
 class Manager:
     """Transformations, nodelets and their connections; every method is safe from any thread."""
 
-    def __init__(
-        self,
-        host: Host,
-        store: Store,
-        library: Library,
-        guards: Guards = NO_GUARDS,
-        options: ManagerOptions = DEFAULT_OPTIONS,
-        run: Callable[[str, Callable[[], object]], None] = at_once,
-        clock: Clock = STEADY,
-        graph: Graph | None = None,
-        keeper: StreamKeeper = NO_STREAMS,
-    ) -> None:
-        """Put the parts together; ``start`` comes next. ``run`` brings nodelets back, by key."""
-        self.library = library
-        self.guards = guards
-        self.host = host
-        self.store = store
-        self._options = options
-        self.graph = Graph(store, clock) if graph is None else graph
-        self._suspects = Suspects(clock.now)
-        self.lifecycle = Lifecycle(
-            host,
-            self.graph,
-            guards,
-            options.spawn_timeout,
-            self._suspects,
-            library.ontology,
-            clock,
-            keeper,
-        )
-        self.observer = Observer(
-            host,
-            self.graph,
-            self.lifecycle,
-            self._suspects,
-            library.of_node,
-            clock.now,
-            run,
-            keeper,
-        )
+    def __init__(self, context: ManagerContext) -> None:
+        """Put the parts together; ``start`` comes next."""
+        self.library = context.library
+        self.guards = context.guards
+        self.host = context.host
+        self.store = context.store
+        self.graph = context.graph
+        self._namespace = context.namespace
+        self.lifecycle = Lifecycle(context)
+        self.observer = Observer(context, self.lifecycle)
 
     def start(self) -> None:
         """Take over the running nodelets of an earlier life, and bring back the dead ones."""
@@ -126,7 +88,7 @@ class Manager:
         self.guards.check_writable("adding transformations")
         specifications = self.library.add(text, check=self._check_programs)
         for each in specifications.transformations:
-            self._suspects.acquit_transformation(each.label)
+            self.lifecycle.suspects.acquit_transformation(each.label)
         self.graph.on_change()
         return specifications
 
@@ -147,7 +109,7 @@ class Manager:
     def resolve(self, name: str) -> str:
         """Make the name of a nodelet global."""
         return names.resolve(
-            names.check(name, "nodelet name"), self._options.namespace, "/", "nodelet name"
+            names.check(name, "nodelet name"), self._namespace, "/", "nodelet name"
         )
 
     def spawn(self, request: SpawnRequest) -> Record:
@@ -161,7 +123,7 @@ class Manager:
         name = self.resolve(name)
         self.guards.check_writable(f"destroying '{name}'")
         self.lifecycle.destroy(name)
-        self._suspects.acquit(name)
+        self.lifecycle.suspects.acquit(name)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         """Protect a nodelet from being destroyed, or release it."""

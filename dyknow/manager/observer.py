@@ -13,18 +13,16 @@ from __future__ import annotations
 import contextlib
 import enum
 import logging
-import time
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Iterable
+from typing import AbstractSet, Iterable
 
 from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import Busy, HostError, NameTaken
 from dyknow.locks import state_lock, turn_lock
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Crash, Host, HostReport, ProcessState
-from dyknow.manager.lifecycle import NO_STREAMS, Lifecycle, StreamKeeper
+from dyknow.manager.host import Crash, HostReport, ProcessState
+from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
@@ -32,7 +30,6 @@ from dyknow.manager.record import (
     missing_connections,
     with_present_ports,
 )
-from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
 from dyknow.periodic import PAUSE
@@ -46,11 +43,6 @@ _log = logging.getLogger("rosout.dyknow")
 
 #: Seconds between two looks when nothing happens.
 PERIOD = 0.5
-
-
-def at_once(key: str, work: Callable[[], object]) -> None:
-    """Call ``work`` now, in the thread of the caller."""
-    work()
 
 
 class Fate(enum.Enum):
@@ -71,30 +63,20 @@ class Fate(enum.Enum):
 class Observer:
     """Compares the graph with the reports of the host."""
 
-    def __init__(
-        self,
-        host: Host,
-        graph: Graph,
-        lifecycle: Lifecycle,
-        suspects: Suspects,
-        described: Callable[[str], Transformation | None] = lambda name: None,
-        clock: Callable[[], float] = time.monotonic,
-        run: Callable[[str, Callable[[], object]], None] = at_once,
-        keeper: StreamKeeper = NO_STREAMS,
-    ) -> None:
-        """``adopt`` comes first; ``run`` brings a nodelet back, by key, while looks go on."""
-        self._host = host
-        self._graph = graph
+    def __init__(self, context: ManagerContext, lifecycle: Lifecycle) -> None:
+        """``adopt`` comes first."""
+        self._host = context.host
+        self._graph = context.graph
         self._lifecycle = lifecycle
-        self._suspects = suspects
-        self._described = described
+        self._suspects = lifecycle.suspects
+        self._described = context.library.of_node
+        self._run = context.run
+        self._keeper = context.keeper
         self._turn = turn_lock("look at nodelet managers")
-        self._backoff = Backoff(clock, _FIRST_PAUSE)
-        self._run = run
+        self._backoff = Backoff(context.clock.now, _FIRST_PAUSE)
         self._state_lock = state_lock("nodelets to query")
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         self._to_ask: set[str] = set()  # nodelets whose ports the next look queries
-        self._keeper = keeper
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.

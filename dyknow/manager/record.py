@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow import names
-from dyknow.manager.bodies import check_types, pack, unpack
+from dyknow.manager.bodies import pack, read_fields, unpack
 from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State
@@ -148,25 +148,13 @@ class Record:
 
         Earlier versions did not write all fields.
         """
-        body = json.loads(text)
+        body = dict(json.loads(text))
         made_from = body.pop("transformation")
         if "is_fixed" not in body:  # its name in earlier versions, which did not write the kind
             body["is_fixed"] = body.pop("rewired_by_reload")
         plain = NodeletKind.CPP if body["is_fixed"] else NodeletKind.PYTHON
-        connections, ways = body.pop("heard", ((), ()))
-        record = cls(
-            name=name,
-            transformation=unpack(made_from) if made_from else None,
-            state=State(body.pop("state")),
-            parameters=tuple(Parameter(*each) for each in body.pop("parameters", ())),
-            kind=NodeletKind(body.pop("kind", plain)),
-            heard=Heard(
-                tuple((port, tuple(topics)) for port, topics in connections),
-                tuple(tuple((variable, value) for variable, value in way) for way in ways),
-            ),
-            **body,
-        )
-        check_types(record)
+        fields_ = read_fields(cls, {"kind": plain.value, **body})
+        record = cls(name, unpack(made_from) if made_from else None, **fields_)
         if names.check(name, "nodelet name") != name or name[:1] != "/":
             raise ValueError("its name is not global")
         if record.transformation is not None:

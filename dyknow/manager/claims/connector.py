@@ -17,15 +17,11 @@ from typing import Callable, Hashable, Iterable, Mapping
 
 from dyknow import names
 from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout, NameTaken
-from dyknow.guards import Guards
 from dyknow.manager.claims.claim_table import ClaimLock, ClaimTable
 from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.world import Config, World
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import show_ports
+from dyknow.manager.lifecycle import ManagerContext, show_ports
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports
 from dyknow.manager.steps import ReversibleStep, take_back
@@ -45,25 +41,15 @@ _log = logging.getLogger("rosout.dyknow")
 class Connector:
     """Reads the world, connects ports, and asks the nodelets whose connections are not known."""
 
-    def __init__(
-        self,
-        host: Host,
-        graph: Graph,
-        library: Library,
-        table: ClaimTable,
-        guards: Guards,
-        namespace: str,
-        clock: Callable[[], float],
-    ) -> None:
-        """Topics of ordinary nodes are relative to ``namespace``."""
-        self._host = host
-        self._graph = graph
-        self._library = library
+    def __init__(self, context: ManagerContext, table: ClaimTable) -> None:
+        self._host = context.host
+        self._graph = context.graph
+        self._library = context.library
         self._table = table
-        self._guards = guards
-        self._namespace = namespace
-        self._clock = clock
-        self._world = World(library.ontology, {})
+        self._guards = context.guards
+        self._namespace = context.namespace
+        self._clock = context.clock.now
+        self._world = World(context.library.ontology, {})
         self._world_at: Hashable = None
         self._basis: Hashable = None
         #: Topics that a port was sent to without an answer, and until when it may arrive there;

@@ -30,8 +30,7 @@ from dyknow.manager.claims.limits import (
     Stream,
     name_of,
 )
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
@@ -73,19 +72,18 @@ class StreamMonitor:
 
     def __init__(
         self,
-        host: Host,
-        graph: Graph,
+        context: ManagerContext,
         table: ClaimTable,
         topics: Callable[[], Iterable[Transformation]],
-        clock: Callable[[], float],
         running: Callable[[], float],
     ) -> None:
-        """``topics`` returns the descriptions of ordinary topics."""
-        self._graph = graph
+        """``topics`` returns the descriptions of ordinary topics, ``running`` as for the table."""
+        clock = context.clock.now
+        self._graph = context.graph
         self._table = table
         self._topics = topics
         self._clock = clock
-        self._meter = FlowMeter(host, graph, clock, running)
+        self._meter = FlowMeter(context.host, context.graph, clock, running)
         #: Every limit that a claim may set.
         self._limits: tuple[Limit, ...] = (Silence(), Rate(), Age(self._stated_latency))
         #: The table of judgements: parts by name, by the claim that they are of no use to.

@@ -34,9 +34,9 @@ from dyknow.manager.claims.repair import Repair
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import StreamKeeper
+from dyknow.manager.lifecycle import ManagerContext, StreamKeeper, at_once
 from dyknow.manager.manager import DEFAULT_OPTIONS, Manager, ManagerOptions
-from dyknow.manager.observer import PERIOD, at_once
+from dyknow.manager.observer import PERIOD
 from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.store import Store
@@ -307,18 +307,29 @@ def open_reconciler(
     """
     now = clock.now
     running = running or now
-    graph = Graph(store, clock, on_change)
-    table = ClaimTable(store, now, running, on_event)
-    connector = Connector(host, graph, library, table, guards, options.namespace, now)
-    monitor = StreamMonitor(
-        host, graph, table, lambda: connector.world().descriptions, now, running
-    )
     keeper = StreamKeeper(
-        lambda record: connector.world().fitting(record), monitor.fell, monitor.failed
+        lambda record: connector.world().fitting(record),
+        lambda record: monitor.fell(record),
+        lambda label: monitor.failed(label),
     )
-    manager = Manager(host, store, library, guards, options, run, clock, graph, keeper)
-    context = ClaimContext(manager, table, ClaimLock(), connector, monitor, now, sleep)
-    return StreamReconciler(context)
+    graph = Graph(store, clock, on_change)
+    parts = ManagerContext(
+        host,
+        store,
+        library,
+        graph,
+        guards,
+        clock,
+        run,
+        keeper,
+        options.namespace,
+        options.spawn_timeout,
+    )
+    table = ClaimTable(store, now, running, on_event)
+    connector = Connector(parts, table)
+    monitor = StreamMonitor(parts, table, lambda: connector.world().descriptions, running)
+    lock, manager = ClaimLock(), Manager(parts)
+    return StreamReconciler(ClaimContext(manager, table, lock, connector, monitor, now, sleep))
 
 
 def _small_streams_first(claim: Claim) -> int:

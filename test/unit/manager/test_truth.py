@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
 import pytest
-from unit.manager.field import CHAIN, IMAGE, Field, specification
+from unit.manager.field import CHAIN, IMAGE, Field, specification, transformation
 
 from dyknow.errors import SpawnFailed
 from dyknow.manager.claim import ClaimEvent
@@ -48,12 +48,6 @@ def lab(tmp_path: Path) -> Field:
 def connected(field: Field, name: str) -> Dict[str, str]:
     ports = field.host.nodelet(name).ports.values()
     return {port.name: port.topic for port in ports if port.topic}
-
-
-# One claim is mended, another listens there
-
-
-CEILING = {"image": ("out", ["RawYUV(ceiling)"])}
 
 
 def test_clients_share_a_topic_only_if_they_ask_for_the_same(lab: Field) -> None:
@@ -136,6 +130,19 @@ def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> 
 
 
 # What people do
+
+
+def test_who_sends_something_else_on_a_claim_s_topic_is_taken_off(field: Field) -> None:
+    field.manager.add_transformation(
+        transformation("noise", "soccer/Localization", "in ball, out position", "position Noise")
+    )
+    claim = field.acquire().claim
+    field.spawn("noise", "/noise", config={"position": "/noise/position"})
+    field.host.connect("/noise", {"position": claim.topic})
+    field.manager.look({"/noise"})
+    field.settle()
+    assert field.host.publishers(claim.topic) == [claim.goal[0]]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
 def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 from dyknow.guards import NO_GUARDS, Guards
+from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest
@@ -92,8 +94,9 @@ class World:
     def open(self) -> None:
         """Start a manager on what the store has."""
         self.store = Store(self.path, self.clock.now)
+        library, graph = Library(self.store), Graph(self.store, self.clock)
         self.manager = Manager(
-            self.host, self.store, Library(self.store), self.guards, clock=self.clock
+            ManagerContext(self.host, self.store, library, graph, self.guards, self.clock)
         )
         self.manager.start()
 
