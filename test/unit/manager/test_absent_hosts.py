@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Callable
 
 import pytest
 from unit.manager.world import World
@@ -41,67 +42,52 @@ def test_it_is_known_where_a_nodelet_runs(world: World) -> None:
     assert hosts() == {"/a": "", "/b": "rover"}
 
 
-def unloads(world: World, name: str) -> int:
-    return world.host.calls.count(("unload", name))
+def kill_manager(world: World) -> None:
+    world.host.cut(FAR, known=False)
+    world.kill_manager()
 
 
-def test_a_destroy_that_nobody_can_verify_is_refused_and_made_good(world: World) -> None:
+def kill_process(world: World) -> None:
+    world.host.kill(FAR)
+    world.host.add(FAR)
+    world.host.cut(FAR)
+
+
+def refuse(world: World) -> None:
+    world.host.mend(FAR)
+    world.host.fail_at("unload", error="not now")
+    world.manager.look()
+    world.host.recover()
+    world.host.cut(FAR)
+
+
+@pytest.mark.parametrize(
+    "happens",
+    [World.states, World.open, kill_manager, kill_process, refuse],
+    ids=lambda f: f.__name__,
+)
+def test_a_destroy_that_nobody_can_verify_is_refused_and_made_good(
+    world: World, happens: Callable[[World], object]
+) -> None:
     world.host.cut(FAR)
     with pytest.raises(HostTimeout, match="'/a' is not destroyed yet: .* as soon as /far answers"):
         world.manager.destroy("/a")
-    assert world.states() == {"/a": "LOST"}
     world.manager.look()
-    assert world.host.running == ["/a"]
-    before = unloads(world, "/a")
-    world.host.mend(FAR)
-    world.manager.look()
-    assert (world.states(), world.host.running) == ({}, [])
-    world.manager.look()
-    assert unloads(world, "/a") == before + 1
-
-
-def test_it_is_made_good_after_a_restart_of_the_manager_too(world: World) -> None:
-    world.host.cut(FAR)
-    with pytest.raises(HostTimeout):
-        world.manager.destroy("/a")
-    world.host.cut(FAR, known=False)
-    world.kill_manager()
+    happens(world)
     assert world.states() == {"/a": "LOST"}
     assert "as soon as /far answers" in world.manager.graph.get("/a").detail
     world.host.mend(FAR)
-    world.manager.look()
-    assert (world.states(), world.host.running) == ({}, [])
-
-
-def test_what_died_with_its_host_is_not_brought_back_to_be_destroyed(world: World) -> None:
-    world.host.cut(FAR)
-    with pytest.raises(HostTimeout):
-        world.manager.destroy("/a")
-    world.host.kill(FAR)
-    world.host.mend(FAR)
-    world.host.add(FAR)
-    world.manager.look()
-    assert world.states() == {}
-    assert world.host.calls.count(("load", "/a")) == 1
+    before = len(world.host.calls)
+    for _ in range(2):
+        world.manager.look()
+        assert (world.states(), world.host.running) == ({}, [])
+    calls = world.host.calls[before:]
+    assert [call for call in calls if call[0] in ("load", "unload")] == [("unload", "/a")]
 
 
 def test_what_is_certainly_gone_is_destroyed_at_once(world: World) -> None:
     world.host.kill(FAR)
     world.manager.destroy("/a")
-    assert world.states() == {}
-
-
-def test_a_refusal_when_it_is_back_is_tried_again(world: World) -> None:
-    world.host.cut(FAR)
-    with pytest.raises(HostTimeout):
-        world.manager.destroy("/a")
-    world.host.mend(FAR)
-
-    world.host.fail_at("unload", error="not now")
-    world.manager.look()
-    assert world.states() == {"/a": "LOST"}
-    world.host.recover()
-    world.manager.look()
     assert world.states() == {}
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Claims with a ``min_rate`` or a ``max_age``: the part at fault is replaced, and no other."""
+"""Claims with limits (a silence, a rate, an age): the part at fault is replaced, and no other."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Limit:
     spoil: Callable[[LimitField, str, int], None]
     spoiled: Callable[[LimitField], List[str]]
     reason: str
-    event: str
+    event: str = ""
 
     def heal(self, field: LimitField, name: str) -> None:
         self.spoil(field, name, 0)
@@ -71,7 +71,17 @@ def delay(field: LimitField, name: str, degree: int) -> None:
     field.delays[name] = (0.01, 0.01, 0.02, 0.2, 0.2, 2.0)[degree]
 
 
+def hush(field: LimitField, name: str, degree: int) -> None:
+    (field.host.silent.add if degree else field.host.silent.discard)(name)
+
+
 LIMITS = {
+    "silence": Limit(
+        {"max_silence": 1.0},
+        hush,
+        lambda field: sorted(field.host.silent),
+        "{} was silent for longer than 1 s",
+    ),
     "rate": Limit(
         {"min_rate": RATE},
         slow_down,
@@ -92,6 +102,10 @@ LIMITS = {
 }
 
 
+#: Limits that a stream may exceed while messages come.
+OF_FLOWS = ("age", "rate")
+
+
 @pytest.fixture(params=LIMITS)
 def limit(request: pytest.FixtureRequest) -> Limit:
     return LIMITS[request.param]
@@ -102,7 +116,7 @@ def field() -> LimitField:
     return LimitField()
 
 
-# Both limits
+# All limits
 
 
 def test_a_stream_within_its_limits_is_left_alone(field: LimitField) -> None:
@@ -138,8 +152,8 @@ def test_without_another_way_it_is_degraded_until_the_part_recovers(
     field.pass_time(120.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     assert "nodelet /bottom_camera_" in field.claim(claim.claim_id).detail
-    assert claim.topic in field.moving
-    assert len(field.mended()) <= 4
+    assert (claim.topic in field.moving) is (limit is not LIMITS["silence"])
+    assert len(field.mended()) <= (10 if limit is LIMITS["silence"] else 4), "the pauses grow"
     limit.heal(field, "soccer/Camera")
     field.pass_time(120.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
@@ -180,6 +194,7 @@ def test_an_ordinary_topic_can_be_at_fault(field: LimitField, limit: Limit) -> N
     assert not field.mended()
 
 
+@pytest.mark.parametrize("limit", OF_FLOWS, indirect=True)
 @pytest.mark.parametrize("is_by_hand", [False, True])
 def test_clients_without_the_limit_go_on_with_the_part(
     field: LimitField, limit: Limit, is_by_hand: bool
@@ -213,7 +228,7 @@ TURNS = st.tuples(st.sampled_from(CHAIN), st.integers(0, 5), st.integers(2, 15))
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.sampled_from(sorted(LIMITS)), st.lists(TURNS, max_size=5))
+@given(st.sampled_from(OF_FLOWS), st.lists(TURNS, max_size=5))
 @example("rate", [("bottom camera", 5, 5), ("subsampler", 2, 3), ("subsampler", 1, 2)])
 @example("rate", [("bottom camera", 3, 3), ("detector", 1, 3), ("bottom camera", 1, 3)])
 @example("age", [("bottom camera", 3, 4), ("detector", 5, 3), ("localization", 4, 9)])

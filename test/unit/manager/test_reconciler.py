@@ -212,6 +212,22 @@ def test_a_nodelet_manager_that_dies_again_and_again_is_given_pauses(field: Fiel
     check_flows(field, claim)
 
 
+def test_parts_made_by_hand_come_back_and_leave_the_topic_to_their_successor(
+    field: Field,
+) -> None:
+    field.acquire("RelativePosition(ball)")
+    ball = field.living()[0].topic
+    field.spawn("localization", "/mine", config={"ball": ball, "position": "/mine/position"})
+    claim = field.acquire().claim
+    assert claim.goal == ("/mine", "position")
+    field.settle()
+    field.host.kill("/fake_0")
+    field.tidy()
+    assert len(field.host.publishers("/mine/position")) == 1
+    check_flows(field, claim)
+    assert "/mine" in field.host.running
+
+
 def test_parts_that_users_destroy_or_protect(field: Field) -> None:
     field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
     claim = field.acquire().claim

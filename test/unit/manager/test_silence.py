@@ -39,25 +39,6 @@ def test_silence_is_no_fault_unless_a_claim_says_so(field: Field) -> None:
 
 
 @pytest.mark.parametrize("label", CHAIN)
-def test_a_silent_nodelet_is_replaced_and_no_other(field: Field, label: str) -> None:
-    claim = field.acquire(max_silence=1.0).claim
-    field.settle(5.0)
-    victim = f"/{label.replace(' ', '_')}_1"
-    others = set(field.host.running) - {victim}
-    field.host.silent.add(victim)
-    field.settle(1.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    field.settle(0.6)
-    what = f"mended: nodelet {victim} was silent for longer than 1 s"
-    assert f"{what}; {victim[:-1]}2 is used now" in field.reasons()
-    field.settle(5.0)
-    assert others <= set(field.host.running)
-    assert victim not in field.host.running, "a silent nodelet does not linger"
-    assert field.claim(claim.claim_id).topic == claim.topic in field.moving
-    assert sum("silent" in reason for reason in field.reasons()) == 2
-
-
-@pytest.mark.parametrize("label", CHAIN)
 def test_a_nodelet_that_is_going_discredits_no_neighbour(field: Field, label: str) -> None:
     field.acquire(max_silence=1.0)
     field.settle(5.0)
@@ -69,59 +50,6 @@ def test_a_nodelet_that_is_going_discredits_no_neighbour(field: Field, label: st
     assert victim not in field.host.running
     assert others <= set(field.host.running), "they are re-wired"
     assert sorted(field.labels()) == sorted(CHAIN)
-
-
-def test_a_transformation_that_is_silent_again_and_again_gives_way(field: Field) -> None:
-    claim = field.acquire(max_silence=1.0).claim
-    field.settle(5.0)
-    field.host.silent.add("soccer/Camera")
-    field.settle(15.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert "ceiling camera" in field.labels()
-    assert claim.topic in field.moving
-
-
-def test_without_another_way_the_pauses_grow(field: Field) -> None:
-    claim = field.acquire(max_silence=1.0).claim
-    field.settle(5.0)
-    field.host.silent.add("soccer/Localization")
-    field.host.calls.clear()
-    for _ in range(20):
-        field.settle(10.0)
-    assert 3 <= sum(operation == "load" for operation, _ in field.host.calls) <= 10
-    assert field.state(claim.claim_id) is ClaimState.DEGRADED
-    assert "was silent for longer" in field.claim(claim.claim_id).detail
-    field.host.silent.clear()
-    field.settle(70.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert claim.topic in field.moving
-    field.tidy()
-
-
-def test_an_ordinary_topic_can_be_silent_too(field: Field) -> None:
-    claim = field.acquire(max_silence=1.0).claim
-    field.settle(5.0)
-    field.host.silent.add("/joint_states")
-    field.settle(3.0)
-    assert field.state(claim.claim_id) is ClaimState.DEGRADED
-    assert "topic /joint_states was silent" in field.claim(claim.claim_id).detail
-    field.host.silent.clear()
-    field.settle(3.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert field.labels() == CHAIN
-
-
-def test_clients_with_different_patience_share_a_part(field: Field) -> None:
-    limits = {"FieldPosition(ball)": 60.0, "RelativePosition(ball)": 0.0, "Planes(field)": 1.0}
-    claims = [field.acquire(tag, max_silence=limit).claim for tag, limit in limits.items()]
-    field.settle(5.0)
-    field.host.silent.add("/bottom_camera_1")
-    field.settle(5.0)
-    for claim in claims:
-        assert field.state(claim.claim_id) is ClaimState.ACTIVE
-        assert field.claim(claim.claim_id).topic == claim.topic in field.moving
-    field.tidy()
-    assert field.labels() == CHAIN
 
 
 @pytest.mark.parametrize("is_lossy", [False, True])

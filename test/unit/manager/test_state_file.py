@@ -15,7 +15,7 @@ import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Callable, Dict
+from typing import Callable, ContextManager, Dict
 
 import pytest
 from clocks import HandClock
@@ -124,53 +124,34 @@ def test_a_trouble_that_goes_on_is_reported_from_time_to_time(
     file.close()
 
 
-def start_when_full(path: str) -> None:
-    with full(Path(path).parent):
-        assert_read_and_kept(path, "disk")
+TROUBLES: Dict[str, Callable[[str], ContextManager[None]]] = {
+    "disk": lambda path: full(Path(path).parent),
+    "locked by another program": locked,
+    "read-only": lambda path: read_only(Path(path).parent),
+}
 
 
-def start_when_locked(path: str) -> None:
-    with locked(path):
-        assert_read_and_kept(path, "locked by another program")
-
-
-def start_when_read_only(path: str) -> None:
-    with read_only(Path(path).parent):
-        assert_read_and_kept(path, "read-only")
-
-
-def assert_read_and_kept(path: str, cause: str) -> None:
-    clock = HandClock()
-    file = Store(path, clock)
-    assert content(file) == ROWS
-    assert cause in file.trouble and file.complaint == ""
-    file.write(CLAIM)
-    assert content(file) == {**ROWS, **CLAIM}
-    clock.time += 10
-    file.write_pending()
-    assert file.trouble
-    FILES.append((file, clock))
-
-
-FILES: list[tuple[Store, HandClock]] = []
-
-
-@pytest.mark.parametrize("start", [start_when_full, start_when_locked, start_when_read_only])
+@pytest.mark.parametrize("cause", TROUBLES)
 @pytest.mark.parametrize("killed", [False, True], ids=["closed", "killed"])
 def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it_later(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    start: Callable[[str], None],
-    killed: bool,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str, killed: bool
 ) -> None:
     monkeypatch.setattr(store_module, "_START_PATIENCE", 0.1)
+    clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
         if killed:  # what was written last is still in the log beside the file
             leave_log(path)
             assert os.path.getsize(path + "-wal") > 0
-        start(path)
-        file, clock = FILES.pop()
+        with TROUBLES[cause](path):
+            file = Store(path, clock)
+            assert content(file) == ROWS
+            assert cause in file.trouble and file.complaint == ""
+            file.write(CLAIM)
+            assert content(file) == {**ROWS, **CLAIM}
+            clock.time += 10
+            file.write_pending()
+            assert file.trouble
         clock.time += 10
         file.write_pending()
         assert file.trouble == ""
