@@ -129,6 +129,16 @@ def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> 
     assert connected(field, "/detector_1")["joints"] == "/other/joints"
 
 
+def test_a_topic_that_is_described_as_something_else_is_used_no_more(field: Field) -> None:
+    claim = field.acquire().claim
+    field.host.topics.add("/other/joints")
+    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
+    field.manager.add_transformation(described("joints", "/joint_states", "Weather(here)"))
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert connected(field, "/detector_1")["joints"] == "/other/joints"
+
+
 # What people do
 
 
