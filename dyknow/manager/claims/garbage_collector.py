@@ -44,15 +44,8 @@ class GarbageCollector:
         self._idle_since: dict[str, float] = {}
         # No failure is tolerated: a nodelet that hangs is not called twice in one round.
         self._failures = Backoff(context.clock, _FIRST_PAUSE, tolerated=0)
+        #: Connections of nodelets that were replaced while they could not be reached.
         self._replaced: set[Wire] = set()
-
-    def note_replaced(self, claim: Claim) -> None:
-        """Remember replaced publishers that cannot be reached: they are disconnected later."""
-        for record in self._world().records.values():
-            if record.name != claim.goal[0] and record.state is not State.RUNNING:
-                for port, topic in record.topics.items():
-                    if topic == claim.topic:
-                        self._replaced.add((record.name, port, topic))
 
     def disconnect(self) -> None:
         """Disconnect ports that no claim needs connected, and those that do not fit together."""
@@ -130,7 +123,14 @@ class GarbageCollector:
             for claim in claims
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
         )
-        self._replaced = {each for each in self._replaced if each[2] in goals}
+        # A publisher that cannot be reached was replaced: it is disconnected when it is back.
+        self._replaced = {each for each in self._replaced if each[2] in goals} | {
+            (record.name, port, topic)
+            for record in self._world().records.values()
+            if record.state is not State.RUNNING
+            for port, topic in record.topics.items()
+            if goals.get(topic, "") not in ("", record.name)
+        }
         for topic, goal in sorted(goals.items()):
             for record, ports in self._world().publishers(topic):
                 is_ours = record.claimed or (record.is_described and goal)

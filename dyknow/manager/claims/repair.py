@@ -148,7 +148,6 @@ class Repair:
                 self._failed_label = assembly.failed_label
                 self._monitor.failed(assembly.failed_label)
             raise
-        self._collector.note_replaced(made.claim)
         detail = self._monitor.restart(made.claim, made.claim.wiring)
         return replace(made, claim=replace(made.claim, detail=detail))
 

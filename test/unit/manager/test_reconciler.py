@@ -26,6 +26,7 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
+from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 
 
@@ -212,20 +213,27 @@ def test_a_nodelet_manager_that_dies_again_and_again_is_given_pauses(field: Fiel
     check_flows(field, claim)
 
 
-def test_parts_made_by_hand_come_back_and_leave_the_topic_to_their_successor(
-    field: Field,
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_part_that_answers_again_leaves_the_topic_to_its_successor(
+    field: Field, is_restarted: bool
 ) -> None:
-    field.acquire("RelativePosition(ball)")
-    ball = field.living()[0].topic
-    field.spawn("localization", "/mine", config={"ball": ball, "position": "/mine/position"})
-    claim = field.acquire().claim
-    assert claim.goal == ("/mine", "position")
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
+    claim = field.acquire("YUV(field)").claim
+    assert claim.topic == "/mine/image"
+    manager = field.manager.graph.get("/mine").manager
     field.settle()
-    field.host.kill("/fake_0")
-    field.tidy()
-    assert len(field.host.publishers("/mine/position")) == 1
+    field.host.hang(manager)
+    field.settle(5.0)
     check_flows(field, claim)
-    assert "/mine" in field.host.running
+    assert field.claim(claim.claim_id).nodelets == ("/bottom_camera_1",)
+    if is_restarted:
+        field.kill_manager()
+        field.settle()
+    field.host.wake(manager)
+    field.tick()
+    assert field.host.publishers(claim.topic) == ["/bottom_camera_1"]
+    check_flows(field, claim)
+    assert field.manager.graph.get("/mine").state is State.RUNNING
 
 
 def test_parts_that_users_destroy_or_protect(field: Field) -> None:
