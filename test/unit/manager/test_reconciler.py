@@ -379,6 +379,8 @@ def test_an_excluded_part_does_not_come_to_a_claim_through_others(field: Field) 
     field.manager.remove_transformation("bottom camera")
     field.settle()
     check_flows(field, easy)
+    parts = set(field.claim(easy.claim_id).nodelets)
+    assert not parts & set(picky.nodelets), "what excludes less does not change a shared part"
     assert field.state(picky.claim_id) is ClaimState.PENDING
     assert "ceiling camera is excluded" in field.claim(picky.claim_id).detail
     field.manager.add_transformation(LIBRARY)
