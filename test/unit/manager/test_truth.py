@@ -129,14 +129,19 @@ def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> 
     assert connected(field, "/detector_1")["joints"] == "/other/joints"
 
 
-def test_a_topic_that_is_described_as_something_else_is_used_no_more(field: Field) -> None:
-    claim = field.acquire().claim
+def test_a_client_of_an_ordinary_topic_is_not_served_by_what_is_described_no_more(
+    field: Field,
+) -> None:
+    claim = field.acquire("Joints(?robot)").claim
+    assert (claim.topic, claim.sources) == ("/joint_states", ("/joint_states",))
+    field.manager.remove_transformation("joints")
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.PENDING
     field.host.topics.add("/other/joints")
     field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
-    field.manager.add_transformation(described("joints", "/joint_states", "Weather(here)"))
     field.settle()
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert connected(field, "/detector_1")["joints"] == "/other/joints"
+    now = field.claim(claim.claim_id)
+    assert (now.state, now.sources) == (ClaimState.ACTIVE, ("/other/joints",))
 
 
 # What people do
