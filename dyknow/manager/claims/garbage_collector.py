@@ -163,7 +163,8 @@ class GarbageCollector:
         config = {port: "" for port in ports if port in connected}
         if not config:
             return True
-        action = partial(self._context.connector.connect, record.name, config)
+        # With one sender gone, the others on its topic may bind variables of their consumers.
+        action = partial(Transaction(self._context).connect, record.name, config)
         return self._is_reachable(record) and self._try(record, action)
 
     def _try(self, record: Record, action: Callable[[], None]) -> bool:

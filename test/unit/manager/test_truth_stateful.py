@@ -103,7 +103,8 @@ class Truth(FaultyLife):
             self.pass_time(60.0)
         for claim in self.field.living():
             states = (ClaimState.ACTIVE, ClaimState.PENDING, ClaimState.DEGRADED)
-            assert claim.state in states, (claim.state, claim.detail)
+            has_no_live_ports = "are fixed" in claim.detail  # what could make it
+            assert claim.state in states or has_no_live_ports, (claim.state, claim.detail)
             if claim.state is ClaimState.ACTIVE and not self.witness.by_hand:
                 assert claim.topic in self.field.moving, claim
         self.close()
@@ -377,6 +378,16 @@ def check(count: int, steps: int, **kwds: bool) -> None:
 
 def test_nobody_receives_what_was_not_asked_for() -> None:
     check(40, 25, derandomize=True)
+
+
+def test_a_sender_that_leaves_binds_no_variable_of_those_that_it_left() -> None:
+    """Two send on a topic, so that its consumer is bound to nothing; one is disconnected."""
+    life = Truth()
+    life.begin(is_heard=True)
+    life.holds()
+    life.spawn("part c", [27, 20, 0, 1])
+    life.holds()
+    life.teardown()
 
 
 @pytest.mark.long
