@@ -90,8 +90,8 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 1_725
-    assert len(functions) <= 420
+    assert sum(calls.values()) <= 1_712
+    assert len(functions) <= 418
     assert len(calls) <= 34
     assert 0 < len(locks) <= 68
 
