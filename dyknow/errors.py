@@ -10,7 +10,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
 
     DyKnowError
     ├── InvalidName, BadParameter, NoMessageClass, TypeMismatch, RemappedTopic
-    ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError
+    ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError, FormulaError
     ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
     ├── NodeletError
     │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
@@ -93,6 +93,27 @@ class BadParameter(DyKnowError):
         self.name = name
         self.value = value
         super().__init__(f"parameter '{name}' is {value!r}: expected {expected}")
+
+
+class FormulaError(DyKnowError):
+    """A formula cannot be read, or does not fit the messages of its ports.
+
+    Attributes:
+        line: counted from 1 within the formula.
+        column: counted from 1.
+        problem: the text without the place.
+    """
+
+    def __init__(self, formula: str, place: int, problem: str) -> None:
+        begin = formula.rfind("\n", 0, place) + 1
+        self.line = formula.count("\n", 0, place) + 1
+        self.column = place - begin + 1
+        self.problem = problem
+        shown = formula[begin:].partition("\n")[0]
+        super().__init__(
+            f"formula, line {self.line}, column {self.column}: {problem}\n"
+            f"  {shown}\n  {' ' * (self.column - 1)}^"
+        )
 
 
 class RemappedTopic(DyKnowError):

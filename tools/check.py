@@ -44,7 +44,7 @@ LACKING_SPDX = (
     "scripts '*.py' '*.cpp' '*.h' '*.sh' '*.bash' '*.cmake' '*.in' '*CMakeLists.txt' Makefile "
     "':!examples/convert' ':!examples/skeleton' ':!build'"
 )
-LAYERS_WITHOUT_ROS = ("model", "nodelet", "proxy", "manager")
+LAYERS_WITHOUT_ROS = ("model", "formulas", "nodelet", "proxy", "manager")
 
 
 @dataclass(frozen=True)

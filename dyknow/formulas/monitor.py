@@ -1,0 +1,323 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Verdicts from messages: what ``dyknow.formulas.parse`` returns, and monitors of it."""
+
+from __future__ import annotations
+
+import enum
+from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+
+from dyknow.errors import BadParameter, FormulaError
+from dyknow.formulas import syntax
+from dyknow.formulas.compiler import endless
+from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
+from dyknow.formulas.states import PortValues, States, StateSettings, clock, own_ports
+from dyknow.formulas.tree import SECOND, Quantified, ports, temporals, walk
+from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
+
+#: Most states that bounds may span.
+MAX_STATES = 1_000_000
+
+
+class Truth(enum.IntEnum):
+    """The values of a verdict, as in ``dyknow_msgs/Verdict``."""
+
+    FALSE = 0
+    TRUE = 1
+    UNKNOWN = 2
+
+
+_TRUTHS = {FALSE: Truth.FALSE, TRUE: Truth.TRUE, UNKNOWN: Truth.UNKNOWN}
+
+
+class Verdict(NamedTuple):
+    """What a formula says about one state.
+
+    Attributes:
+        stamp: time of the state, in nanoseconds.
+        value: whether the formula holds.
+        since: time of the first state of the run of equal verdicts.
+        why: the atoms, values and times that decided at the beginning of this run.
+    """
+
+    stamp: int
+    value: Truth
+    since: int
+    why: str
+
+    def __str__(self) -> str:
+        """Write it as ``dyknow holds --why`` does."""
+        return f"{clock(self.stamp)} {self.value.name}  {self.why}".rstrip()
+
+
+class Formula:
+    """A formula of metric temporal logic over the messages of ports.
+
+    Attributes:
+        text: what was read.
+        tree: what it means; see ``dyknow.formulas.tree``.
+        ports: the ports that it reads, in the order written.
+        of_individuals: those of them that belong to the individuals of a quantifier.
+    """
+
+    __slots__ = ("of_individuals", "ports", "text", "tree")
+
+    def __init__(self, text: str) -> None:
+        """Read a formula.
+
+        Raises:
+            FormulaError: it is not a formula; the error has line and column.
+        """
+        self.text = text
+        self.tree = syntax.parse(text)
+        self.ports = ports(self.tree)
+        own = own_ports(self.tree)
+        self.of_individuals = tuple(port for port in self.ports if port not in own)
+
+    def __str__(self) -> str:
+        return str(self.tree)
+
+    @property
+    def variables(self) -> Tuple[str, ...]:
+        """The variables of its quantifiers, in the order written."""
+        found = [each.variable for each in walk(self.tree) if isinstance(each, Quantified)]
+        return tuple(dict.fromkeys(found))
+
+    def check(self, types: Mapping[str, Optional[MessageType]], lookup: Lookup) -> None:
+        """Check ports, fields and constants against the types of messages.
+
+        Args:
+            types: the ports there are, each with its type; None where that is not known.
+            lookup: returns a message type by its name, None for one that is not known.
+
+        Raises:
+            FormulaError: a port, a field or a constant does not exist, or values cannot be
+                compared; the error names those that exist.
+        """
+        check(self.tree, self.text, types, lookup)
+
+    def monitor(
+        self,
+        period: float = 0.1,
+        hold: Optional[float] = None,
+        delay: float = 0.1,
+        exact: bool = False,
+        max_nodes: int = 1000,
+    ) -> Monitor:
+        """Return a monitor, which makes verdicts from messages.
+
+        Args:
+            period: seconds between two states.
+            hold: seconds for which a message has a value; None: until the next one comes.
+            delay: seconds after which a state closes, even if a port has not passed it.
+            exact: whether UNKNOWN atoms are followed through all that they could be.
+            max_nodes: the most that ``exact`` keeps; beyond, atoms are UNKNOWN as ever.
+
+        Raises:
+            BadParameter: a parameter is out of its range.
+            FormulaError: bounds do not fit the period.
+        """
+        for name, value in (("period", period), ("delay", delay), ("hold", hold or 0.0)):
+            if not 0 <= value < float("inf") or (name == "period" and value < 1e-6):
+                raise BadParameter(name, value, "seconds")
+        settings = StateSettings(
+            max(1, round(period * SECOND)),
+            None if hold is None else round(hold * SECOND),
+            round(delay * SECOND),
+            exact,
+            max_nodes,
+        )
+        self._check_bounds(settings.period)
+        return Monitor(self, settings)
+
+    def _check_bounds(self, period: int) -> None:
+        for each in temporals(endless(self.tree)[0]):
+            near, far = steps(each.interval, period)
+            if far is not None and far < near:
+                problem = f"no state lies within {each.interval}: states are "
+                raise FormulaError(self.text, each.place, f"{problem}{clock(period)} s apart")
+            if max(near, far or 0) > MAX_STATES:
+                problem = f"{each.interval} are {max(near, far or 0)} states of "
+                problem += f"{clock(period)} s: at most {MAX_STATES}"
+                raise FormulaError(self.text, each.place, problem)
+
+
+class Monitor:
+    """Makes verdicts about one formula; not safe for several threads at once.
+
+    Times are those of ROS: ``rospy.Time`` and its like, or seconds.
+
+    Attributes:
+        late: number of messages that came for a state that was closed, and were ignored.
+    """
+
+    __slots__ = (
+        *("late", "_formula", "_settings", "_tree", "_verdicts", "_checked", "_individuals"),
+        *("_now", "_states", "_next", "_run"),
+    )
+
+    def __init__(self, formula: Formula, settings: StateSettings) -> None:
+        """Begin without states; see ``Formula.monitor``."""
+        self.late = 0
+        self._formula = formula
+        self._settings = settings
+        self._tree, self._verdicts = endless(formula.tree)
+        self._checked: Tuple[Tuple[str, type], ...] = ()
+        self._individuals: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
+        self._now = -1
+        self._begin()
+
+    def _begin(self) -> None:
+        self._states = States(self._tree, self._settings, 0)
+        self._next: Optional[int] = None  # the state that closes next
+        self._run: Optional[Verdict] = None
+
+    def feed(
+        self, port: str, message: Any, received: Any = None, individual: str = ""
+    ) -> List[Verdict]:
+        """Take a message; returns the verdicts that it decides, in the order of states.
+
+        Args:
+            port: the port that it came on.
+            message: it is stamped by its header or, without one, when it was received.
+            received: when it was received; by default its stamp.
+            individual: of a port below a quantifier: whose message it is.
+        """
+        stamp = _stamp(message)
+        now = stamp if received is None else nanoseconds(received)
+        if now is None:
+            raise BadParameter("received", received, "a time, for messages without a header")
+        found = self.advance_to(now)
+        self._check_class(port, message)
+        stamp = now if stamp is None else stamp
+        period = self._settings.period
+        state = -(-stamp // period)
+        if self._next is None:
+            self._start(max(state, -(-(now - self._settings.delay) // period)))
+        kept = self._port(port, individual)
+        if kept is None:
+            return found
+        if state < (self._next or 0):
+            self.late += 1
+            return found
+        kept.add(state, stamp, message)
+        passed = min(each.latest for each in self._states.all_ports())
+        self._close(min(-(-passed // period) - 1, now // period), found)
+        return found
+
+    def advance(self, now: Any) -> List[Verdict]:
+        """Let ROS time pass; returns the verdicts of the states that close by it."""
+        return self.advance_to(nanoseconds(now))
+
+    def advance_to(self, now: int) -> List[Verdict]:
+        """``advance`` to a time in nanoseconds."""
+        found: List[Verdict] = []
+        period = self._settings.period
+        is_far = self._next is not None and now // period - self._next > MAX_STATES
+        if now < self._now - period or is_far:
+            found = self.finish()
+        self._now = now
+        if self._next is not None:
+            self._close(-(-(now - self._settings.delay) // period) - 1, found)
+        return found
+
+    @property
+    def due(self) -> Optional[float]:
+        """ROS time, in seconds, after which ``advance`` closes a state; None without states."""
+        if self._next is None:
+            return None
+        return (self._next * self._settings.period + self._settings.delay) / SECOND
+
+    def individuals(self, variable: str, names: Iterable[str], now: Any) -> List[Verdict]:
+        """Have these individuals of a variable from now on, as ``("?c", ["left"], now)``."""
+        found = self.advance(now)
+        others = (each for each in self._individuals if each[0] != variable)
+        self._individuals = (*others, (variable, tuple(names)))
+        state = -(-nanoseconds(now) // self._settings.period)
+        if self._next is None:
+            self._start(state)
+        else:
+            self._set_individuals(state)
+        return found
+
+    def finish(self) -> List[Verdict]:
+        """End the sequence of states; returns the verdicts that are open, mostly UNKNOWN."""
+        found: List[Verdict] = []
+        if self._next is not None:
+            last = max((each.latest for each in self._states.all_ports()), default=-1)
+            self._close(last // self._settings.period, found)
+            self._decide(self._states.end(), found)
+        self._begin()
+        return found
+
+    # Inside
+
+    def _start(self, state: int) -> None:
+        self._states = States(self._tree, self._settings, state)
+        self._next = state
+        self._set_individuals(state)
+
+    def _set_individuals(self, state: int) -> None:
+        if self._next is not None:
+            for formula, individuals in self._states.quantifiers.items():
+                names = dict(self._individuals).get(formula.variable, ())
+                individuals.set(names, max(state, self._next))
+
+    def _close(self, last: int, found: List[Verdict]) -> None:
+        """Close the states up to one of them."""
+        while self._next is not None and self._next <= last:
+            self._next += 1
+            self._decide(self._states.close(self._next - 1), found)
+
+    def _decide(self, decided: List[Tuple[int, int]], found: List[Verdict]) -> None:
+        for state, truth in decided:
+            if truth in self._verdicts:
+                stamp, value = state * self._settings.period, _TRUTHS[truth]
+                if self._run is None or self._run.value != value:
+                    self._run = Verdict(stamp, value, stamp, self._states.why(state))
+                found.append(self._run._replace(stamp=stamp))
+
+    def _port(self, port: str, individual: str) -> Optional[PortValues]:
+        """Return a port; None for one of an individual that is not there."""
+        if port not in self._formula.ports:
+            raise BadParameter("port", port, f"one of {', '.join(self._formula.ports)}")
+        if port in self._states.own:
+            return self._states.own[port]
+        for each in self._states.quantifiers.values():
+            states = each.present.get(individual)
+            if states is not None and port in states.own:
+                return states.own[port]
+        return None
+
+    def _check_class(self, port: str, message: Any) -> None:
+        """Check the formula once against each type of message."""
+        if (port, type(message)) not in self._checked:
+            self._checked += ((port, type(message)),)
+            classes = dict(self._checked)
+            types = {each: type_of(classes.get(each)) for each in self._formula.ports}
+            self._formula.check(types, known_type)
+
+
+def parse(text: str) -> Formula:
+    """Read a formula.
+
+    Raises:
+        FormulaError: it is not a formula; the error has line and column, and what was expected.
+    """
+    return Formula(text)
+
+
+def nanoseconds(time: Any) -> int:
+    """Return a time in nanoseconds: one of ROS, or a number of seconds."""
+    if hasattr(time, "to_nsec"):
+        return int(time.to_nsec())
+    return int(round(time * SECOND))
+
+
+def _stamp(message: Any) -> Optional[int]:
+    """Return the stamp of a message's header, in nanoseconds; None without one, or for zero."""
+    header = getattr(message, "header", None)
+    stamp = getattr(header, "stamp", None)
+    found = 0 if stamp is None else nanoseconds(stamp)
+    return found or None

@@ -1,0 +1,365 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""States: what a formula sees of the messages of its ports, once every period.
+
+Times are integers in nanoseconds of ROS time. State ``k`` is at ``k * period``, so monitors that
+receive the same messages have the same states, whenever they began.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Deque, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+
+from dyknow.formulas.compiler import Evaluator, Input
+from dyknow.formulas.exact import ExactEvaluator
+from dyknow.formulas.log import Log
+from dyknow.formulas.look_ahead import looks_ahead
+from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN
+from dyknow.formulas.tree import (
+    SECOND,
+    Call,
+    Field,
+    Node,
+    Number,
+    Quantified,
+    atoms,
+    outermost,
+    port_of,
+    ports,
+    readings,
+    walk,
+)
+
+#: Seconds over which ``rate`` counts messages, unless the formula says otherwise.
+RATE_WINDOW = 2.0
+_NONE: Mapping[Any, Any] = {}
+
+
+class StateSettings(NamedTuple):
+    """How states are made from messages; times in nanoseconds.
+
+    Attributes:
+        period: between two states.
+        hold: greatest age of a message that still has a value; None: until the next one comes.
+        delay: after which a state closes, even if a port has not passed it.
+        is_exact: whether a formula is reasoned about with all that its UNKNOWN atoms could be.
+        max_nodes: most decisions that this keeps at a time.
+    """
+
+    period: int = SECOND // 10
+    hold: Optional[int] = None
+    delay: int = SECOND // 10
+    is_exact: bool = False
+    max_nodes: int = 1000
+
+
+def clock(nanoseconds: int) -> str:
+    """Write a time in seconds, with milliseconds."""
+    return f"{nanoseconds // SECOND}.{nanoseconds % SECOND // 1_000_000:03d}"
+
+
+class PortValues:
+    """The messages of a port, by the first state that sees them.
+
+    Attributes:
+        message: the last one that a closed state has seen, and its ``stamp``.
+        latest: greatest stamp of all messages.
+    """
+
+    __slots__ = ("_coming", "_counts", "latest", "message", "stamp")
+
+    def __init__(self, windows: Iterable[int] = ()) -> None:
+        """Prepare a port; ``windows`` are the states over which its messages are counted."""
+        self.message: Any = None
+        self.stamp: Optional[int] = None
+        self.latest = -1
+        self._coming: List[Tuple[int, int, Any, int]] = []  # state, stamp, message, count
+        longest = max(windows, default=0)
+        self._counts: Optional[Deque[int]] = deque(maxlen=longest) if longest else None
+
+    def add(self, state: int, stamp: int, message: Any) -> None:
+        """Keep a message for a state; of several with one stamp the last one counts."""
+        coming, at = self._coming, len(self._coming)
+        while at and coming[at - 1][0] > state:
+            at -= 1
+        if at and coming[at - 1][0] == state:
+            _, known, other, count = coming[at - 1]
+            last = (stamp, message) if stamp >= known else (known, other)
+            coming[at - 1] = (state, *last, count + 1)
+        else:
+            coming.insert(at, (state, stamp, message, 1))
+        if stamp > self.latest:
+            self.latest = stamp
+
+    def close(self, state: int) -> None:
+        """Take what the state is the first to see."""
+        count = 0
+        if self._coming and self._coming[0][0] == state:
+            _, self.stamp, self.message, count = self._coming.pop(0)
+        if self._counts is not None:
+            self._counts.append(count)
+
+    def count(self, states: int) -> Optional[int]:
+        """Count the messages of the last states; None if there have been fewer states."""
+        if self._counts is None or len(self._counts) < states:
+            return None
+        return sum(list(self._counts)[-states:])
+
+
+class States:
+    """One sequence of states of a formula; a quantified formula has one for each individual.
+
+    Attributes:
+        name: the individual, or an empty text.
+        first: number of the first state.
+        ports: the ports, without those of individuals.
+        quantifiers: the individuals of each quantifier.
+        log: explains truths.
+    """
+
+    __slots__ = (
+        *("name", "first", "own", "ports", "quantifiers", "evaluator", "log"),
+        *("_settings", "_state", "_decided", "_is_over"),
+    )
+
+    def __init__(
+        self,
+        formula: Node,
+        settings: StateSettings,
+        first: int,
+        shared: Mapping[str, PortValues] | None = None,
+        name: str = "",
+    ) -> None:
+        """Begin a sequence.
+
+        Args:
+            formula: what is evaluated in each state.
+            settings: how states are made.
+            first: number of the first state.
+            shared: ports that others close; for an individual, those outside the quantifier.
+            name: the individual.
+        """
+        self.name = name
+        self.first = first
+        self._settings = settings
+        period = settings.period
+        self.own = {
+            port: PortValues(
+                _window(each, period)
+                for atom in atoms(formula)
+                for each in readings(atom)
+                if isinstance(each, Call) and each.function == "rate" and port_of(each) == port
+            )
+            for port in own_ports(formula)
+            if port not in (shared or {})
+        }
+        self.ports = {**shared, **self.own} if shared else self.own
+        quantified = [each for each in walk(formula) if isinstance(each, Quantified)]
+        self.quantifiers: Mapping[Quantified, Individuals] = _NONE
+        if quantified:
+            self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}
+        self.evaluator: Evaluator | ExactEvaluator
+        if settings.is_exact:
+            self.evaluator = ExactEvaluator(formula, period, self._note, settings.max_nodes)
+        else:
+            self.evaluator = Evaluator(formula, period, self._note)
+        self.log = Log(formula, period, self.evaluator.atoms, self._named)
+        self._state = first - 1
+        self._decided = first
+        self._is_over = False
+
+    def close(self, state: int) -> List[Tuple[int, int]]:
+        """Close the next state; returns the states that are decided now, with their truths."""
+        self._state = state
+        self.log.forget(self._decided - self.first)
+        for port in self.own.values():
+            port.close(state)
+        now = state * self._settings.period
+        truths = self.evaluator.step(*[self._value(each, now) for each in self.evaluator.inputs])
+        return self._number(truths)
+
+    def end(self) -> List[Tuple[int, int]]:
+        """Decide all states that are open: nothing will be known of states to come."""
+        self._is_over = True
+        open_ = self._state + 1 - self._decided
+        truths: List[int] = []
+        for _ in range(self.evaluator.horizon):
+            inputs = (
+                self.quantifiers[each].end() if isinstance(each, Quantified) else None
+                for each in self.evaluator.inputs
+            )
+            truths += self.evaluator.step(*inputs)
+        return self._number(truths[:open_])
+
+    def _number(self, truths: Iterable[int]) -> List[Tuple[int, int]]:
+        found = list(enumerate(truths, self._decided))
+        self._decided += len(found)
+        self.log.close(self._state - self.first)
+        return found
+
+    def why(self, state: int) -> str:
+        """Write the values that decided a truth, which was decided last."""
+        return self.log.why(state - self.first)
+
+    def all_ports(self) -> Iterator[PortValues]:
+        """Yield the ports that have to pass a state before it closes."""
+        yield from self.own.values()
+        for each in self.quantifiers.values():
+            for states in each.present.values():
+                yield from states.own.values()
+
+    def _value(self, wanted: Input, now: int) -> Any:
+        """Return an input of the evaluator in the state that closes."""
+        if isinstance(wanted, Field):
+            port = self.ports[wanted.port]
+            if port.stamp is None:
+                return None
+            hold = self._settings.hold
+            return port.message if hold is None or now - port.stamp <= hold else None
+        if isinstance(wanted, Quantified):
+            return self.quantifiers[wanted].close(self._state)
+        return self._called(wanted, now)
+
+    def _called(self, wanted: Call, now: int) -> Any:
+        """Return what ``present``, ``age`` or ``rate`` is now."""
+        port = self.ports[port_of(wanted)]
+        if wanted.function == "present":
+            return self._value(Field(port_of(wanted)), now) is not None
+        if wanted.function == "age":
+            return None if port.stamp is None else (now - port.stamp) / SECOND
+        states = _window(wanted, self._settings.period)
+        count = port.count(states)
+        return None if count is None else count * SECOND / (states * self._settings.period)
+
+    # The log
+
+    def _named(self, formula: Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
+        for name, each in sorted(self.quantifiers[formula].present.items()):
+            if each.first <= self.first + state:
+                yield name, each.log, self.first + state - each.first
+
+    def _note(self, number: int, truth: int) -> None:
+        """Log the truth of an atom that has changed, and the values that it reads."""
+        if self._is_over:
+            return
+        atom = self.evaluator.atoms[number]
+        values = tuple(self._reading(each) for each in readings(atom))
+        self.log.note(number, self._state - self.first, truth, values)
+
+    def _reading(self, reading: Field | Call) -> str:
+        now = self._state * self._settings.period
+        if isinstance(reading, Call):
+            return f"{reading} = {_written(self._called(reading, now))}"
+        stamp = self.ports[reading.port].stamp
+        if stamp is None:
+            return f"{reading.port}: no message yet"
+        when = clock(stamp).rstrip("0").rstrip(".")
+        value = self._value(Field(reading.port), now)
+        if value is None:
+            return f"{reading.port}: no message since {when}"
+        try:
+            for step in reading.path:
+                value = value[step] if isinstance(step, int) else getattr(value, step)
+        except (AttributeError, IndexError, TypeError):
+            return f"{reading}: no such value at {when}"
+        return f"{reading} = {_written(value)} at {when}"
+
+
+class Individuals:
+    """The individuals of a quantifier; each has a sequence of states from its arrival on.
+
+    Attributes:
+        present: the individuals that are there now, by name.
+    """
+
+    def __init__(
+        self, formula: Quantified, settings: StateSettings, shared: Mapping[str, PortValues]
+    ) -> None:
+        """Begin without individuals; ``shared`` are the ports outside the quantifier."""
+        self._formula = formula
+        self._settings = settings
+        self._shared = shared
+        self.present: Dict[str, States] = {}
+        self._looks_ahead = looks_ahead(formula.operand)
+        self._leaving: Dict[str, int] = {}  # first states without them
+        self._open: Deque[Dict[States, Optional[int]]] = deque()
+        self._next: Optional[int] = None
+
+    def set(self, names: Iterable[str], first: int) -> None:
+        """Have these individuals from a state on, and no others."""
+        wanted = set(names)
+        gone = {name: self._leaving.get(name, first) for name in self.present.keys() - wanted}
+        self._leaving = gone
+        for name in sorted(wanted - self.present.keys()):
+            operand = self._formula.operand
+            self.present[name] = States(operand, self._settings, first, self._shared, name)
+
+    def close(self, state: int) -> Any:
+        """Close a state: its truth or, if the formula looks ahead, the truths decided now."""
+        if self._next is None:
+            self._next = state
+        for name in sorted(name for name, first in self._leaving.items() if first <= state):
+            del self._leaving[name]
+            self._leave(name)
+        present = [each for _, each in sorted(self.present.items()) if each.first <= state]
+        self._open.append(dict.fromkeys(present))
+        for each in present:
+            self._decide(each, each.close(state))
+        ready = list(self._ready())
+        return ready if self._looks_ahead else ready[0]
+
+    def end(self) -> Any:
+        """Decide what is open, and return it with the truth of one state to come."""
+        for name in sorted(self.present):
+            self._leave(name)
+        return [*self._ready(), UNKNOWN] if self._looks_ahead else UNKNOWN
+
+    def _leave(self, name: str) -> None:
+        states = self.present.pop(name)
+        self._decide(states, states.end())
+
+    def _decide(self, states: States, decided: Iterable[Tuple[int, int]]) -> None:
+        for state, truth in decided:
+            # What was decided without it is not open any more.
+            if self._next is not None and state >= self._next:
+                self._open[state - self._next][states] = truth
+
+    def _ready(self) -> Iterator[int]:
+        """Yield the truths of the next states, as far as they are decided."""
+        is_every = self._formula.quantifier == "every"
+        alone = FALSE if is_every else TRUE
+        while self._open:
+            truths = self._open[0].values()
+            known = [each for each in truths if each is not None]
+            if len(known) < len(truths) and alone not in known:
+                return
+            self._open.popleft()
+            self._next = (self._next or 0) + 1
+            yield min([TRUE, *known]) if is_every else max([FALSE, *known])
+
+
+def own_ports(formula: Node) -> Tuple[str, ...]:
+    """Return the ports that a formula reads outside its quantifiers, in the order written."""
+    parts = (each for each in outermost(formula) if not isinstance(each, Quantified))
+    return tuple(dict.fromkeys(port for each in parts for port in ports(each)))
+
+
+def _window(call: Call, period: int) -> int:
+    """Return the states over which ``rate`` counts."""
+    seconds = call.arguments[1] if len(call.arguments) > 1 else Number(RATE_WINDOW)
+    assert isinstance(seconds, Number)
+    return max(1, round(seconds.value * SECOND) // period)
+
+
+def _written(value: object) -> str:
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "unknown"}[value]
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if hasattr(value, "to_sec"):
+        return f"{value.to_sec():.6g}"
+    if isinstance(value, (int, str)):
+        return repr(value)
+    return f"<{type(value).__name__}>"

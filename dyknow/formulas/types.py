@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Checks formulas against the types of messages, which are described without importing ROS."""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import Any, Callable, Mapping, NamedTuple, NoReturn, Optional, Union
+
+from dyknow.errors import FormulaError
+from dyknow.formulas.tree import (
+    OF_PORTS,
+    Arithmetic,
+    Call,
+    Comparison,
+    Constant,
+    Expression,
+    Field,
+    Flag,
+    Node,
+    Text,
+    atoms,
+)
+from dyknow.similar import did_you_mean
+
+_ARRAY = re.compile(r"(.*)\[\d*\]\Z")
+_NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+_NUMBERS |= {"float32", "float64", "byte", "char", "time", "duration"}
+#: Most names that an error lists.
+_LISTED = 30
+
+
+class MessageType(NamedTuple):
+    """A message type: the types of its fields, and the names of its constants."""
+
+    name: str
+    fields: Mapping[str, str]
+    constants: frozenset[str]
+
+
+Lookup = Callable[[str], Optional[MessageType]]
+"""Returns a message type by its name, None for one that is not known."""
+
+
+def type_of(message_class: Any) -> MessageType | None:
+    """Describe a message class; None for classes that are not ROS's."""
+    slots = getattr(message_class, "_slot_types", None)
+    if slots is None:
+        return None
+    names = frozenset(name for name in dir(message_class) if re.match(r"[A-Z]\w*\Z", name))
+    return MessageType(message_class._type, dict(zip(message_class.__slots__, slots)), names)
+
+
+def known_type(name: str) -> MessageType | None:
+    """Look up a message type among those that this process has imported."""
+    package, _, short = name.partition("/")
+    return type_of(getattr(sys.modules.get(f"{package}.msg"), short, None))
+
+
+def check(
+    formula: Node, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
+) -> None:
+    """Check a formula; see ``Formula.check``."""
+    checker = _Checker(text, types, lookup)
+    for atom in atoms(formula):
+        if isinstance(atom, Comparison):
+            left, right = checker.kind(atom.left), checker.kind(atom.right)
+            checker.comparable(atom, left, right)
+        else:
+            checker.truth(atom.expression)
+
+
+class _Checker:
+    """Finds kinds of values: ``number``, ``text``, ``flag``, a message type, or empty: unknown."""
+
+    def __init__(
+        self, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
+    ) -> None:
+        self._text = text
+        self._types = types
+        self._lookup = lookup
+
+    def _fail(self, place: int, problem: str) -> NoReturn:
+        raise FormulaError(self._text, place, problem)
+
+    def kind(self, expression: Expression) -> str:
+        """Return the kind of an expression's values."""
+        if isinstance(expression, Text):
+            return "text"
+        if isinstance(expression, Flag):
+            return "flag"
+        if isinstance(expression, Constant):
+            self._check_constant(expression)
+            return self.kind(expression.of)
+        if isinstance(expression, Arithmetic):
+            for each in (expression.left, expression.right):
+                self._number(each, f"'{expression.operator}'")
+        if isinstance(expression, Call):
+            return self._call(expression)
+        return self._field(expression) if isinstance(expression, Field) else "number"
+
+    def _call(self, call: Call) -> str:
+        if call.function in OF_PORTS:
+            self._field(call.arguments[0])
+            return "flag" if call.function == "present" else "number"
+        for each in call.arguments:
+            kind = self.kind(each)
+            is_array = bool(_ARRAY.match(kind))
+            if call.function == "len":
+                is_fit = is_array or kind in ("", "text")
+            elif call.function == "norm" and len(call.arguments) == 1:
+                is_fit = is_array or "/" in kind or not kind
+            else:
+                is_fit = kind in ("", "number")
+            if not is_fit:
+                self._fail(
+                    call.place, f"{call.function} cannot be applied to '{each}', {_a(kind)}"
+                )
+        return "number"
+
+    def _number(self, expression: Expression, what: str) -> None:
+        kind = self.kind(expression)
+        if kind not in ("", "number"):
+            place = getattr(expression, "place", 0)
+            self._fail(place, f"{what} takes numbers, but '{expression}' is {_a(kind)}")
+
+    def _field(self, field: Union[Field, Any]) -> str:
+        """Follow the path of a field."""
+        if field.port not in self._types:
+            hint = did_you_mean(field.port, self._types) or f"; there are: {_names(self._types)}"
+            self._fail(field.place, f"there is no port '{field.port}'{hint}")
+        owner = self._types[field.port]
+        kind, done = (owner.name if owner is not None else ""), field.port
+        for step in field.path:
+            array = _ARRAY.match(kind)
+            if isinstance(step, int):
+                if kind and not array:
+                    self._fail(field.place, f"'{done}' has no index: it is {_a(kind)}")
+                kind, done = (_kind(array.group(1)) if array else ""), f"{done}[{step}]"
+                owner = self._lookup(kind) if "/" in kind else None
+                continue
+            if kind and ("/" not in kind or array):
+                hint = f"; write an index, as {done}[0]" if array else ""
+                self._fail(field.place, f"'{done}' has no fields: it is {_a(kind)}{hint}")
+            if owner is not None and step not in owner.fields:
+                hint = did_you_mean(step, owner.fields)
+                problem = f"{owner.name} has no field '{step}'{hint or ';'}"
+                self._fail(field.place, f"{problem} its fields are: {_names(owner.fields)}")
+            kind, done = (_kind(owner.fields[step]) if owner is not None else ""), f"{done}.{step}"
+            owner = self._lookup(kind) if "/" in kind and not _ARRAY.match(kind) else None
+        return kind
+
+    def _check_constant(self, constant: Constant) -> None:
+        path = constant.of.path
+        owner = self._lookup(self._field(Field(constant.of.port, path[:-1], constant.place)))
+        if owner is None:
+            return
+        prefixed = f"{str(path[-1]).upper()}_{constant.name}" if path else ""
+        if not owner.constants & {constant.name, prefixed}:
+            hint = did_you_mean(constant.name, owner.constants)
+            problem = f"{owner.name} has no constant '{constant.name}'{hint or ';'}"
+            self._fail(constant.place, f"{problem} its constants are: {_names(owner.constants)}")
+
+    def comparable(self, atom: Comparison, left: str, right: str) -> None:
+        """Check that two kinds can be compared."""
+        for kind, side in ((left, atom.left), (right, atom.right)):
+            if "/" in kind or _ARRAY.match(kind):
+                place = getattr(side, "place", 0)
+                owner = self._lookup(kind)
+                hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
+                self._fail(place, f"'{side}' cannot be compared: it is {_a(kind)}{hint}")
+        if left and right and left != right:
+            self._fail(_place(atom), f"{_a(left)} is compared with {_a(right)}: '{atom}'")
+        if atom.operator not in ("==", "!=") and {left, right} & {"text", "flag"}:
+            self._fail(_place(atom), f"a text or flag is compared with '==' or '!=': '{atom}'")
+
+    def truth(self, expression: Expression) -> None:
+        """Check that an expression can be taken for a truth."""
+        kind = self.kind(expression)
+        owner = self._lookup(kind) if "/" in kind else None
+        has_truth = owner is not None and (
+            owner.fields.get("data") == "bool" or {"TRUE", "UNKNOWN"} <= owner.constants
+        )
+        if kind not in ("", "flag") and not has_truth and (owner is not None or "/" not in kind):
+            hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
+            place = getattr(expression, "place", 0)
+            self._fail(place, f"'{expression}' is not true or false: it is {_a(kind)}{hint}")
+
+
+def _kind(datatype: str) -> str:
+    if datatype in _NUMBERS:
+        return "number"
+    return {"bool": "flag", "string": "text", "Header": "std_msgs/Header"}.get(datatype, datatype)
+
+
+def _a(kind: str) -> str:
+    article = "an" if kind[:1] in "aeiou" else "a"
+    return f"an array {kind}" if _ARRAY.match(kind) else f"{article} {kind}"
+
+
+def _names(names: Any) -> str:
+    found = sorted(names) if isinstance(names, frozenset) else list(names)
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    return ", ".join(found[:_LISTED]) + more or "none"
+
+
+def _place(atom: Comparison) -> int:
+    return getattr(atom.left, "place", getattr(atom.right, "place", 0))

@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Verdicts from messages: their times, runs and reasons, and the states that they are about."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any, List
+
+import pytest
+
+from dyknow.errors import BadParameter, FormulaError
+from dyknow.formulas import Monitor, Truth, Verdict, parse
+
+
+def message(stamp: float | None = None, **fields: Any) -> Any:
+    if stamp is not None:
+        fields["header"] = SimpleNamespace(stamp=stamp)
+    return SimpleNamespace(**fields)
+
+
+def runs(verdicts: List[Verdict]) -> List[str]:
+    """The first verdict of each run."""
+    return [str(each) for each in verdicts if each.stamp == each.since]
+
+
+def test_a_battery_that_drains_and_charges() -> None:
+    monitor = parse("historically[0 s, 5 s] battery.percentage > 0.2").monitor(0.1, hold=2.0)
+    verdicts = []
+    for number in range(140):
+        level = 0.19 if 60 < number < 65 else 0.5
+        verdicts += monitor.feed("battery", message(number / 10 + 0.03, percentage=level))
+    verdicts += monitor.finish()
+    assert [each.stamp for each in verdicts] == [10**8 * number for number in range(1, 140)]
+    assert runs(verdicts) == [
+        "0.100 TRUE  battery.percentage = 0.5 at 0.03",
+        "6.200 FALSE  battery.percentage = 0.19 at 6.13",
+        "11.600 TRUE  battery.percentage = 0.5 at 6.53",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("formula", "why"),
+    [
+        ("a.x > 1 and b.x > 1", "b.x = 0 at 1"),
+        ("a.x < 1 or b.x > 1", "a.x = 2 at 0, b.x = 0 at 1"),
+        ("a.x > 1 implies b.x > 1", "a.x = 2 at 0, b.x = 0 at 1"),
+        ("not (a.x > 1 or b.x > 1)", "a.x = 2 at 0"),
+        ("historically[0, 1] b.x > 1", "b.x = 0 at 1"),
+        ("once[0 s, 1 s] b.x > 5", "b.x = 2 at 0"),
+        ("a.x > 1 since b.x > 5", "b.x = 2 at 0"),
+        ("abs(a.x - b.x) < 1", "a.x = 2 at 0, b.x = 0 at 1"),
+        ("age(a) < 1 and b.x > 1", "age(a) = 1"),
+        ("present(a) and rate(b, 1 s) > 9", "rate(b, 1) = 1"),
+        ("a.name == 'left'", "a.name = 'right' at 0"),
+        ("not a.ok", "a.ok = true at 0"),
+    ],
+)
+def test_why_a_formula_is_false(formula: str, why: str) -> None:
+    monitor = parse(formula).monitor(0.5, delay=0.0)
+    first = message(x=2, name="right", ok=True)
+    events = [("a", first, 0.0), ("b", message(x=2), 0.0), ("b", message(x=0), 1.0)]
+    verdicts = [
+        verdict
+        for port, each, received in events
+        if port in parse(formula).ports
+        for verdict in monitor.feed(port, each, received)
+    ]
+    verdicts += monitor.advance(1.1)
+    assert verdicts[-1].value is Truth.FALSE
+    assert verdicts[-1].stamp == 10**9
+    assert verdicts[-1].why == why
+
+
+@pytest.mark.parametrize(
+    ("formula", "given", "why"),
+    [
+        ("a.x > 1", {}, "a: no message yet"),
+        ("a.x > 1", {"a": message(x=math.nan)}, "a.x = nan at 1"),
+        ("a.x[3] > 1", {"a": message(x=[1])}, "a.x[3]: no such value at 1"),
+        ("1 / a.x > 1", {"a": message(x=0)}, "a.x = 0 at 1"),
+        ("sqrt(a.x) > 1", {"a": message(x=-1.0)}, "a.x = -1 at 1"),
+        ("min(a.x, 2) > 1", {"a": message(x=math.nan)}, "a.x = nan at 1"),
+        ("a.x > 1", {"a": message(x="text")}, "a.x = 'text' at 1"),
+        ("rate(a, 5 s) > 1", {"a": message()}, "rate(a, 5) = unknown"),
+    ],
+)
+def test_why_a_formula_is_unknown(formula: str, given: dict[str, Any], why: str) -> None:
+    monitor = parse(f"{formula} and z.ok").monitor(1.0, delay=0.0)
+    verdicts = monitor.feed("z", message(ok=True), 1.0)
+    for port, each in given.items():
+        verdicts += monitor.feed(port, each, 1.0)
+    (verdict,) = verdicts + monitor.finish()
+    assert (verdict.value, verdict.why) == (Truth.UNKNOWN, why)
+
+
+def test_a_message_has_a_value_for_as_long_as_it_is_held() -> None:
+    monitor = parse("a.x > 1").monitor(0.5, hold=1.0)
+    verdicts = monitor.feed("a", message(0.5, x=2), 0.5) + monitor.advance(3.0)
+    assert runs(verdicts) == [
+        "0.500 TRUE  a.x = 2 at 0.5",
+        "2.000 UNKNOWN  a: no message since 0.5",
+    ]
+
+
+def test_a_state_closes_when_all_ports_have_passed_it_or_after_the_delay() -> None:
+    monitor = parse("a.x > 0 and b.x > 0").monitor(1.0, delay=0.5)
+    assert monitor.due is None
+    assert monitor.feed("a", message(0.9, x=1), 0.95) == []
+    assert monitor.feed("b", message(0.8, x=1), 0.98) == []
+    assert monitor.feed("a", message(1.2, x=1), 1.25) == []
+    assert runs(monitor.feed("b", message(1.1, x=1), 1.3)) == [
+        "1.000 TRUE  a.x = 1 at 0.9, b.x = 1 at 0.8"
+    ]
+    assert monitor.due == 2.5
+    assert monitor.feed("b", message(2.2, x=-1), 2.3) == []
+    assert monitor.advance(2.5) == []
+    (verdict,) = monitor.advance(2.6)
+    assert (verdict.stamp, verdict.value) == (2 * 10**9, Truth.TRUE)
+    assert monitor.late == 0
+    assert monitor.feed("a", message(1.9, x=1), 2.7) == []
+    assert monitor.late == 1
+
+
+def test_a_stamp_ahead_of_the_clock_waits_for_it() -> None:
+    monitor = parse("a.x > 0").monitor(1.0)
+    assert monitor.feed("a", message(1.0, x=1), 0.5) == []
+    assert monitor.feed("a", message(2.5, x=1), 0.6) == []
+    assert [each.stamp for each in monitor.advance(1.2)] == [10**9]
+
+
+def test_time_that_jumps_back_begins_a_new_sequence() -> None:
+    monitor = parse("once a.x > 0").monitor(1.0)
+    verdicts = monitor.feed("a", message(x=1), 10.0) + monitor.feed("a", message(x=-1), 11.5)
+    assert runs(verdicts) == ["10.000 TRUE  a.x = 1 at 10"]
+    assert [each.stamp for each in verdicts] == [10 * 10**9, 11 * 10**9]
+    assert monitor.feed("a", message(x=-1), 2.0) == []
+    assert runs(monitor.advance(3.5)) == ["2.000 FALSE  a.x = -1 at 2"]
+    # A small step back, as when a clock is adjusted, is none.
+    assert monitor.advance(3.2) == []
+
+
+def test_time_that_jumps_far_ahead_begins_a_new_sequence() -> None:
+    monitor = parse("once a.x > 0").monitor(0.1)
+    monitor.feed("a", message(x=1), 1.0)
+    monitor.advance(1.7e9)
+    verdicts = monitor.feed("a", message(x=-1), 1.7e9) + monitor.finish()
+    assert runs(verdicts) == ["1700000000.000 FALSE  a.x = -1 at 1700000000"]
+
+
+def test_always_is_silent_until_it_is_false_for_good() -> None:
+    monitor = parse("always a.x > 0").monitor(1.0)
+    found = [monitor.feed("a", message(x=x), number) for number, x in enumerate([1, 1, -1, 1, 1])]
+    verdicts = [verdict for each in found for verdict in each] + monitor.finish()
+    assert [str(each) for each in verdicts] == [
+        f"{number}.000 FALSE  a.x = -1 at 2" for number in (2, 3, 4)
+    ]
+    monitor = parse("eventually a.x < 0").monitor(1.0)
+    verdicts = [v for n, x in enumerate([1, -1, 1]) for v in monitor.feed("a", message(x=x), n)]
+    assert [each.value for each in verdicts + monitor.finish()] == [Truth.TRUE] * 2
+
+
+def test_a_verdict_about_the_future_comes_as_soon_as_it_is_known() -> None:
+    monitor = parse("a.x > 0 implies eventually[0 s, 2 s] a.x < 0").monitor(1.0)
+    values = [1, 1, -1, -1, 1, 1, 1, 1]
+    found = [monitor.feed("a", message(x=x), number) for number, x in enumerate(values)]
+    assert [[(v.stamp // 10**9, v.value.name) for v in each] for each in found] == [
+        [],
+        [],
+        [],
+        [(0, "TRUE"), (1, "TRUE"), (2, "TRUE")],
+        [(3, "TRUE")],
+        [],
+        [],
+        [(4, "FALSE")],
+    ]
+    assert [str(each) for each in monitor.finish()] == [
+        "5.000 FALSE  a.x = 1 at 4",
+        "6.000 UNKNOWN  no later state",
+        "7.000 UNKNOWN  no later state",
+    ]
+
+
+def test_verdicts_of_another_formula_and_flags_are_truths() -> None:
+    def verdict(value: int) -> Any:
+        return SimpleNamespace(value=value, TRUE=1, FALSE=0, UNKNOWN=2)
+
+    monitor = parse("charged and flag").monitor(1.0, delay=0.0)
+    verdicts = []
+    for now, value in enumerate((1, 0, 2)):
+        verdicts += monitor.feed("flag", message(data=True), now)
+        verdicts += monitor.feed("charged", verdict(value), now)
+    verdicts += monitor.finish()
+    assert [each.value for each in verdicts] == [Truth.TRUE, Truth.FALSE, Truth.UNKNOWN]
+
+
+def test_times_and_constants_of_messages() -> None:
+    class Status:
+        STATE_READY = 3
+        READY = 7
+
+        def __init__(self, state: int) -> None:
+            self.state = state
+            self.since = SimpleNamespace(to_sec=lambda: 2.5)
+
+    monitor = parse("s.since < 3 s and (s.state == STATE_READY or s.state == READY)").monitor(1.0)
+    verdicts = [v for n in range(3) for v in monitor.feed("s", Status(n + 2), float(n))]
+    verdicts += monitor.finish()
+    assert [each.value for each in verdicts] == [Truth.FALSE, Truth.TRUE, Truth.FALSE]
+
+
+def test_individuals() -> None:
+    monitor = parse("every ?c: Camera (rate(image, 1 s) > 5)").monitor(0.1)
+    verdicts = monitor.individuals("?c", ["left", "right"], 0.0)
+    for number in range(60):
+        for name in ("left", "right"):
+            if name == "left" or number < 30 or number > 40:
+                verdicts += monitor.feed("image", None, number / 10, name)
+    verdicts += monitor.individuals("?c", ["left"], 6.0)
+    verdicts += monitor.feed("image", None, 6.05, "right")  # it is not there any more
+    verdicts += monitor.individuals("?c", [], 7.0) + monitor.advance(8.0)
+    assert runs(verdicts) == [
+        "0.000 UNKNOWN  left: rate(image, 1) = unknown, right: rate(image, 1) = unknown",
+        "0.900 TRUE  left: rate(image, 1) = 10, right: rate(image, 1) = 10",
+        "3.400 FALSE  right: rate(image, 1) = 5",
+        "4.600 TRUE  left: rate(image, 1) = 10, right: rate(image, 1) = 6",
+        "6.400 FALSE  left: rate(image, 1) = 5",
+        "7.000 TRUE",
+    ]
+
+
+def test_exact_reasoning_decides_more() -> None:
+    found = {}
+    for exact in (False, True):
+        monitor = parse("a.x > 0 or not (a.x > 0)").monitor(1.0, hold=0.5, exact=exact)
+        found[exact] = [
+            each.value for each in (*monitor.feed("a", message(x=1), 0.0), *monitor.advance(3.5))
+        ]
+    assert found[False] == [Truth.TRUE] + [Truth.UNKNOWN] * 3
+    assert found[True] == [Truth.TRUE] * 4
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "text"),
+    [
+        (lambda: parse("p").monitor(period=0.0), BadParameter, "period"),
+        (lambda: parse("p").monitor(hold=-1.0), BadParameter, "hold"),
+        (lambda: parse("p").monitor(delay=math.inf), BadParameter, "delay"),
+        (lambda: parse("p").monitor().feed("q", True, 0.0), BadParameter, "port"),
+        (lambda: parse("p").monitor().feed("p", True), BadParameter, "received"),
+        (
+            lambda: parse("once[50 ms, 60 ms] p").monitor(),
+            FormulaError,
+            r"no state lies within \[50 ms, 60 ms\]: states are 0.100 s apart",
+        ),
+        (lambda: parse("once[0, 30 h] p").monitor(), FormulaError, "1080000 states of 0.100 s"),
+    ],
+)
+def test_what_a_monitor_refuses(make: Any, error: Any, text: str) -> None:
+    with pytest.raises(error, match=text):
+        make()
+
+
+def test_the_same_messages_give_the_same_verdicts() -> None:
+    def told(monitor: Monitor) -> List[str]:
+        found = []
+        for number in range(200):
+            now = number * 0.037
+            found += monitor.feed("a", message(now - 0.02, x=math.sin(now)), now)
+            if number % 7 == 0:
+                found += monitor.advance(now + 0.001)
+        return [repr(each) for each in found + monitor.finish()]
+
+    formula = "once[0.2, 1] a.x > 0.5 implies eventually[0, 1] a.x < 0"
+    assert told(parse(formula).monitor()) == told(parse(formula).monitor())
