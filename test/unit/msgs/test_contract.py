@@ -14,6 +14,7 @@ from pathlib import Path
 import genmsg
 import genmsg.gentools
 import pytest
+import rospkg
 
 FOLDER = Path(__file__).resolve().parents[3] / "dyknow_msgs"
 
@@ -31,6 +32,7 @@ CHECKSUMS = {
     "msg/Model": "a6674955af47d83032e8c9c16d3156d6",
     "msg/StreamStatus": "37a27e4a9e4def2f5d02a8f6b620408c",
     "msg/StreamEvent": "a516e6fd9112b91519932d980a85c920",
+    "msg/Verdict": "a85b746c8eec1aacfc72e2ec37792a5b",
     "srv/GetConfig": "c4f79754ec1a2cde67723ec0305318f8",
     "srv/SetConfig": "e12bebb6a7abf5ff9df9d7c23943a047",
     "srv/Connect": "991cf245e78188f1e46e5b6a5c13b61e",
@@ -43,7 +45,7 @@ CHECKSUMS = {
     "srv/Destroy": "d82dc6474dd88dad5e1615ab1b2ca74c",
     "srv/SetProtection": "85c5b27d9c9dd56f6fa3c25faac7dc4c",
     "srv/GetModel": "c572abaf2202ca669154eaa0068924a5",
-    "srv/AcquireStream": "b1de7dd17c58c44431ff66758571203e",
+    "srv/AcquireStream": "e736d267134bf16b636411fbc07bd1c1",
     "srv/RenewStream": "f9ba79302b15003afdf785830dde7ea1",
     "srv/ReleaseStream": "9db6d3aea8e74e927023159bf69059b8",
     "srv/ReplanStream": "8b99d152281ef33d934adbc7c8e19c5d",
@@ -58,7 +60,9 @@ def checksum_of_file(name: str) -> str:
     context = genmsg.MsgContext.create_default()
     load = {"msg": genmsg.load_msg_by_type, "srv": genmsg.load_srv_by_type}[kind]
     spec = load(context, f"dyknow_msgs/{message}", {"dyknow_msgs": [str(FOLDER / kind)]})
-    genmsg.msg_loader.load_depends(context, spec, {"dyknow_msgs": [str(FOLDER / "msg")]})
+    std_msgs = Path(rospkg.RosPack().get_path("std_msgs")) / "msg"
+    folders = {"dyknow_msgs": [str(FOLDER / "msg")], "std_msgs": [str(std_msgs)]}
+    genmsg.msg_loader.load_depends(context, spec, folders)
     return str(genmsg.gentools.compute_md5(context, spec))
 
 
