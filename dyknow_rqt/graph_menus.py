@@ -20,7 +20,7 @@ from dyknow_rqt.canvas.appearance import edge_refs
 from dyknow_rqt.graph.changes import load_wiring, protection
 from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 
 _FILES = "Wirings (*.xml);;All files (*)"
@@ -29,7 +29,7 @@ _FILES = "Wirings (*.xml);;All files (*)"
 class WiringFiles:
     """Saves the wiring and loads it."""
 
-    def __init__(self, monitor: Monitor, window: QWidget) -> None:
+    def __init__(self, monitor: GraphMonitor, window: QWidget) -> None:
         self._monitor, self._window = monitor, window
         self.report = monitor.report
 

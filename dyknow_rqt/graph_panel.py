@@ -27,7 +27,7 @@ from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.widgets import Sign
 
@@ -45,7 +45,7 @@ class GraphPanel(QWidget):
     mended = Signal(str)
 
     def __init__(
-        self, monitor: Monitor, selection: Selection, parent: Optional[QWidget] = None
+        self, monitor: GraphMonitor, selection: Selection, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(parent)
         self._monitor, self._selection = monitor, selection

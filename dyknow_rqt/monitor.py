@@ -3,8 +3,8 @@
 
 """Keeps the window's snapshot of the computation graph up to date, and makes its changes.
 
-``Monitor`` owns the remote side and the calls in the background. Its state changes in the thread
-of the window only; everything that may block is called in the background.
+``GraphMonitor`` owns the remote side and the calls in the background. Its state changes in the
+thread of the window only; everything that may block is called in the background.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class _Looked:
     statistics: Tuple[Tuple[str, Optional[NodeletStatistics], float], ...]
 
 
-class Monitor(QObject):
+class GraphMonitor(QObject):
     """Reads the graph after each change, and periodically."""
 
     #: The graph has changed: a ``Snapshot``.

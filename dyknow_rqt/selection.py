@@ -12,7 +12,7 @@ from python_qt_binding.QtCore import QObject, Signal
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.stream_watch import StreamWatch
 
 #: The key of a vertex, or an arrow.
@@ -33,7 +33,7 @@ class Selection(QObject):
     #: Something else is selected now.
     changed = Signal()
 
-    def __init__(self, monitor: Monitor, watch: StreamWatch) -> None:
+    def __init__(self, monitor: GraphMonitor, watch: StreamWatch) -> None:
         super().__init__()
         self._watch = watch
         self.keys: FrozenSet[Key] = frozenset()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Optional, Sequence, Tuple
 from python_qt_binding.QtCore import QObject, Signal
 
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 
 if TYPE_CHECKING:
     from dyknow.model.streams import StreamStatus
@@ -22,7 +22,7 @@ class StreamWatch(QObject):
     #: The list has changed.
     changed = Signal()
 
-    def __init__(self, monitor: Monitor) -> None:
+    def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
         self._monitor = monitor
         self.streams: Tuple[StreamStatus, ...] = ()

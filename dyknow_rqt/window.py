@@ -22,7 +22,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph_panel import GraphPanel
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
@@ -51,7 +51,7 @@ class DyKnowWidget(QWidget):
         super().__init__(parent)
         self.setObjectName("DyKnow")
         self.setWindowTitle("DyKnow")
-        self.monitor = Monitor(remote)
+        self.monitor = GraphMonitor(remote)
         self.line = StatusLine()
         self.report = self.line.report
         watch = StreamWatch(self.monitor)

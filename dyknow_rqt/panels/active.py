@@ -15,7 +15,7 @@ from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import destroy, protect, protection
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
@@ -34,7 +34,7 @@ class ActivePanel(Panel):
 
     def __init__(
         self,
-        monitor: Monitor,
+        monitor: GraphMonitor,
         line: StatusLine,
         selection: Selection,
         parent: Optional[QWidget] = None,

@@ -34,7 +34,7 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import form_in, row_of
@@ -72,7 +72,7 @@ class ConnectPanel(Panel):
     """Offers only ports and topics that fit."""
 
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(monitor, line, parent)
         self.source, self.sink = _PortChoice("From"), _PortChoice("To")

@@ -29,7 +29,7 @@ from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import spawn
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import form_in
@@ -114,7 +114,7 @@ class CreatePanel(Panel):
     """Edits transformation, name, protection, process, variables and parameters."""
 
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(monitor, line, parent)
         self.name = QLineEdit()

@@ -13,7 +13,7 @@ from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter, QVB
 from dyknow.model.transformation import IN, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import add_transformations, as_specification, remove_transformations
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import row_of, text_of
@@ -28,7 +28,7 @@ class LibraryPanel(Panel):
     create_wanted = Signal(str)
 
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(monitor, line, parent)
         self.table = KeyedTable(("Label", "Source", "In", "Out", "Cost"), "Transformations")

@@ -27,7 +27,7 @@ from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import acquire, release, replan
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
@@ -47,7 +47,7 @@ class StreamsPanel(Panel):
 
     def __init__(
         self,
-        monitor: Monitor,
+        monitor: GraphMonitor,
         line: StatusLine,
         watch: StreamWatch,
         selection: Selection,

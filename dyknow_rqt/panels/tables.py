@@ -27,7 +27,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import Change
-from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
 
 
@@ -35,7 +35,7 @@ class Panel(QWidget):
     """A tab of the control panel: makes changes by the monitor, and asks in the status line."""
 
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(parent)
         self._monitor, self._line = monitor, line
