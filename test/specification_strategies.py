@@ -5,7 +5,8 @@
 
 from hypothesis import strategies as st
 
-from dyknow.model.transformation import Parameter, Port, Program, Transformation
+from dyknow.manager.specifications.specification import parse
+from dyknow.model.transformation import Parameter, Port, Program, Requirement, Transformation
 
 BLANK = " \t\r\n"
 CHARACTERS = st.characters(
@@ -60,6 +61,40 @@ programs = st.builds(
     st.sampled_from([("topic_tools", "relay"), ("my-pkg", "node.py")]),
     st.lists(st.sampled_from(["/scan", "${X}", "a b", "it's", "", "x\ty", "<&>"]), max_size=3),
 )
+requires = st.lists(
+    st.builds(Requirement, st.sampled_from(["Holds(charged, nao)", "Raining"]), st.booleans()),
+    max_size=2,
+    unique=True,
+).map(tuple)
+FORMULAS = """
+<transformations>
+  <transformation type="formula" cost="3" isolated="true">
+    <label>charged &amp; there</label>
+    <formula period="0.5" hold="2" exact="true">
+      a.x &lt; 1 and every ?c: Camera (rate(b) &gt; 5)
+    </formula>
+    <ports>
+      <port type="in" datatype="sensor_msgs/BatteryState">a</port>
+      <port type="out">holds</port>
+      <port type="in" datatype="sensor_msgs/Image">b</port>
+    </ports>
+    <tags>
+      <tag port="a">Battery(?robot: Robot)</tag>
+      <tag port="holds">Holds(charged, ?robot)</tag>
+      <tag port="b">Image(?robot, ?c: Camera)</tag>
+    </tags>
+    <requires initially="false">Holds(there, ?robot)</requires>
+  </transformation>
+  <transformation type="formula">
+    <label>late</label>
+    <formula>age(image) &gt; 500 ms implies 'a' != image.frame</formula>
+    <ports>
+      <port type="in" datatype="sensor_msgs/Image">image</port>
+      <port type="out">late</port>
+    </ports>
+  </transformation>
+</transformations>
+"""
 node_names = st.sampled_from(["/camera_driver", "/robot/camera"])
 transformations = st.one_of(
     st.builds(
@@ -72,6 +107,7 @@ transformations = st.one_of(
         _unique(ports),
         st.booleans(),
         st.just(""),
+        requires,
     ),
     st.builds(
         Transformation,
@@ -83,6 +119,7 @@ transformations = st.one_of(
         _unique(ports),
         st.booleans(),
         st.just(""),
+        requires,
     ),
     st.builds(
         Transformation,
@@ -94,6 +131,7 @@ transformations = st.one_of(
         _unique(ports),
         st.just(False),
         node_names,
+        requires,
     ),
     st.builds(
         Transformation,
@@ -105,5 +143,7 @@ transformations = st.one_of(
         ports.map(lambda port: (port._replace(direction="out"),)),
         st.just(False),
         st.just(""),
+        requires,
     ),
+    st.sampled_from(parse(FORMULAS).transformations),
 )

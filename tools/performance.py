@@ -39,6 +39,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "footprint": ("footprint",),
     "model": ("model",),
     "plan": ("plan",),
+    "formulas": ("formulas",),
     "recover": ("recover",),
     "failover": ("failover",),
     "window": ("window",),

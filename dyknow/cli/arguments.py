@@ -134,6 +134,7 @@ SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
 KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "A:PORT": (port_reference, completion.ports),
     "FILE": (None, completion.files),
+    "FORMULA": (None, completion.formulas),
     "HZ": (hertz, None),
     "ID": (None, completion.claims),
     "LABEL": (None, completion.labels),

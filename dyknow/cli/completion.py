@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
@@ -209,6 +210,34 @@ def stream_targets(cursor: _Cursor) -> Iterable[str]:
     if isinstance(source, PortRef):
         return [*cursor.ports(IN, cursor.type_of(source)), *cursor.topics_beside_ports()]
     return cursor.ports(IN)
+
+
+@_completer
+def formulas(cursor: _Cursor) -> Iterable[str]:
+    """The formula with the names of fields, or of ports, in the place of its last word."""
+    from dyknow.ros.formulas.message_types import message_type
+
+    begin, word = re.fullmatch(r"(?s)(.*?)([\w.]*)", cursor.prefix).groups()  # type: ignore[union-attr]
+    *path, last = word.split(".")
+    datatypes = cursor.client.datatypes()
+    ports = {topic[1:]: topic for topic in datatypes if topic[1:].isidentifier()}
+    ports.update(port for port in cursor.given("topic") or () if port[0])
+    if not path:
+        return [f"{begin}{port}." for port in ports if port.startswith(last)]
+    found = message_type(datatypes.get(ports.get(path[0], ""), ""))
+    for step in path[1:]:
+        found = message_type(found.fields.get(step, "")) if found is not None else None
+    fields = found.fields if found is not None else {}
+    before = ".".join(path)
+    dots = {name: "." if "/" in kind and "[" not in kind else "" for name, kind in fields.items()}
+    return [f"{begin}{before}.{name}{dot}" for name, dot in dots.items() if name.startswith(last)]
+
+
+@_completer
+def formula_topics(cursor: _Cursor) -> Iterable[str]:
+    """Topics, behind `PORT=` if that is typed."""
+    port, equals, _ = cursor.prefix.rpartition("=")
+    return [f"{port}{equals}{topic}" for topic in cursor.topics()]
 
 
 def packages(prefix: str, **_: object) -> list[str]:

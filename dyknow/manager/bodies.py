@@ -12,19 +12,20 @@ import functools
 import json
 from typing import Any, Mapping, Union, get_args, get_origin, get_type_hints
 
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.model.transformation import Parameter, Port, Requirement, Transformation
 
 
 def pack(transformation: Transformation) -> str:
     """Write a transformation as one line of JSON; earlier versions read it if they can use it."""
-    is_plain = not (transformation.isolated or transformation.node)
+    is_plain = not (transformation.isolated or transformation.node or transformation.requires)
     return json.dumps(transformation[:6] if is_plain else transformation, separators=(",", ":"))
 
 
 def unpack(body: str) -> Transformation:
     """Read a transformation that ``pack`` wrote; ValueError or TypeError if it is not one."""
     label, source, kind, cost, parameters, ports, *rest = json.loads(body)
-    isolated, node = rest or (False, "")
+    isolated, node, *more = rest or (False, "")
+    requires = more[0] if more else ()
     texts = [label, source, kind, node]  # checked by hand: there may be hundreds of thousands
     for parameter in parameters:
         texts += parameter
@@ -39,6 +40,8 @@ def unpack(body: str) -> Transformation:
         raise TypeError("the rate or latency of a port is no number")
     if type(isolated) is not bool:
         raise TypeError(f"isolated is {isolated!r}")
+    if not all(type(tag) is str and type(initially) is bool for tag, initially in requires):
+        raise TypeError(f"requires is {requires!r}")
     return Transformation(
         label,
         source,
@@ -51,6 +54,7 @@ def unpack(body: str) -> Transformation:
         ),
         isolated,
         node,
+        tuple(Requirement(*each) for each in requires),
     )
 
 

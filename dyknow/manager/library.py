@@ -9,9 +9,11 @@ import logging
 from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
+from dyknow.formulas.types import Lookup
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.bodies import pack, unpack
 from dyknow.manager.specifications.findings import listed
+from dyknow.manager.specifications.formula_parts import no_types
 from dyknow.manager.specifications.given import shares_variables
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
@@ -37,12 +39,21 @@ class Library:
         store: Store,
         ontology: Concepts | None = None,
         limits: SpecificationLimits = DEFAULT_LIMITS,
+        types: Lookup = no_types,
     ) -> None:
-        """Read the store; the ``ontology`` has the individuals of concepts, for templates."""
+        """Read the store.
+
+        Args:
+            store: durable state.
+            ontology: has the individuals of concepts, for templates.
+            limits: of the texts that are added.
+            types: describes message types, for formulas.
+        """
         self._store = store
         self._concepts = ontology
         self.ontology: Subsumption = NO_ONTOLOGY if ontology is None else ontology
         self._limits = limits
+        self._types = types
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
         self._by_label: dict[str, Transformation] = store.read("transformations", _stored)
@@ -108,7 +119,7 @@ class Library:
                 describes; nothing was added.
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
-        specifications = parse(text, file_name, self._concepts, self._limits)
+        specifications = parse(text, file_name, self._concepts, self._limits, self._types)
         check(specifications.transformations)
         new = {each.label: each for each in specifications.transformations}
         with self._turn:

@@ -53,6 +53,7 @@ class StreamRequest:
         prefer: concepts or labels of parts to use where there is a choice.
         avoid: concepts or labels of parts to use only where there is no choice.
         budget: seconds for the improvement of the plan; 0 for the default.
+        require: a formula over ``it``, the stream's messages, that has to be TRUE.
     """
 
     tag: str
@@ -68,6 +69,7 @@ class StreamRequest:
     prefer: Tuple[str, ...] = ()
     avoid: Tuple[str, ...] = ()
     budget: float = 0.0
+    require: str = ""
 
 
 @dataclass(frozen=True)

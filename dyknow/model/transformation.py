@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from dataclasses import dataclass
@@ -14,6 +15,10 @@ from typing import List, NamedTuple, Tuple
 NODELET = "nodelet"
 NODE = "node"
 TOPIC = "topic"
+FORMULA = "formula"
+#: The nodelet of every formula, and the type of its out-port.
+FORMULA_CLASS = "dyknow/Formula"
+VERDICT = "dyknow_msgs/Verdict"
 IN = "in"
 OUT = "out"
 
@@ -51,6 +56,18 @@ class Port(NamedTuple):
     tags: Tuple[str, ...] = ()
     rate: float = 0.0
     latency: float = 0.0
+
+
+class Requirement(NamedTuple):
+    """A verdict that has to be TRUE, for a transformation to be usable.
+
+    Attributes:
+        tag: the tag of the verdicts; its variables are those of the transformation.
+        initially: whether it counts as TRUE before the first verdict.
+    """
+
+    tag: str
+    initially: bool = True
 
 
 _PROGRAM = re.compile(r"([A-Za-z][\w-]*)/([\w.+-]+)\Z", re.ASCII)
@@ -103,12 +120,13 @@ class Transformation(NamedTuple):
         label: The name under which the manager keeps the transformation.
         source: The nodelet's plugin name, `package/Class`; of a node `package/executable`, with
             its arguments as in a shell; the topic if `type` is `topic`.
-        type: `nodelet`, `node` or `topic`.
+        type: `nodelet`, `node`, `topic` or `formula`.
         cost: Cost of such a nodelet in a plan, 0 to 2**32 - 1.
         parameters: Parameters to set before the load, in the order written.
         ports: The ports, in the order written.
         isolated: Whether a nodelet gets a process of its own, unless the spawn says where it goes.
         node: Global name of the external node that this describes; empty for a blueprint.
+        requires: Verdicts on which it depends.
     """
 
     label: str
@@ -119,6 +137,7 @@ class Transformation(NamedTuple):
     ports: Tuple[Port, ...] = ()
     isolated: bool = False
     node: str = ""
+    requires: Tuple[Requirement, ...] = ()
 
     @property
     def is_described(self) -> bool:
@@ -135,12 +154,19 @@ class Transformation(NamedTuple):
         node = f" node={_attribute(self.node)}" if self.node else ""
         lines = [f'<transformation type="{self.type}" cost="{self.cost}"{isolated}{node}>']
         lines.append(f"  <label>{_text(self.label)}</label>")
-        if self.source or not self.node:
+        ports = self.ports
+        if self.type == FORMULA:
+            formula, more = _formula_of(self.parameters)
+            lines.append(f"  {formula}")
+            ports += more
+        elif self.source or not self.node:
             lines.append(f"  <source>{_text(self.source)}</source>")
-        _add_section(lines, "params", [_param_xml(p) for p in self.parameters])
-        _add_section(lines, "ports", [_port_xml(p) for p in self.ports])
-        tags = [_tag_xml(port.name, tag) for port in self.ports for tag in port.tags]
+        if self.type != FORMULA:
+            _add_section(lines, "params", [_param_xml(p) for p in self.parameters])
+        _add_section(lines, "ports", [_port_xml(p) for p in ports])
+        tags = [_tag_xml(port.name, tag) for port in ports for tag in port.tags]
         _add_section(lines, "tags", tags)
+        lines += [_requires_xml(each) for each in self.requires]
         lines.append("</transformation>\n")
         return "\n".join(lines)
 
@@ -156,6 +182,25 @@ class Added:
 
     labels: Tuple[str, ...]
     warnings: str
+
+
+def _formula_of(parameters: Tuple[Parameter, ...]) -> Tuple[str, Tuple[Port, ...]]:
+    """Write the formula that parameters are made of; returns the ports of individuals as well."""
+    given = {name: text for name, _, text in parameters}
+    settings = ("period", "hold", "delay", "exact", "max_nodes")
+    attributes = [f' {name}="{given[name]}"' for name in settings if name in given]
+    datatypes = json.loads(given["datatypes"])
+    tags = json.loads(given.get("individuals", "{}"))
+    ports = tuple(
+        Port(name, IN, datatypes[name], (re.sub(r"\$\{(\?[^{}]*)\}", r"\1", tag),))
+        for name, tag in sorted(tags.items())
+    )
+    return f"<formula{''.join(attributes)}>{_text(given['formula'])}</formula>", ports
+
+
+def _requires_xml(requirement: Requirement) -> str:
+    initially = "" if requirement.initially else ' initially="false"'
+    return f"  <requires{initially}>{_text(requirement.tag)}</requires>"
 
 
 def _param_xml(parameter: Parameter) -> str:

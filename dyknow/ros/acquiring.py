@@ -196,6 +196,7 @@ def acquire(
     max_silence: float = 0.0,
     min_rate: float = 0.0,
     max_age: float = 0.0,
+    require: str = "",
     exclude: str | Iterable[str] = (),
     prefer: str | Iterable[str] = (),
     avoid: str | Iterable[str] = (),
@@ -218,6 +219,8 @@ def acquire(
         max_age: seconds that messages may be old when they are published, by the stamps in their
             headers; a part that makes them older is replaced. 0: any age will do. A type without
             a header is refused.
+        require: a formula over ``it``, the messages of the stream; where it is FALSE, the stream
+            is made in another way (:doc:`formulas`).
         exclude: labels of transformations that must not be used, or a single one; an unknown
             label is only a warning.
         prefer: concepts or labels, or a single one, to use where there is a choice.
@@ -257,6 +260,7 @@ def acquire(
             max_silence=max_silence,
             min_rate=min_rate,
             max_age=max_age,
+            require=require,
             exclude=_names(exclude),
             prefer=_names(prefer),
             avoid=_names(avoid),

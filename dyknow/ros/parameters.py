@@ -12,13 +12,13 @@ import roslib.message
 from dyknow.errors import BadParameter
 
 
-def get_datatype(nh: Any) -> Any:
-    """Return the message class that the parameter ``~datatype`` names.
+def get_datatype(nh: Any, parameter: str = "~datatype", default: str = "std_msgs/Header") -> Any:
+    """Return the message class that a parameter names.
 
     Raises:
         BadParameter: no message type of that name can be imported.
     """
-    name = nh.get_param("~datatype", "std_msgs/Header")
+    name = nh.get_param(parameter, default)
     found = None
     if isinstance(name, str) and "/" in name:
         try:
@@ -27,7 +27,7 @@ def get_datatype(nh: Any) -> Any:
             found = None  # more than one slash; reported below like any other error
     if found is None:
         expected = "a message type of a built package, such as sensor_msgs/Image"
-        raise BadParameter(nh.resolve_name("~datatype"), name, expected)
+        raise BadParameter(nh.resolve_name(parameter), name, expected)
     return found
 
 

@@ -9,6 +9,7 @@ from dyknow.cli.commands import (
     acquire,
     connect,
     graph,
+    holds,
     inspect,
     launch,
     library,
@@ -21,7 +22,7 @@ from dyknow.cli.shell import Command
 
 _MODULES = (
     *(inspect, graph, nodelets, programs, launch),
-    *(connect, streams, acquire, library, save_load),
+    *(connect, streams, acquire, holds, library, save_load),
 )
 _FOUND = (each for module in _MODULES for each in vars(module).values())
 _BY_NAME = {each.name: each for each in _FOUND if isinstance(each, Command)}
@@ -33,7 +34,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = tuple(
         ("What runs", "list info stats graph doctor"),
         ("Nodelets and nodes", "spawn destroy protect unprotect run launch"),
         ("Connections", "connect disconnect"),
-        ("Streams on request", "tags acquire plan streams release replan"),
+        ("Streams on request", "tags acquire plan streams release replan holds"),
         ("Transformations", "library import export remove check probe"),
         ("Whole wirings", "save load"),
     )

@@ -44,6 +44,11 @@ DEMAND = (
         "SECONDS",
         "how old messages may be when they are sent, by their headers' stamps (default: any age)",
     ),
+    argument(
+        "--require",
+        "FORMULA",
+        "what has to hold of the messages, which are `it`, such as 'it.covariance[0] < 0.1'",
+    ),
     *(
         argument(
             option,

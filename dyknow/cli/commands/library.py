@@ -233,13 +233,15 @@ def _report(
 ) -> tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
     from dyknow.manager.specifications.specification import parse, parse_file
+    from dyknow.ros.formulas.message_types import message_type
     from dyknow.ros.hosting.installed import missing_here
 
     try:
         if file == STDIN:
-            found = parse(sys.stdin.buffer.read(), "standard input", ontology)
+            text = sys.stdin.buffer.read()
+            found = parse(text, "standard input", ontology, types=message_type)
         else:
-            found = parse_file(file, ontology)
+            found = parse_file(file, ontology, types=message_type)
     except SpecificationError as error:
         return (), error.problems, error.warnings
     missing = missing_here(file, found.transformations)

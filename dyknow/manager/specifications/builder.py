@@ -10,7 +10,9 @@ from functools import lru_cache
 from sys import intern
 
 from dyknow.errors import InvalidTag, InvalidType
+from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
+from dyknow.manager.specifications.formula_parts import FormulaParts, no_types, requirements_of
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
@@ -18,6 +20,8 @@ from dyknow.manager.specifications.values import BadValue, infer_type, parse_val
 from dyknow.manager.specifications.xml_reader import XmlNode
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import (
+    FORMULA,
+    FORMULA_CLASS,
     IN,
     NODE,
     NODELET,
@@ -53,8 +57,10 @@ class Builder:
         findings: Findings,
         limits: SpecificationLimits,
         ontology: Concepts | None = None,
+        types: Lookup = no_types,
     ) -> None:
         self._findings = findings
+        self._types = types
         self._ontology = ontology
         self._limits = limits
         self._labels: dict[str, int] = {}
@@ -84,13 +90,43 @@ class Builder:
         cost = self._cost(node)
         parameters = self._parameters(node, kind, external)
         ports = self.ports(node)
-        self._check_variables(node, kind, ports)
-        if label is None or (source is None and external is None):
-            return None
         source_text = "" if source is None else source.text
+        if kind == FORMULA or node.child("formula") is not None:
+            ports, parameters = self._formula(node, kind, ports)
+            source_text = FORMULA_CLASS
+        requires = requirements_of(node, self._problem)
+        self._check_variables(node, kind, ports, parameters)
+        if label is None or (not source_text and external is None):
+            return None
         return Transformation(
-            label.text, source_text, kind, cost, parameters, ports, isolated, external or ""
+            label.text,
+            source_text,
+            kind,
+            cost,
+            parameters,
+            ports,
+            isolated,
+            external or "",
+            requires,
         )
+
+    def _formula(
+        self, node: XmlNode, kind: str, ports: tuple[Port, ...]
+    ) -> tuple[tuple[Port, ...], tuple[Parameter, ...]]:
+        """Return the ports and parameters of the nodelet of a formula."""
+        element = node.child("formula")
+        if kind != FORMULA:
+            self._problem(node, 'a <formula>: expected it with type="formula" alone')
+            return ports, ()
+        if element is None:
+            self._problem(node, 'type="formula": expected a <formula>')
+            return (), ()
+        for name in ("source", "params"):
+            if any(each.name == name for each in node.children):
+                self._problem(element, f"a formula has no <{name}>; expected <formula> alone")
+        if not _ports_are_known(node):
+            return (), ()
+        return FormulaParts(node, element, self._problem, self._types).built(ports)
 
     def _problem(self, node: XmlNode, message: str) -> None:
         self._findings.problem(node.line, message)
@@ -311,13 +347,19 @@ class Builder:
                 node, f"the {what} '{shorten(name)}' {doubt}; some tools will not find it"
             )
 
-    def _check_variables(self, node: XmlNode, kind: str, ports: tuple[Port, ...]) -> None:
+    def _check_variables(
+        self,
+        node: XmlNode,
+        kind: str,
+        ports: tuple[Port, ...],
+        parameters: tuple[Parameter, ...],
+    ) -> None:
         """Note unbound variables, and types that are not classes.
 
-        The streams at the in-ports of a nodelet bind its variables, so tags of out-ports and texts
-        of parameters may use only variables that stand in the tags of in-ports.
+        The streams at the in-ports of a nodelet bind its variables, so tags of out-ports, texts
+        of parameters and requirements may use only variables that stand in the tags of in-ports.
         """
-        in_ports = {port.name for port in ports if port.direction == IN}
+        directions = {port.name: port.direction for port in ports}
         used: list[tuple[str, str, XmlNode]] = []  # variable, where, element
         bound: dict[str, None] = {}
         for tag in node.all("tags"):
@@ -329,10 +371,22 @@ class Builder:
                 if type_ and self._ontology is not None and not self._ontology.is_class(type_):
                     unknown = f"{where} has the type '{shorten(type_)}', which is no class"
                     self._warning(tag, f"{unknown} of the ontology")
-            if tag.get("port") in in_ports:
+            direction = directions.get(tag.get("port"), "")
+            if direction == IN:
                 bound.update(dict.fromkeys(term.variables))
-            else:
+            elif direction or kind != FORMULA:  # else it is of individuals
                 used += [(each, where, tag) for each in term.variables]
+        for each in node.children:
+            if each.name == "requires" and isinstance(_read_tag(each.text), Term):
+                where = f"<requires> '{shorten(each.text)}'"
+                term = parse_tag(each.text)
+                used += [(variable, where, each) for variable in term.variables]
+        if kind == FORMULA:
+            used += [
+                (variable, f"the parameter '{name}'", node)
+                for name, _, text in parameters
+                for variable in variables_of(text)
+            ]
         for param in node.all("params"):
             used += [
                 (each, f"the parameter '{shorten(param.get('name'))}'", param)

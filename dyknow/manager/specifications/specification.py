@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from typing import Iterable, Iterator
 
 from dyknow.errors import Problem, SpecificationError
+from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.builder import Builder
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
+from dyknow.manager.specifications.formula_parts import FORMULA, REQUIRES, no_types
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.template import Concepts, Expander
 from dyknow.manager.specifications.xml_reader import (
@@ -49,14 +51,16 @@ TRANSFORMATION = Element(
     "transformation",
     (
         Element("label", holds_text=True, is_required=True),
-        Element("source", holds_text=True, is_required=True, unless="node"),
+        Element("source", holds_text=True, is_required=True, unless=("node", "formula")),
+        FORMULA,
         Element("args", (_ARG,)),
         Element("params", (_PARAM,)),
         Element("ports", (_PORT,)),
         Element("tags", (_TAG,)),
+        REQUIRES,
     ),
     attributes={
-        "type": Attribute(("nodelet", "node", "topic")),
+        "type": Attribute(("nodelet", "node", "topic", "formula")),
         "cost": ANY,
         "isolated": Attribute(("true", "false")),
         "node": ANY,
@@ -84,6 +88,7 @@ def parse(
     file_name: str = "specification",
     ontology: Concepts | None = None,
     limits: SpecificationLimits = DEFAULT_LIMITS,
+    types: Lookup = no_types,
 ) -> Specifications:
     """Parse a specification, or many in a `<transformations>` element.
 
@@ -92,6 +97,7 @@ def parse(
         file_name: The name to use in messages.
         ontology: Has the individuals of the classes that templates name.
         limits: The caps to hold.
+        types: Describes message types, as far as they are known, for formulas.
 
     Raises:
         SpecificationError: With every problem of the text.
@@ -100,13 +106,16 @@ def parse(
     nodes = XmlReader(findings, limits, TRANSFORMATION, TRANSFORMATIONS).read(text)
     found: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
-        found += transformations_of(nodes, findings, ontology, limits)
+        found += transformations_of(nodes, findings, ontology, limits, types)
     findings.raise_if_any()
     return Specifications(tuple(found), findings.warnings)
 
 
 def parse_file(
-    path: str, ontology: Concepts | None = None, limits: SpecificationLimits = DEFAULT_LIMITS
+    path: str,
+    ontology: Concepts | None = None,
+    limits: SpecificationLimits = DEFAULT_LIMITS,
+    types: Lookup = no_types,
 ) -> Specifications:
     """Parse a file, which messages name as it is given here.
 
@@ -120,7 +129,7 @@ def parse_file(
     except OSError as error:
         reason = f"cannot be read: {error.strerror or error}"
         raise SpecificationError([Problem(name, 0, reason)]) from error
-    return parse(data, name, ontology, limits)
+    return parse(data, name, ontology, limits, types)
 
 
 def transformations_of(
@@ -128,12 +137,14 @@ def transformations_of(
     findings: Findings,
     ontology: Concepts | None = None,
     limits: SpecificationLimits = DEFAULT_LIMITS,
+    types: Lookup = no_types,
 ) -> Iterator[Transformation]:
     """Make the transformations of one text from its `<transformation>` elements.
 
     Problems are noted in `findings`; if there are any, the transformations are not to be used.
     """
-    builder, expander = Builder(findings, limits, ontology), Expander(findings, limits, ontology)
+    builder = Builder(findings, limits, ontology, types)
+    expander = Expander(findings, limits, ontology)
     for count, node in enumerate(nodes, 1):
         if count > limits.transformations:
             limit = limits.transformations

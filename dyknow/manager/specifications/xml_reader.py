@@ -59,7 +59,7 @@ class Element:
     """The rule of an element, which holds text or elements.
 
     Attributes:
-        unless: attribute of its parent with which it is not required; empty for none.
+        unless: attribute of its parent, or other child, with which it is not required.
         is_unit: whether the reader returns it by itself, instead of in its parent.
     """
 
@@ -68,7 +68,7 @@ class Element:
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
     holds_text: bool = False
     is_required: bool = False
-    unless: str = ""
+    unless: tuple[str, ...] = ()
     may_repeat: bool = False
     is_unit: bool = False
 
@@ -287,7 +287,7 @@ class XmlReader:
         if self._texts:
             self._refuse_text(rule)
         for child in rule.required:
-            if child.name not in seen and child.unless not in node.attributes:
+            if child.name not in seen and not {*child.unless} & {*node.attributes, *seen}:
                 self._findings.problem(node.line, f"<{name}> has no <{child.name}>; expected one")
         if rule.is_unit:
             node.has_variables = self._has_variables

@@ -38,6 +38,7 @@ from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import ControlLoop, RunningClock, in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
+from dyknow.ros.formulas.message_types import message_type
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
@@ -120,7 +121,7 @@ class ManagerNode(Closable):
         self._reconciler = open_reconciler(
             self._host,
             self._store,
-            Library(self._store, ontology, settings.limits),
+            Library(self._store, ontology, settings.limits, message_type),
             settings.guards,
             ManagerOptions(names.parent(node), settings.spawn_timeout),
             loop.once,

@@ -232,7 +232,13 @@ class ManagerServices:
 
     def _acquire(self, request: Any) -> Any:
         labels = (*request.exclude, *request.prefer, *request.avoid)
-        texts = (request.tag, request.datatype, request.client_id, request.request_id)
+        texts = (
+            request.tag,
+            request.datatype,
+            request.client_id,
+            request.request_id,
+            request.require,
+        )
         self._check_sizes(*texts, request.bond_id, *labels, entries=len(labels))
         wanted = acquire_from(request)
         acquired = self._reconciler.acquire(wanted, request.dry_run)

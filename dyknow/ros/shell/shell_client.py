@@ -92,8 +92,11 @@ class ShellClient(ManagerClient):
 
     def topics(self) -> list[str]:
         """Names of all topics that the master knows."""
-        known = self._on_master(lambda: self._master.ask("getTopicTypes"))
-        return sorted(name for name, _ in known)
+        return sorted(self.datatypes())
+
+    def datatypes(self) -> dict[str, str]:
+        """ROS types of all topics that the master knows."""
+        return dict(self._on_master(lambda: self._master.ask("getTopicTypes")))
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
         """Values that the parameter server has for parameters of a nodelet, by their names."""

@@ -23,9 +23,11 @@ SCHEMA_OF_LIBXML2 = etree.RelaxNG(etree.parse(str(SCHEMA)))
 
 NAMES = st.sampled_from(
     ["transformations", "transformation", "label", "source", "args", "arg", "params", "param",
-     "ports", "port", "tags", "tag", "other"]
+     "ports", "port", "tags", "tag", "formula", "requires", "other"]
 )  # fmt: skip
-_VALUES = st.sampled_from(["in", "out", "nodelet", "node", "topic", "string", " int ", "", "x"])
+_VALUES = st.sampled_from(
+    ["in", "out", "nodelet", "node", "topic", "formula", "string", " int ", "", "x"]
+)
 # Of numbers the schema says the range; the reader leaves that to the builder.
 _NUMBERS = st.just("2.5")
 ATTRIBUTES = st.fixed_dictionaries(
@@ -33,7 +35,10 @@ ATTRIBUTES = st.fixed_dictionaries(
     optional={
         **dict.fromkeys(["type", "name", "label", "port", "datatype", "other"], _VALUES),
         **dict.fromkeys(["rate", "latency"], _NUMBERS),
-        "isolated": st.sampled_from(["true", "false", "x"]),
+        **dict.fromkeys(["period", "hold", "delay", "max_nodes"], _NUMBERS),
+        **dict.fromkeys(
+            ["isolated", "exact", "initially"], st.sampled_from(["true", "false", "x"])
+        ),
         "node": _VALUES,
     },
 )

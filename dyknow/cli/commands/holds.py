@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`holds`: evaluates a formula on streams, topics or a bag."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from typing import TYPE_CHECKING, Any, Callable, Generator, Iterable, Mapping
+
+from dyknow.cli import completion
+from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
+from dyknow.cli.shell import Shell, command
+from dyknow.errors import DyKnowError
+from dyknow.formulas import Formula, Truth, Verdict, parse
+
+if TYPE_CHECKING:
+    from dyknow.formulas import Monitor
+
+#: Exit code if the formula was FALSE.
+_VIOLATED = 1
+#: Seconds between two looks for a topic that is not there yet.
+_POLL = 0.5
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    """Read `PORT=VALUE`, or `VALUE` for the only port."""
+    port, equals, value = text.partition("=")
+    if not equals or "(" in port or "/" in port:
+        return "", text
+    if not port.isidentifier() or not value:
+        raise argparse.ArgumentTypeError(f"'{text}': expected PORT=..., such as battery=/battery")
+    return port, value
+
+
+@command(
+    "holds",
+    "evaluate a formula on topics, streams or a bag",
+    "Evaluate a formula of metric temporal logic, and print each change of its verdict. Its ports "
+    "are topics (--topic), requested streams (--port) or topics of a bag (--bag); without these, "
+    "a port is the topic of its name. It ends with Ctrl-C, after --for, or with the bag, and with "
+    "exit code 1 if the formula was FALSE in any state.",
+    "dyknow holds 'battery.percentage > 0.2' --topic battery=/battery\n"
+    "dyknow holds 'historically[0 s, 5 s] battery.percentage > 0.2' --port 'battery=Battery(nao)' "
+    "--why\n"
+    "dyknow holds 'always norm(odom.twist.twist.linear) < 2' --bag run.bag\n"
+    "dyknow holds 'every ?c: Camera (rate(image) > 5)' --port 'image=Image(?c: Camera)'",
+    argument("formula", "FORMULA", "the formula, over ports"),
+    argument(
+        "--topic",
+        "PORT=TOPIC",
+        "a topic that is a port; with one port its name may be left out",
+        completer=completion.formula_topics,
+        type=_assignment,
+        **SEVERAL,
+    ),
+    argument(
+        "--port",
+        "PORT=TAG",
+        "a port whose stream is requested from the manager, by its tag",
+        type=_assignment,
+        **SEVERAL,
+    ),
+    argument("--bag", "FILE", "a bag in the place of live topics"),
+    argument("--period", "SECONDS", "time between two states (default: 0.1)", default=0.1),
+    argument(
+        "--hold", "SECONDS", "how long a message has a value (default: until the next one comes)"
+    ),
+    argument(
+        "--delay",
+        "SECONDS",
+        "how long a state waits for messages that come late (default: 0.1)",
+        type=seconds_or_none,
+        default=0.1,
+    ),
+    flag("--exact", "reason with all that unknown values could be"),
+    argument("--for", "SECONDS", "end after so long", dest="seconds"),
+    flag("--why", "print the values that decided"),
+    flag("--all", "print the verdict about each state, not only changes"),
+    problem=lambda arguments: (
+        "--bag has topics of its own: --port is for live streams"
+        if arguments.bag and arguments.port
+        else ""
+    ),
+)
+def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    formula = parse(arguments.formula)
+    monitor = formula.monitor(arguments.period, arguments.hold, arguments.delay, arguments.exact)
+    topics, tags = (_named(formula, each) for each in (arguments.topic, arguments.port))
+    counts = dict.fromkeys(Truth, 0)
+    if arguments.bag:
+        verdicts = _of_bag(arguments.bag, formula, monitor, topics)
+    else:
+        verdicts = _live(shell, formula, monitor, topics, tags, arguments.seconds)
+    with contextlib.closing(verdicts), contextlib.suppress(KeyboardInterrupt):
+        for verdict in verdicts:
+            counts[verdict.value] += 1
+            if arguments.all or verdict.stamp == verdict.since:
+                _print(shell, verdict, arguments.why)
+    if not shell.as_json:
+        false, unknown = counts[Truth.FALSE], counts[Truth.UNKNOWN]
+        shell.error(f"FALSE in {false}, UNKNOWN in {unknown} of {sum(counts.values())} states")
+    return _VIOLATED if counts[Truth.FALSE] else None
+
+
+def _named(formula: Formula, given: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Name the ports of arguments."""
+    found = {}
+    for port, value in given:
+        if not port and len(formula.ports) > 1:
+            ports = ", ".join(formula.ports)
+            raise DyKnowError(f"'{value}' is for which port? Write PORT={value}, of {ports}")
+        port = port or formula.ports[0]
+        if port not in formula.ports:
+            ports = ", ".join(formula.ports)
+            raise DyKnowError(f"the formula has no port '{port}': its ports are {ports}")
+        found[port] = value
+    return found
+
+
+def _print(shell: Shell, verdict: Verdict, with_why: bool) -> None:
+    if shell.as_json:
+        value: dict[str, Any] = {
+            "stamp": verdict.stamp / 1e9,
+            "value": verdict.value.name,
+            "since": verdict.since / 1e9,
+            "why": verdict.why,
+        }
+        line = json.dumps(value)
+    else:
+        line = str(verdict if with_why else verdict._replace(why=""))
+    shell.out.write(line + "\n")
+    shell.out.flush()
+
+
+def _of_bag(
+    path: str, formula: Formula, monitor: Monitor, given: Mapping[str, str]
+) -> Generator[Verdict, None, None]:
+    from dyknow.ros.formulas.message_types import check
+    from dyknow.ros.formulas.sources import Bag
+
+    bag = Bag(path)
+    topics = {port: bag.topic(port, given) for port in formula.ports}
+    check(formula, {port: bag.datatypes[topic] for port, topic in topics.items()})
+    shown = -1
+
+    def show(seconds: float) -> None:
+        nonlocal shown
+        percent = int(100 * seconds / max(bag.duration, 1e-9))
+        if percent != shown and sys.stderr.isatty():
+            sys.stderr.write(f"\r{percent:3d} % of {path} \r")
+            shown = percent
+
+    yield from bag.verdicts(monitor, topics, show)
+
+
+def _live(
+    shell: Shell,
+    formula: Formula,
+    monitor: Monitor,
+    topics: Mapping[str, str],
+    tags: Mapping[str, str],
+    duration: float | None,
+) -> Generator[Verdict, None, None]:
+    """Yield the verdicts about topics, and about streams that are held meanwhile."""
+    from dyknow.ros.acquiring import acquire
+    from dyknow.ros.formulas.individuals import IndividualStreams
+    from dyknow.ros.formulas.message_types import check, known_class
+    from dyknow.ros.formulas.sources import LiveTopics
+
+    client = shell.client
+    streams = {port: topics.get(port, f"/{port}") for port in formula.ports if port not in tags}
+    for port in sorted(set(formula.of_individuals) & streams.keys()):
+        raise DyKnowError(
+            f"the port '{port}' has a stream for each individual: give its tag, as "
+            f"--port '{port}=Image(?c: Camera)'"
+        )
+    datatypes = {port: _datatype(shell, port, topic) for port, topic in streams.items()}
+    check(formula, {port: datatypes.get(port, "") for port in formula.ports})
+    deadline = None if duration is None else time.monotonic() + duration
+    live = LiveTopics()
+    with contextlib.ExitStack() as stack:
+        individual = {port: tags[port] for port in tags if port in formula.of_individuals}
+        for port, tag in tags.items():
+            if port not in individual:
+                stream = stack.enter_context(acquire(tag, manager=client.manager))
+                streams[port], datatypes[port] = stream.topic, stream.datatype
+        check(formula, {port: datatypes.get(port, "") for port in formula.ports})
+        for port, topic in streams.items():
+            live.subscribe(port, "", topic, known_class(datatypes[port]))
+        present: Callable[[], Mapping[str, list[str]]] = dict
+        if individual:
+            individuals = IndividualStreams(client, individual, {}, live.subscribe)
+            stack.callback(individuals.close)
+            present = individuals.present
+        yield from live.verdicts(
+            monitor, present, lambda: deadline is not None and time.monotonic() >= deadline
+        )
+
+
+def _datatype(shell: Shell, port: str, topic: str) -> str:
+    """Return the ROS type of a topic; waits for its first publisher or subscriber."""
+    is_late = False
+    while True:
+        found = shell.client.datatypes().get(topic, "*")
+        if found != "*":
+            return found
+        if not is_late:
+            shell.warn(f"the topic {topic} of the port '{port}' is not published: waiting for it")
+            is_late = True
+        time.sleep(_POLL)

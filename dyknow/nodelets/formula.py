@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The nodelet dyknow/Formula: the verdicts of a formula are a stream."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from dyknow_msgs.msg import Verdict as VerdictMessage
+from genpy import Time
+
+import dyknow
+from dyknow.formulas import Verdict, parse
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.formulas.individuals import IndividualStreams
+from dyknow.ros.formulas.message_types import check
+from dyknow.ros.parameters import get_datatype
+
+
+class FormulaNodelet(dyknow.Nodelet):
+    """Publishes what a formula says about each state of its in-ports.
+
+    Ports:
+        each port that the formula reads: any type.
+        holds: dyknow_msgs/Verdict, latched.
+
+    Parameters:
+        ~formula (string): the formula.
+        ~datatypes (yaml, {}): ROS types of the in-ports, by name; std_msgs/Bool by default.
+        ~out (string, holds): name of the out-port.
+        ~period, ~delay (double, 0.1): seconds between two states, and for which they stay open.
+        ~hold (double, 0): seconds for which a message has a value; 0: until the next one comes.
+        ~exact (bool, false), ~max_nodes (int, 1000): reason with all that is unknown.
+        ~individuals (yaml, {}): tags of the ports below a quantifier, by name, as
+            ``Image(?c: Camera)``. Their streams are acquired for each individual.
+        ~manager (string, dyknow_manager): the manager that knows the individuals.
+    """
+
+    def on_init(self) -> None:
+        """Declare the ports."""
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        formula = parse(self.nh.get_param("~formula"))
+        self.monitor = formula.monitor(
+            self.nh.get_param("~period", 0.1),
+            self.nh.get_param("~hold", 0.0) or None,
+            self.nh.get_param("~delay", 0.1),
+            self.nh.get_param("~exact", False),
+            self.nh.get_param("~max_nodes", 1000),
+        )
+        types = {port: self.message_class(port) for port in formula.ports}
+        check(formula, {port: kind._type for port, kind in types.items()})
+        tags = self.nh.get_param("~individuals", {})
+        self.pub = self.nh.Publisher(
+            self.nh.get_param("~out", "holds"), VerdictMessage, latch=True, queue_size=100
+        )
+        for port in formula.ports:
+            if port not in tags:
+                callback = partial(self.on_message, port, "")
+                self.nh.Subscriber(port, types[port], callback, queue_size=100)
+        self.individuals: IndividualStreams | None = None
+        if tags:
+            client = ManagerClient(self.nh.get_param("~manager", "dyknow_manager"), self.name)
+            self.individuals = IndividualStreams(client, tags, types, self.subscribe, self.name)
+        self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
+
+    def on_shutdown(self) -> None:
+        """Give the streams of individuals up."""
+        if self.individuals is not None:
+            self.individuals.close()
+
+    def subscribe(self, port: str, individual: str, topic: str, message_class: Any) -> Any:
+        """Receive the stream of an individual."""
+        callback = partial(self.on_message, port, individual)
+        return self.node_handle.Subscriber(topic, message_class, callback, queue_size=100)
+
+    def on_message(self, port: str, individual: str, message: Any) -> None:
+        """Publish what the message decides."""
+        self.publish(self.monitor.feed(port, message, self.nh.Time.now(), individual))
+
+    def on_timer(self, event: Any) -> None:
+        """Close the states that are due."""
+        now = self.nh.Time.now()
+        if self.individuals is not None:
+            for variable, names in self.individuals.present().items():
+                self.publish(self.monitor.individuals(variable, names, now))
+        self.publish(self.monitor.advance(now))
+        self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
+
+    def wait(self) -> float:
+        """Return the seconds until a state closes that no message has closed."""
+        due = self.monitor.due
+        return max(0.02, 0.1 if due is None else due - self.nh.get_time())
+
+    def publish(self, verdicts: list[Verdict]) -> None:
+        """Publish verdicts."""
+        for verdict in verdicts:
+            message = VerdictMessage(value=verdict.value, why=verdict.why)
+            message.header.stamp = Time(0, verdict.stamp)
+            message.since = Time(0, verdict.since)
+            self.pub.publish(message)
+
+    def message_class(self, port: str) -> Any:
+        """Return the message class of an in-port."""
+        return get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")

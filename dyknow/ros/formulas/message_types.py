@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Message types, as formulas are checked against them."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import roslib.message
+
+from dyknow.errors import DyKnowError
+from dyknow.formulas import Formula, MessageType
+from dyknow.formulas.types import type_of
+
+
+def message_class(datatype: str) -> Any:
+    """Return the class of a message type; None if it is not built here."""
+    try:
+        return roslib.message.get_message_class(datatype)
+    except (ImportError, ValueError):
+        return None
+
+
+def message_type(datatype: str) -> MessageType | None:
+    """Describe a message type; None if it is not built here."""
+    return type_of(message_class(datatype)) if "/" in datatype else None
+
+
+def known_class(datatype: str) -> Any:
+    """Return the class of a message type.
+
+    Raises:
+        DyKnowError: it is not built here.
+    """
+    found = message_class(datatype)
+    if found is None:
+        package = datatype.partition("/")[0]
+        raise DyKnowError(
+            f"the message type {datatype} cannot be imported: is the package {package} built, and "
+            "its workspace sourced?"
+        )
+    return found
+
+
+def check(formula: Formula, datatypes: Mapping[str, str]) -> None:
+    """Check a formula against the types of its ports; empty for one that is not known.
+
+    Raises:
+        FormulaError: it does not fit them.
+    """
+    formula.check({port: message_type(name) for port, name in datatypes.items()}, message_type)

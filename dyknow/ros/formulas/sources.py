@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Messages of live topics and of bags, for one monitor."""
+
+from __future__ import annotations
+
+import queue
+from functools import partial
+from typing import Any, Callable, Iterator, Mapping, NamedTuple
+
+import rospy
+
+from dyknow.errors import DyKnowError
+from dyknow.formulas import Monitor, Verdict
+from dyknow.similar import did_you_mean
+
+#: Most seconds between two looks at the clock.
+_PATIENCE = 0.1
+
+
+class Received(NamedTuple):
+    """A message of a port, of an individual, and when it was received."""
+
+    port: str
+    individual: str
+    message: Any
+    when: Any
+
+
+class LiveTopics:
+    """The messages of topics, in the order of receipt."""
+
+    def __init__(self) -> None:
+        """Become a node, if this process is none yet."""
+        if not rospy.core.is_initialized():
+            rospy.init_node(
+                "dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True
+            )
+        self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
+
+    def subscribe(self, port: str, individual: str, topic: str, kind: Any) -> Any:
+        """Receive a topic as a port; returns the subscriber."""
+        return rospy.Subscriber(topic, kind, partial(self._note, port, individual))
+
+    def _note(self, port: str, individual: str, message: Any) -> None:
+        self._received.put(Received(port, individual, message, rospy.Time.now()))
+
+    def verdicts(
+        self,
+        monitor: Monitor,
+        individuals: Callable[[], Mapping[str, list[str]]],
+        is_over: Callable[[], bool],
+    ) -> Iterator[Verdict]:
+        """Yield verdicts as they come.
+
+        Args:
+            monitor: makes them.
+            individuals: returns the individuals that are there, by variable.
+            is_over: whether to end.
+        """
+        while not is_over() and not rospy.is_shutdown():
+            try:
+                received = self._received.get(timeout=_PATIENCE)
+            except queue.Empty:
+                now = rospy.Time.now()
+                for variable, names in individuals().items():
+                    yield from monitor.individuals(variable, names, now)
+                yield from monitor.advance(now)
+            else:
+                yield from monitor.feed(
+                    received.port, received.message, received.when, received.individual
+                )
+
+
+class Bag:
+    """The messages of a bag."""
+
+    def __init__(self, path: str) -> None:
+        """Open a bag.
+
+        Raises:
+            DyKnowError: it cannot be read.
+        """
+        import rosbag
+
+        try:
+            self._bag = rosbag.Bag(path)
+        except (OSError, rosbag.ROSBagException) as error:
+            raise DyKnowError(f"bag '{path}': {error}") from error
+        found = self._bag.get_type_and_topic_info().topics
+        #: The topics, with their types.
+        self.datatypes = {topic: each.msg_type for topic, each in sorted(found.items())}
+        self._path = path
+
+    def topic(self, port: str, given: Mapping[str, str]) -> str:
+        """Return the topic of a port: the one that is given, or the one of its name.
+
+        Raises:
+            DyKnowError: the bag does not have it.
+        """
+        topic = given.get(port, f"/{port}")
+        if topic in self.datatypes:
+            return topic
+        hint = did_you_mean(topic, self.datatypes) or f"; it has {', '.join(self.datatypes)}"
+        raise DyKnowError(f"bag '{self._path}' has no topic '{topic}' for the port '{port}'{hint}")
+
+    def verdicts(
+        self, monitor: Monitor, topics: Mapping[str, str], progress: Callable[[float], object]
+    ) -> Iterator[Verdict]:
+        """Yield the verdicts about all of it.
+
+        Args:
+            monitor: makes them.
+            topics: the topic of each port.
+            progress: called with the seconds of the bag that are done.
+        """
+        ports: dict[str, list[str]] = {}
+        for port, topic in topics.items():
+            ports.setdefault(topic, []).append(port)
+        begin = self._bag.get_start_time()
+        for topic, message, when in self._bag.read_messages(topics=list(ports)):
+            for port in ports[topic]:
+                yield from monitor.feed(port, message, when)
+            progress(when.to_sec() - begin)
+        yield from monitor.finish()
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last message."""
+        return float(self._bag.get_end_time() - self._bag.get_start_time())
