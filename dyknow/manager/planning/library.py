@@ -36,9 +36,9 @@ from dyknow.manager.planning.patterns import (
     solutions,
 )
 from dyknow.manager.planning.problem import Live
-from dyknow.manager.specifications.tags import Term, read_tags, types_of
+from dyknow.manager.specifications.tags import Term, parse_tag, read_tags, types_of
 from dyknow.model.placeholders import variables_of
-from dyknow.model.transformation import IN, OUT, Port, Transformation
+from dyknow.model.transformation import IN, OUT, Port, Requirement, Transformation
 
 #: Transformations whose variables are remembered: many have equal ones.
 _REMEMBERED = 1_000
@@ -89,7 +89,7 @@ class Operator:
     """A transformation, or the live streams of one nodelet; compared by identity.
 
     Variables that occur in one in-port alone are the affair of its pattern. The action has those
-    that several in-ports share, or that out-ports or parameters expose.
+    that several in-ports share, or that out-ports, parameters or required verdicts expose.
 
     Attributes:
         label: of the transformation, or the name of the live nodelet.
@@ -129,6 +129,11 @@ class Operator:
     def base(self) -> Operator:
         """The action whose nodelet it is."""
         return self.slow or self
+
+    @property
+    def requires(self) -> tuple[Requirement, ...]:
+        """The verdicts on which its transformation depends."""
+        return self.transformation.requires if self.transformation is not None else ()
 
     @property
     def in_ports(self) -> list[Port]:
@@ -213,10 +218,17 @@ class OperatorIndex:
     """The actions of a library."""
 
     def __init__(
-        self, names: Names, actions: dict[str, Operator], facts: Buckets, makers: Buckets
+        self,
+        names: Names,
+        actions: dict[str, Operator],
+        facts: Buckets,
+        makers: Buckets,
+        guarded: frozenset[Operator] = frozenset(),
     ) -> None:
+        """Take over the parts; ``guarded`` are the actions that require verdicts."""
         self.names = names
         self.actions = actions
+        self.guarded = guarded
         self.facts = facts
         self.makers = makers
         # Results about the patterns of in-ports; it does not matter by which thread.
@@ -238,7 +250,10 @@ class OperatorIndex:
             )
             for buckets, is_maker in ((self.facts, False), (self.makers, True))
         )
-        return OperatorIndex(self.names, actions, facts, makers)
+        guarded = {each for each in come.values() if each.requires}
+        return OperatorIndex(
+            self.names, actions, facts, makers, self.guarded.difference(gone).union(guarded)
+        )
 
     def cheapest_facts(self, pattern: Pattern) -> tuple[Head, ...]:
         """Return the two cheapest facts that supply a pattern, as far as there are any."""
@@ -386,7 +401,14 @@ class Reader:
             variables, of_names, shares, has_private = _variables(
                 tuple([tuple([term[1:] for term in read_tags(port.tags)]) for port in ports]),
                 tuple([term[1:] for port in outs for term in read_tags(port.tags)]),
-                tuple([e for each in transformation.parameters for e in variables_of(each.text)]),
+                (
+                    *[e for each in transformation.parameters for e in variables_of(each.text)],
+                    *[
+                        e
+                        for each in transformation.requires
+                        for e in parse_tag(each.tag).variables
+                    ],
+                ),
             )
             canonical = self._names.canonical
             types = tuple([frozenset(map(canonical, e)) if e else NO_TYPES for e in of_names])

@@ -29,6 +29,7 @@ from dyknow.manager.planning.problem import (
     AVOIDED,
     NO_FREE,
     NO_LABELS,
+    NO_VERDICTS,
     NO_WISHES,
     NOT_PREFERRED,
     Action,
@@ -42,6 +43,7 @@ from dyknow.manager.planning.problem import (
     PlanStep,
     Source,
     TaggedStream,
+    Verdicts,
     Wishes,
 )
 from dyknow.manager.planning.reach import Reach
@@ -63,6 +65,8 @@ BUDGET = 0.1
 #: Steps that the search for the cheapest tree may take, besides the budget: some seconds. For
 #: any of 100,000 cameras it takes a third of them.
 _SEARCH = 60_000_000
+#: More than any plan costs.
+_DEAREST = 2**62
 
 
 class Planner:
@@ -109,6 +113,7 @@ class Planner:
         budget: float = BUDGET,
         wishes: Wishes = NO_WISHES,
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
+        verdicts: Verdicts | None = NO_VERDICTS,
     ) -> Answer:
         """Find the cheapest way to a stream.
 
@@ -124,10 +129,13 @@ class Planner:
                 improvement only where a step takes long.
             wishes: preferred and avoided parts.
             feeders: labels of the feeders of live streams, by their nodelets.
+            verdicts: those that transformations require; None to disregard them.
         """
         library, streams = self._library, list(live)
         charges = _charges(library, demand, streams, exclude, wishes)
-        request = Request(library, demand, streams, exclude, paused, free, charges, feeders)
+        request = Request(
+            library, demand, streams, exclude, paused, free, charges, feeders, verdicts=verdicts
+        )
         answer = self._answer(request, budget)
         if isinstance(answer, Plan) and _has_twins(answer):
             request.is_strict = True
@@ -169,6 +177,39 @@ class Planner:
     ) -> dict[str, int]:
         """Return the charges of the parts of a plan besides their costs, by label."""
         return _charges(self._library, demand, list(live), exclude, wishes)
+
+    def parts(
+        self,
+        demand: Demand,
+        live: Iterable[TaggedStream] = (),
+        exclude: AbstractSet[str] = NO_LABELS,
+        budget: float = BUDGET,
+    ) -> set[tuple[str, Bindings]]:
+        """Find all that can have a part in any plan, whatever the verdicts are.
+
+        Args:
+            demand: tags and type of the stream.
+            live: streams that exist, with their tags.
+            exclude: labels that must not be used.
+            budget: seconds that this may take, counted in steps.
+
+        Returns:
+            Labels, also of live streams, each with bindings of the variables that tell its
+            nodelets apart.
+        """
+        request = Request(self._library, demand, list(live), exclude, verdicts=None)
+        request.is_whole = True
+        reach = Reach(request, is_whole=True)
+        least, _, _ = reach.cheapest(reach.costs, use_sum=False)
+        search = Search(request, reach, least, _DEAREST)
+        search.run(int(budget * STEPS))
+        written = request.names.written
+        found: set[tuple[str, Bindings]] = set()
+        for number, theta in enumerate(search.graph.thetas):
+            action = search.graph.action(number).base
+            bindings = tuple(zip(action.variables, map(written, theta)))
+            found.update((head.label, bindings) for head in action.heads)
+        return found
 
     def bindings(
         self, demand: Demand, live: Iterable[TaggedStream] = (), budget: float = BUDGET

@@ -11,7 +11,7 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
 
 from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand, write_missing
@@ -21,8 +21,10 @@ from dyknow.manager.specifications.tags import (
     Bindings,
     Subsumption,
     Term,
+    parse_tag,
     unify_all,
 )
+from dyknow.model.transformation import Transformation
 
 
 class Demand(NamedTuple):
@@ -226,6 +228,44 @@ class Wishes(NamedTuple):
 
 NO_WISHES = Wishes()
 """Everything is as good as everything else."""
+
+
+class Verdicts(NamedTuple):
+    """The verdicts that transformations require, by their tags; those left out are not known.
+
+    Attributes:
+        good: tags of the verdicts that are TRUE.
+        bad: tags of those that are FALSE, or have not been TRUE for long enough since.
+    """
+
+    good: frozenset[Term] = frozenset()
+    bad: frozenset[Term] = frozenset()
+
+    def unmet(
+        self,
+        transformation: Transformation,
+        bindings: Mapping[str, str],
+        canonical: Callable[[str], str],
+    ) -> list[Term]:
+        """Return the tags of the verdicts for which a transformation is not to be used."""
+        tags = required_tags(transformation, bindings, canonical)
+        return [
+            tag
+            for each, tag in zip(transformation.requires, tags)
+            if tag in self.bad or not (each.initially or tag in self.good or not tag.is_ground)
+        ]
+
+
+NO_VERDICTS = Verdicts()
+"""No verdict is known."""
+
+
+def required_tags(
+    transformation: Transformation, bindings: Mapping[str, str], canonical: Callable[[str], str]
+) -> list[Term]:
+    """Return the tags of the verdicts that a transformation requires, with canonical names."""
+    terms = [parse_tag(each.tag).substitute(bindings) for each in transformation.requires]
+    return [Term(canonical(term.functor), tuple(map(canonical, term.args))) for term in terms]
 
 
 Answer = Union[Plan, NoPlan]

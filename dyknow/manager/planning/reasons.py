@@ -24,7 +24,7 @@ from dyknow.manager.specifications.tags import Term, read_tags, types_of
 _MOST_NAMED = 10
 #: Names, labels and the like in one sentence.
 _MOST_LISTED = 3
-_CAUSES = _EXCLUDED, _PAUSED, _TYPE, _RATE, _DATATYPE = range(5)
+_CAUSES = _EXCLUDED, _PAUSED, _VERDICT, _TYPE, _RATE, _DATATYPE = range(6)
 
 
 class _Open(NamedTuple):
@@ -208,6 +208,7 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
             _TYPE: bool(lacking),
             _EXCLUDED: is_excluded,
             _PAUSED: not is_excluded and is_new and label in request.paused,
+            _VERDICT: not head.action.inputs and request.is_barred(head.action, ()),
             _DATATYPE: not head.has_type(pattern.datatype),
             _RATE: pattern.slow is not None and 0 < head.port.rate < request.demand.min_rate,
         }
@@ -269,6 +270,8 @@ def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alik
         return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
     if cause == _PAUSED:
         return f"no new nodelet of {_listed(labels)} is made now"
+    if cause == _VERDICT:
+        return f"a verdict that {_listed(labels)} requires is not TRUE"
     if cause == _RATE:
         fastest = max([head.port.rate for head in heads])
         return f"it is stated at {fastest:g} Hz, below {request.demand.min_rate:g} Hz"

@@ -41,7 +41,14 @@ from dyknow.manager.planning.patterns import (
     pattern_of,
     solutions,
 )
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, TaggedStream
+from dyknow.manager.planning.problem import (
+    NO_FREE,
+    NO_LABELS,
+    NO_VERDICTS,
+    Demand,
+    TaggedStream,
+    Verdicts,
+)
 from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.transformation import OUT, Port
 
@@ -66,9 +73,11 @@ class Request:
         charges: charges of actions besides their costs.
         live: the actions of live streams.
         is_strict: whether private variables count as one where an action has fast inputs or not.
+        is_whole: whether more is looked at than what can be in a cheapest plan.
     """
 
     is_strict = False
+    is_whole = False
 
     def __init__(
         self,
@@ -81,6 +90,7 @@ class Request:
         charges: Mapping[str, int] = NO_CHARGES,
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
         wanted: Sequence[str] = (),
+        verdicts: Verdicts | None = NO_VERDICTS,
     ) -> None:
         """Set it up; the arguments are those of `Planner.plan`.
 
@@ -98,6 +108,9 @@ class Request:
         actions = library.actions
         self.exclude, self.paused = exclude, paused
         self._barred = {actions[each] for each in (*exclude, *paused) if each in actions}
+        self._verdicts = verdicts
+        guarded = [each for each in library.guarded if not each.variables]
+        self._barred.update(each for each in guarded if self.is_barred(each, ()))
         self.kept = {
             actions[label]: {variable: names.canonical(name) for variable, name in bindings}
             for label, bindings in free.items()
@@ -157,6 +170,14 @@ class Request:
             return False
         bound = dict(zip(action.variables, theta))
         return all(bound.get(variable, name) == name for variable, name in kept.items())
+
+    def is_barred(self, action: Operator, theta: Theta) -> bool:
+        """Whether the verdicts that an action requires under bindings forbid its use."""
+        transformation = action.transformation
+        if transformation is None or not action.requires or self._verdicts is None:
+            return False
+        bindings = dict(zip(action.variables, theta))
+        return bool(self._verdicts.unmet(transformation, bindings, self.names.canonical))
 
     def source(self, action: Operator, theta: Theta, pattern: Pattern, names: Theta) -> Head:
         """Return the out-port with which an instance supplies names: of several the soonest."""
@@ -220,7 +241,7 @@ class Request:
 
     def is_met(self, pattern: Pattern, head: Head) -> bool:
         """Whether a fact that supplies a pattern is as good as any supplier."""
-        if self.limit is not None and head.latency:
+        if self.is_whole or (self.limit is not None and head.latency):
             return False
         if not head.cost or pattern is not self.goal:
             return not head.cost

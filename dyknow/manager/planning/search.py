@@ -338,6 +338,8 @@ class Search:
     def _complete(self, use: _Use, theta: Theta, value: int, nodes: tuple[Node, ...]) -> None:
         """Let an action under bindings wait for its turns to supply nodes."""
         subgoal, action, offer = use.subgoal, use.offer.action, use.offer
+        if self._request.is_barred(action, theta):
+            return
         cost = self._request.cost(action, theta)
         needs = tuple([node for _, node in sorted(zip(use.order, nodes))])
         value += cost

@@ -74,10 +74,11 @@ def filling(transformation: Transformation, bindings: Mapping[str, str]) -> tupl
 
 
 def exposed_variables(transformation: Transformation) -> set[str]:
-    """Return the variables that tell nodelets apart: those of out-ports and parameters."""
+    """Return the variables that tell nodelets apart: of out-ports, parameters and verdicts."""
     outs = [port for port in transformation.ports if port.direction == OUT]
-    found = {each for port in outs for term in read_tags(port.tags) for each in term.variables}
-    return found | filling_variables(transformation)
+    terms = [term for port in outs for term in read_tags(port.tags)]
+    terms += read_tags(tuple(each.tag for each in transformation.requires))
+    return {each for term in terms for each in term.variables} | filling_variables(transformation)
 
 
 def completed(

@@ -21,7 +21,7 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.planning.problem import Demand, Live, Plan
+from dyknow.manager.planning.problem import NO_VERDICTS, Demand, Live, Plan, Verdicts
 from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -38,6 +38,7 @@ class Problem(NamedTuple):
     goal: Demand
     ontology: Subsumption
     free: Tuple[str, ...] = ()
+    verdicts: Verdicts = NO_VERDICTS
 
 
 class TooLarge(Exception):
@@ -125,8 +126,21 @@ def instances(problem: Problem) -> Iterator[Instance]:
         variables = variables_of(each)
         for values in itertools.product(names, repeat=len(variables)):
             bindings = dict(zip(variables, values))
-            if is_typed(terms, bindings, problem.ontology):
+            if is_typed(terms, bindings, problem.ontology) and is_usable(each, bindings, problem):
                 yield Instance(each, bindings)
+
+
+def is_usable(
+    transformation: Transformation, bindings: Mapping[str, str], problem: Problem
+) -> bool:
+    """Whether no verdict forbids a transformation under bindings."""
+    canonical, (good, bad) = problem.ontology.canonical, problem.verdicts
+    for requirement in transformation.requires:
+        (term,) = bound([parse_tag(requirement.tag)], bindings)
+        tag = Term(term.functor, tuple(map(canonical, term.args)))
+        if tag in bad or (not requirement.initially and tag not in good):
+            return False
+    return True
 
 
 class Suppliers(NamedTuple):

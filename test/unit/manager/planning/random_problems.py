@@ -9,12 +9,12 @@ import random
 from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 
 import pytest
-from unit.manager.planning.brute_force import Problem
+from unit.manager.planning.brute_force import Problem, individuals
 
 from dyknow.manager.planning import request
-from dyknow.manager.planning.problem import Demand, Live
+from dyknow.manager.planning.problem import Demand, Live, Verdicts
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
-from dyknow.model.transformation import Port, Transformation
+from dyknow.model.transformation import Port, Requirement, Transformation
 
 _MANY = request.MANY
 _FUNCTORS = {"A": 1, "B": 1, "C": 2, "D": 1, "E": 0, "F": 2}
@@ -169,6 +169,30 @@ def random_problem(seed: int) -> Problem:
 def look_up_by_name(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """Look makers up by known names in half of the problems, however few makers there are."""
     monkeypatch.setattr(request, "MANY", 0 if seed // 2 % 2 else _MANY)
+
+
+def with_verdicts(problem: Problem, seed: int) -> Problem:
+    """Let transformations require verdicts, of which some are known."""
+    chance = random.Random(seed)
+    known = sorted(map(problem.ontology.canonical, individuals(problem)))
+
+    def required(each: Transformation) -> Tuple[Requirement, ...]:
+        inputs = [port for port in each.ports if port.direction == "in"]
+        tags = [parse_tag(tag) for port in inputs for tag in port.tags]
+        names = sorted({arg for tag in tags for arg in tag.variables}) + known
+        count = chance.choice([0, 0, 0, 1, 2]) if names else 0
+        return tuple(
+            Requirement(f"V{chance.randrange(2)}({chance.choice(names)})", chance.random() < 0.8)
+            for _ in range(count)
+        )
+
+    tags = [Term(f"V{number}", (name,)) for number in range(2) for name in known]
+    chosen = [chance.choice([0, 1, 1, 2]) for _ in tags]
+    good, bad = (
+        frozenset([tag for tag, each in zip(tags, chosen) if each == value]) for value in (1, 2)
+    )
+    library = tuple([each._replace(requires=required(each)) for each in problem.library])
+    return problem._replace(library=library, verdicts=Verdicts(good, bad))
 
 
 def with_limits(problem: Problem, seed: int) -> Problem:

@@ -20,10 +20,15 @@ from unit.manager.planning.brute_force import (
     least_cost,
     least_latency,
 )
-from unit.manager.planning.random_problems import look_up_by_name, random_problem, with_limits
+from unit.manager.planning.random_problems import (
+    look_up_by_name,
+    random_problem,
+    with_limits,
+    with_verdicts,
+)
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Demand, NoPlan, Plan
+from dyknow.manager.planning.problem import NO_VERDICTS, Answer, Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -36,15 +41,24 @@ def solve(problem: Problem, seed: int = 0) -> Answer:
     random.Random(seed).shuffle(transformations)
     planner = Planner(problem.ontology, clock=lambda: 0.0)
     planner.add(transformations)
-    return planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
+    return planner.plan(
+        problem.goal, problem.live, problem.exclude, budget=1.0, verdicts=problem.verdicts
+    )
 
 
-def judge(seed: int, has_limits: bool, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def judge(
+    seed: int,
+    has_limits: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    has_verdicts: bool = False,
+) -> Counter[str]:
     """Judge a plan and its bound, or a refusal; count what matters in it."""
     look_up_by_name(monkeypatch, seed)
     problem = random_problem(seed)
     if has_limits:
         problem = with_limits(problem, seed)
+    if has_verdicts:
+        problem = with_verdicts(problem, seed)
     goal = problem.goal
     answer = solve(problem)
     assert solve(problem, 1) == answer, seed
@@ -92,6 +106,18 @@ def judge_all(seeds: range, monkeypatch: pytest.MonkeyPatch, has_limits: bool) -
 @pytest.mark.parametrize("has_limits", [False, True])
 def test_a_share_of_random_libraries(monkeypatch: pytest.MonkeyPatch, has_limits: bool) -> None:
     judge_all(range(_SHARE // 3), monkeypatch, has_limits)
+
+
+def test_verdicts_forbid_instances(monkeypatch: pytest.MonkeyPatch) -> None:
+    judged: Counter[str] = Counter()
+    for seed in range(_SHARE):
+        found = judge(seed, False, monkeypatch, has_verdicts=True)
+        problem = with_verdicts(random_problem(seed), seed)
+        free = solve(problem._replace(verdicts=NO_VERDICTS))
+        judged += found
+        judged["forbidden"] += isinstance(free, Plan) and not found["plans"]
+    assert judged["plans"] > _SHARE // 4
+    assert judged["forbidden"] > _SHARE // 50
 
 
 def _rectified(seed: int) -> Problem:
