@@ -30,6 +30,8 @@ Private parameters (default):
   ~spawn_timeout         seconds that a nodelet may take to come up (10)
   ~orphan_timeout        seconds that its nodelet managers go on when it was killed;
                          0: for ever (300)
+  ~recover               seconds for which a verdict has to be TRUE again before the
+                         transformations that require it are used (2)
   ~state_dir             folder of the durable state (dyknow in ROS_HOME)
   ~denied_topics         patterns of topics that no port may be connected to (none)
   ~allowed_topics        patterns of the only topics that ports may be connected to (all)

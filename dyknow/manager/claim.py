@@ -13,6 +13,7 @@ from typing import Callable, Iterable, Mapping, Optional, Tuple
 
 from dyknow.datatypes import same_type
 from dyknow.errors import BadParameter
+from dyknow.formulas import parse
 from dyknow.manager.bodies import read, read_fields
 from dyknow.manager.planning.problem import Demand, Wishes
 from dyknow.manager.specifications.tags import Bindings, parse_tag
@@ -20,10 +21,17 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 #: Seconds that the improvement of one plan may take: meanwhile no other request is served.
 MOST_BUDGET = 60.0
+#: What formulas of requests call the delivered stream.
+STREAM = "it"
 
 
 def check_request(request: StreamRequest) -> None:
-    """Check the parameters of a request, apart from the tag; may raise BadParameter."""
+    """Check the parameters of a request, apart from the tag.
+
+    Raises:
+        BadParameter: a value is out of bounds, or contradicts another one.
+        FormulaError: ``require`` is no formula.
+    """
     infinity = float("inf")
     for name, value, most, expected in (
         ("lease", request.lease, infinity, "seconds from 0 (which means: until released)"),
@@ -39,6 +47,12 @@ def check_request(request: StreamRequest) -> None:
     ):
         if not 0 <= value <= most or value == infinity:
             raise BadParameter(name, value, expected)
+    if request.require:
+        ports = parse(request.require).ports
+        if [*ports] != [STREAM]:
+            raise BadParameter(
+                "require", request.require, f"a formula that reads '{STREAM}' alone"
+            )
     both = sorted(set(request.prefer) & set(request.avoid))
     if both:
         raise BadParameter("avoid", both[0], "a name that is not in prefer as well")
@@ -60,6 +74,7 @@ class Claim:
             nodelets that are kept for it, disconnected.
         sources: topics of ordinary nodes that the stream needs.
         bindings: values of the tag's variables.
+        monitor: nodelet that evaluates the formula of the request; empty for none.
         deadline: when the lease ends, on the reconciler's clock; None for never.
     """
 
@@ -74,6 +89,7 @@ class Claim:
     sources: Tuple[str, ...] = ()
     deadline: Optional[float] = None
     bindings: Bindings = ()
+    monitor: str = ""
 
     @property
     def is_made(self) -> bool:
@@ -112,6 +128,7 @@ class Claim:
             and (not mine.max_age or 0 < theirs.max_age <= mine.max_age)
             and {*self.request.exclude} == {*other.request.exclude}
             and self.wishes == other.wishes
+            and self.request.require == other.request.require
         )
 
     def body(self, now: Moment) -> str:

@@ -136,6 +136,25 @@ class Count:
     age: float | None = None
 
 
+@dataclass(frozen=True)
+class HeardVerdict:
+    """The last verdict on a topic that is TRUE or FALSE.
+
+    Attributes:
+        is_true: whether the formula holds.
+        heard: when the first of the equal verdicts came, in steady time (s).
+        stamp: the time of their first state (s, ROS time).
+        why: the values that decided there.
+        was_false: whether any verdict on the topic was FALSE.
+    """
+
+    is_true: bool
+    heard: float
+    stamp: float
+    why: str = ""
+    was_false: bool = False
+
+
 class Listening(ABC):
     """Counts the messages of one topic until it is closed."""
 
@@ -240,6 +259,13 @@ class Host(ABC):
     @abstractmethod
     def is_stamped(self, datatype: str) -> bool | None:
         """Whether messages of a type bear a time stamp: begin with a header; None if not known."""
+
+    @abstractmethod
+    def verdicts(self, topics: Collection[str]) -> Mapping[str, HeardVerdict]:
+        """Return the verdicts that were heard on some topics, by topic; does not wait.
+
+        They are listened to from now on, until a call leaves them out.
+        """
 
     @abstractmethod
     def listen(self, topic: str) -> Listening:

@@ -53,7 +53,8 @@ class Library:
         self._concepts = ontology
         self.ontology: Subsumption = NO_ONTOLOGY if ontology is None else ontology
         self._limits = limits
-        self._types = types
+        #: Describes message types.
+        self.types = types
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
         self._by_label: dict[str, Transformation] = store.read("transformations", _stored)
@@ -119,7 +120,7 @@ class Library:
                 describes; nothing was added.
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
-        specifications = parse(text, file_name, self._concepts, self._limits, self._types)
+        specifications = parse(text, file_name, self._concepts, self._limits, self.types)
         check(specifications.transformations)
         new = {each.label: each for each in specifications.transformations}
         with self._turn:

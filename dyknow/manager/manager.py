@@ -33,14 +33,21 @@ from dyknow.model.transformation import NODE, Program, Transformation
 
 @dataclass(frozen=True)
 class ManagerOptions:
-    """Where relative names resolve, and seconds that a nodelet may take to come up."""
+    """How the manager behaves.
+
+    Attributes:
+        namespace: where relative names resolve.
+        spawn_timeout: seconds that a nodelet may take to come up.
+        recover: seconds for which a verdict has to be TRUE again before what requires it is used.
+    """
 
     namespace: str = "/"
     spawn_timeout: float = 10.0
+    recover: float = 2.0
 
 
 DEFAULT_OPTIONS = ManagerOptions()
-"""Names begin at the root; a nodelet has 10 s to come up."""
+"""Names begin at the root; a nodelet has 10 s to come up, a verdict 2 s to last."""
 
 
 class _Move(NamedTuple):

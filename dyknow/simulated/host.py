@@ -11,8 +11,10 @@ import itertools
 import time
 from dataclasses import dataclass, field, replace
 from typing import (
+    Any,
     Callable,
     Collection,
+    Dict,
     Iterable,
     Mapping,
     Sequence,
@@ -25,6 +27,7 @@ from dyknow.locks import assert_no_state_lock
 from dyknow.manager.host import (
     Count,
     Crash,
+    HeardVerdict,
     Host,
     HostReport,
     Listening,
@@ -33,7 +36,7 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
-from dyknow.model.transformation import NODE, Program, Transformation
+from dyknow.model.transformation import FORMULA_CLASS, NODE, VERDICT, Program, Transformation
 
 
 @dataclass
@@ -108,7 +111,7 @@ class FakeHost(Host):
             sources: ports of each nodelet type, as (name, direction, datatype).
             clock: steady time, in seconds.
         """
-        self.sources = dict(sources)
+        self.sources = {FORMULA_CLASS: (), **sources}
         self.clock = clock
         #: Types that are C++ nodelets, and whether nodelet managers for these are stock ones.
         self.cpp: set[str] = set()
@@ -136,6 +139,9 @@ class FakeHost(Host):
         self.details: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
+        #: Topics of verdicts that are followed, and what was heard there.
+        self.followed: frozenset[str] = frozenset()
+        self._heard: dict[str, HeardVerdict] = {}
         #: Called before each operation with its name and argument; may raise.
         self.fail: Callable[[str, str], object] = _succeed
         #: Called after each change of nodelets and connections.
@@ -404,7 +410,7 @@ class FakeHost(Host):
         for parameter in request.parameters:
             self.parameters[f"{request.name}/{parameter.name}"] = value_of(parameter)
         nodelet = FakeNodelet(request)
-        for name, direction, datatype in self.sources[request.source]:
+        for name, direction, datatype in self._ports_of(request):
             key = names.resolve(name, names.parent(request.name), request.name)
             topic = request.remappings.get(key, "")
             if process.state.rewirable and topic.startswith(f"{request.name}/disconnected/"):
@@ -413,6 +419,14 @@ class FakeHost(Host):
         process.nodelets[request.name] = nodelet
         self.on_change()
         self._step("loaded", request.name)
+
+    def _ports_of(self, request: LoadRequest) -> Sequence[tuple[str, str, str]]:
+        """List the ports of a nodelet; those of a formula are in its parameters."""
+        if request.source != FORMULA_CLASS:
+            return self.sources[request.source]
+        given: Dict[str, Any] = {each.name: value_of(each) for each in request.parameters}
+        ports = [(name, "in", datatype) for name, datatype in given["datatypes"].items()]
+        return [*ports, (given.get("out", "holds"), "out", VERDICT)]
 
     def unload(self, manager: str, name: str) -> None:
         self._step("unload", name)
@@ -502,6 +516,24 @@ class FakeHost(Host):
 
     def is_stamped(self, datatype: str) -> bool | None:
         return datatype not in self.unstamped
+
+    def verdicts(self, topics: Collection[str]) -> dict[str, HeardVerdict]:
+        self._heard = {topic: self._heard[topic] for topic in topics if topic in self._heard}
+        self.followed = frozenset(topics)
+        return self._heard
+
+    def decide(self, topic: str, is_true: bool, why: str = "") -> None:
+        """Let a verdict come on a topic; it is not heard unless the topic is followed."""
+        if topic not in self.followed:
+            return
+        known = self._heard.get(topic)
+        was_false = not is_true or (known is not None and known.was_false)
+        now = self.clock()
+        if known is None or known.is_true is not is_true:
+            self._heard = {
+                **self._heard,
+                topic: HeardVerdict(is_true, now, now, why, was_false),
+            }
 
     def listen(self, topic: str) -> Listening:
         self._step("listen", topic)

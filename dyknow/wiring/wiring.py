@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 from dyknow import names
 from dyknow.errors import DyKnowError, InvalidName
 from dyknow.guards import NO_GUARDS
-from dyknow.manager.claims.ends import transformation_of_relay
+from dyknow.manager.claims.ends import transformation_made_here
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
 from dyknow.manager.specifications.specification import TRANSFORMATIONS, transformations_of
@@ -67,8 +67,8 @@ def wiring_of(snapshot: Model) -> tuple[Wiring, list[NodeletStatus]]:
     """
     known = {each.label: each for each in snapshot.transformations}
     own = [nodelet for nodelet in snapshot.nodelets if nodelet.transformation]
-    relays = (transformation_of_relay(each) for each in own if each.transformation not in known)
-    known.update({each.label: each for each in relays if each is not None})
+    made = (transformation_made_here(each) for each in own if each.transformation not in known)
+    known.update({each.label: each for each in made if each is not None})
     gone = [
         f"'{each.transformation}' of '{each.name}'"
         for each in own

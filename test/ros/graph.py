@@ -32,6 +32,7 @@ from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
 from processes import NODELET, Ended, TellingCase, becomes, eventually  # noqa: E402
+from sensor_msgs.msg import BatteryState  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
@@ -183,6 +184,32 @@ class Talker:
         self._timer.shutdown()
         self._timer.join()
         self._publisher.unregister()
+
+
+def battery(stamp: float, percentage: float) -> BatteryState:
+    message = BatteryState(percentage=percentage)
+    message.header.stamp = rospy.Time(stamp)
+    return message
+
+
+class Battery:
+    """Publishes the battery's state 50 times a second, until it is closed."""
+
+    def __init__(self, percentage: float) -> None:
+        self.percentage = percentage
+        self._publisher = rospy.Publisher("/battery", BatteryState, queue_size=10)
+        self._timer = rospy.Timer(rospy.Duration(0.02), self._publish)
+
+    def __enter__(self) -> Battery:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self._timer.shutdown()
+        self._timer.join()
+        self._publisher.unregister()
+
+    def _publish(self, event: Any) -> None:
+        self._publisher.publish(battery(rospy.get_time(), self.percentage))
 
 
 class WordsCase(TellingCase):

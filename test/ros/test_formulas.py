@@ -17,7 +17,7 @@ import rosbag
 import rospy
 import rostest
 from dyknow_msgs.msg import Verdict
-from graph import Heard, NodeletManagerCase
+from graph import Battery, Heard, NodeletManagerCase, battery
 from processes import DYKNOW, TellingCase, eventually, finished
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool
@@ -25,35 +25,9 @@ from std_msgs.msg import Bool
 FORMULA = "historically[0 s, 1 s] battery.percentage > 0.2"
 
 
-def battery(stamp: float, percentage: float) -> BatteryState:
-    message = BatteryState(percentage=percentage)
-    message.header.stamp = rospy.Time(stamp)
-    return message
-
-
 def drained(begin: float) -> List[BatteryState]:
     """Ten seconds of a battery that is low twice."""
     return [battery(begin + each / 20, 0.2 + math.sin(each / 20)) for each in range(200)]
-
-
-class Battery:
-    """Publishes the battery's state 50 times a second, until it is closed."""
-
-    def __init__(self, percentage: float) -> None:
-        self.percentage = percentage
-        self._publisher = rospy.Publisher("/battery", BatteryState, queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(0.02), self._publish)
-
-    def __enter__(self) -> Battery:
-        return self
-
-    def __exit__(self, *unused: object) -> None:
-        self._timer.shutdown()
-        self._timer.join()
-        self._publisher.unregister()
-
-    def _publish(self, event: Any) -> None:
-        self._publisher.publish(battery(rospy.get_time(), self.percentage))
 
 
 class NodeletTest(NodeletManagerCase):

@@ -19,10 +19,10 @@ from typing import AbstractSet, Any, Iterable, Iterator, Mapping, NamedTuple
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
-from dyknow.manager.claim import Claim
+from dyknow.manager.claim import STREAM, Claim
 from dyknow.manager.claims.claim_planner import STAMPED
 from dyknow.manager.claims.connector import ClaimContext, Transaction
-from dyknow.manager.claims.ends import relay
+from dyknow.manager.claims.ends import VERDICTS, monitor, relay
 from dyknow.manager.host import Count
 from dyknow.manager.planning.problem import Instance, Live, New, Plan, PlanStep, Source
 from dyknow.manager.record import Record, ports_on
@@ -66,8 +66,8 @@ class Acquired:
     @property
     def changes(self) -> dict[str, Any]:
         """The fields of the claim that say how its stream is made."""
-        names_ = ("topic", "datatype", "goal", "wiring", "sources", "bindings", "state", "detail")
-        return {name: getattr(self.claim, name) for name in names_}
+        names_ = ("topic", "datatype", "goal", "wiring", "sources", "bindings", "monitor")
+        return {name: getattr(self.claim, name) for name in (*names_, "state", "detail")}
 
 
 class _Supply(NamedTuple):
@@ -144,6 +144,8 @@ class Assembly(Transaction):
                 self._take(step)
             goal = self._supply(self._plan.goal)
             claim = self._publish(goal)
+            if claim.request.require:
+                claim = replace(claim, monitor=self._spawn_monitor(claim, goal))
         except BaseException:
             self.undo()
             raise
@@ -157,6 +159,8 @@ class Assembly(Transaction):
             wiring[name][claim.goal[1]] = claim.topic
         if not name or goal.topic in self._ordinary:
             sources.add(goal.topic)
+        if claim.monitor:
+            wiring[claim.monitor] = dict(self.world.get(claim.monitor).topics)
         claim = replace(
             claim,
             wiring=wiring,
@@ -251,6 +255,13 @@ class Assembly(Transaction):
         self._separate(goal, name, topic)
         self.connect(name, {"in": self._supply(goal.source).topic, **out})
         return name
+
+    def _spawn_monitor(self, claim: Claim, goal: _Supply) -> str:
+        """Let a new nodelet evaluate the formula of the request: it knows no earlier stream."""
+        delivered = goal._replace(topic=claim.topic, datatype=claim.datatype)
+        made = monitor(claim.topic, claim.datatype)
+        formula = Parameter("formula", "string", claim.request.require)
+        return self._spawn(made, {STREAM: delivered}, (VERDICTS,), (formula,))
 
     def _separate(self, goal: _Supply, publisher: str, topic: str) -> None:
         """Disconnect the replaced publisher before the goal comes if it is of another individual.

@@ -14,9 +14,10 @@ from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTupl
 
 from dyknow.datatypes import ANY
 from dyknow.errors import HostError, StreamTypeMismatch
-from dyknow.manager.claim import Claim, demand_of
+from dyknow.formulas import parse
+from dyknow.manager.claim import STREAM, Claim, demand_of
 from dyknow.manager.claims.connector import ClaimContext
-from dyknow.manager.claims.ends import RELAY_COST, is_relay
+from dyknow.manager.claims.ends import RELAY_COST, is_monitor, is_relay
 from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
@@ -27,16 +28,19 @@ from dyknow.manager.planning.problem import (
     Instance,
     Live,
     NoPlan,
+    Obstacle,
     Plan,
     TaggedStream,
+    Verdicts,
     Wishes,
+    required_tags,
     ways_to_meet,
 )
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.graph import State
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import VERDICT, Transformation
 
 #: The demand for a header, beside or instead of a ROS type, for error messages.
 STAMPED = "a type that begins with a header (for max_age)"
@@ -76,6 +80,7 @@ class Situation(NamedTuple):
         upstream: labels upstream of each nodelet of the streams, where there are wishes.
         budget: seconds that the improvement of the plan may take.
         known: transformations by label.
+        verdicts: those that transformations require; None to disregard them.
     """
 
     demand: Demand
@@ -90,6 +95,7 @@ class Situation(NamedTuple):
     upstream: Mapping[str, frozenset[str]]
     budget: float
     known: Mapping[str, Transformation]
+    verdicts: Verdicts | None
 
     def tags(self, live: Live) -> frozenset[Term] | None:
         """Return the tags of a stream; None if it is not there."""
@@ -120,6 +126,7 @@ class ClaimPlanner:
         self._planned_with: Mapping[str, Transformation] = {}
         self._transformations: dict[str, Transformation] = {}
         self._transformations_at: tuple[int, frozenset[str]] = (-1, NO_LABELS)
+        self._requires = False
         self._looked = float("-inf")
         #: Topics of ordinary nodes that had a publisher at the last look.
         self.published: frozenset[str] = frozenset()
@@ -154,7 +161,8 @@ class ClaimPlanner:
         records = self._world().records.values()
         by_hand = (each for each in records if not each.claimed and each.state is State.RUNNING)
         names = frozenset(each.name for each in by_hand)
-        return self._manager.library.revision, self.published, names
+        verdicts = self._monitor.requirements.verdicts
+        return self._manager.library.revision, self.published, names, verdicts
 
     def common_topic(self, claim: Claim) -> str:
         """Return where another client listens whose stream will do for a claim; empty for none."""
@@ -181,11 +189,66 @@ class ClaimPlanner:
         answer = self._solved(situation)
         if isinstance(answer, NoPlan) and lenient and situation.paused:
             answer = self._solved(situation._replace(paused=NO_LABELS))
+        if isinstance(answer, NoPlan):
+            answer = self._unavailable(situation) or answer
         if isinstance(answer, Plan) and self._unstamped_type(claim, answer):
             stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
             if isinstance(stamped.answer, Plan):
                 return stamped
         return Proposal(situation, answer, moment)
+
+    def _unavailable(self, situation: Situation) -> NoPlan | None:
+        """Say which verdicts forbid every plan, if there is one without them."""
+        free = situation._replace(paused=NO_LABELS, verdicts=None)
+        plan = self._solved(free) if self._requires else None
+        if not isinstance(plan, Plan):
+            return None
+        why_not = self._monitor.requirements.why_not
+        steps = {step.instance: situation.known.get(step.action.label) for step in plan.steps}
+        found = {
+            f"{label} is not available: {why}": None
+            for (label, bindings), known in steps.items()
+            for why in [known and why_not(known, dict(bindings))]
+            if why
+        }
+        causes = Obstacle(situation.demand, tuple(found))
+        return NoPlan(situation.demand, (), False, obstacles=(causes,)) if found else None
+
+    def required(self, claims: Iterable[Claim]) -> frozenset[Term]:
+        """Return the tags of the verdicts that claims may depend on, and the verdicts in turn."""
+        known = self.transformations()
+        if not self._requires:
+            return frozenset()
+        found: set[Term] = set()
+        waiting = [(claim.demand, frozenset(claim.request.exclude)) for claim in claims]
+        streams = [
+            each for each in self._streams(NO_LABELS, frozenset()) if not self._is_claimed(each[0])
+        ]
+        with self._planning(known) as (planner, _):
+            for demand, exclude in waiting:  # grows meanwhile
+                tags = {
+                    tag
+                    for label, bindings in planner.parts(demand, streams, exclude)
+                    if label in known
+                    for tag in required_tags(known[label], dict(bindings), str)
+                    if tag.is_ground and tag not in found
+                }
+                found |= tags
+                waiting += [(Demand(frozenset([tag]), VERDICT), NO_LABELS) for tag in tags]
+        return frozenset(found)
+
+    def replaceable(self, claim: Claim) -> dict[str, str]:
+        """Return the parts of a claim's stream that come from the library, with their labels."""
+        world, library = self._world(), self._manager.library
+        found = {
+            name: world.records[name].label for name in claim.nodelets if name in world.records
+        }
+        found.update((e.source, e.label) for e in world.descriptions if e.source in claim.sources)
+        return {part: label for part, label in found.items() if label in library}
+
+    def _is_claimed(self, stream: Live) -> bool:
+        record = self._world().records.get(stream.nodelet)
+        return record is not None and record.claimed
 
     def _moment(self) -> Hashable:
         return self.signature(), self._table.living
@@ -206,11 +269,20 @@ class ClaimPlanner:
             and all(before.tags(live) == now.tags(live) for live in proposal.answer.live)
         )
 
-    def check_stamped(self, claim: Claim, plan: Plan) -> None:
-        """Raise StreamTypeMismatch if a claim needs stamps and a plan is known to make none."""
+    def check_goal(self, claim: Claim, plan: Plan) -> None:
+        """Compare the type of a plan's stream, as far as it is known, with a claim's limits.
+
+        Raises:
+            StreamTypeMismatch: it lacks the stamp that the claim needs.
+            FormulaError: it lacks fields that the formula of the claim reads.
+        """
         found = self._unstamped_type(claim, plan)
         if found:
             raise StreamTypeMismatch(claim.request.tag, STAMPED, found, plan.goal.label)
+        lookup = self._manager.library.types
+        stream = lookup(self._type_of_goal(plan)) if claim.request.require else None
+        if stream is not None:
+            parse(claim.request.require).check({STREAM: stream}, lookup)
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
@@ -273,6 +345,7 @@ class ClaimPlanner:
             self._upstream(claim, streams),
             max(each.request.budget for each in claims) or BUDGET,
             self.transformations(),
+            self._monitor.requirements.verdicts,
         )
 
     def transformations(self) -> Mapping[str, Transformation]:
@@ -286,6 +359,7 @@ class ClaimPlanner:
             self._transformations = {
                 each.label: each for each in library.all() if not each.node or each.label in nodes
             }
+            self._requires = any(each.requires for each in self._transformations.values())
         return self._transformations
 
     def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> list[OwnNodelet]:
@@ -409,6 +483,7 @@ class ClaimPlanner:
                     situation.budget if is_aside else min(situation.budget, BUDGET),
                     situation.wishes,
                     situation.upstream,
+                    situation.verdicts,
                 )
                 divided = self._divided(answer, situation)
                 if not divided:
@@ -484,16 +559,17 @@ class ClaimPlanner:
 
     def _unstamped_type(self, claim: Claim, plan: Plan) -> str:
         """The type of a plan's stream if it is known to lack the stamp that a claim needs."""
-        goal = plan.goal
-        datatype = ""
-        if claim.request.max_age and isinstance(goal, Live):
-            datatype = goal.datatype
-        elif claim.request.max_age:
-            found = self.transformations().get(goal.label)  # None if the library has changed
-            ports = found.ports if found is not None else ()
-            datatype = next((port.datatype for port in ports if port.name == goal.port), "")
+        datatype = self._type_of_goal(plan) if claim.request.max_age else ""
         lacks = datatype not in ANY and self._manager.host.is_stamped(datatype) is False
         return datatype if lacks else ""
+
+    def _type_of_goal(self, plan: Plan) -> str:
+        goal = plan.goal
+        if isinstance(goal, Live):
+            return goal.datatype
+        found = self.transformations().get(goal.label)  # None if the library has changed
+        ports = found.ports if found is not None else ()
+        return next((port.datatype for port in ports if port.name == goal.port), "")
 
 
 def _is_connectable(record: Record, transformations: Mapping[str, Transformation]) -> bool:
@@ -542,4 +618,5 @@ def _agree(some: Bindings, all_: Bindings, ontology: Subsumption) -> bool:
 
 def is_current(library: Library, record: Record) -> bool:
     """Whether the library still has a nodelet's transformation, perhaps in a newer version."""
-    return is_relay(record.transformation) or record.label in library
+    made = record.transformation
+    return is_relay(made) or is_monitor(made) or record.label in library

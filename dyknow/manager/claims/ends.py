@@ -14,20 +14,33 @@ of the nodelet. In-ports that contradict each other leave no way.
 from __future__ import annotations
 
 import itertools
+import json
 from typing import Collection, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.datatypes import ANY
 from dyknow.errors import SpawnFailed
+from dyknow.manager.claim import STREAM
 from dyknow.manager.planning.problem import Demand, ways_to_meet
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_BINDINGS, Subsumption, Term, read_tags
 from dyknow.model.graph import NodeletStatus
-from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.model.transformation import (
+    FORMULA_CLASS,
+    IN,
+    OUT,
+    VERDICT,
+    Parameter,
+    Port,
+    Transformation,
+)
 
 #: The cost of a relay: the default cost of transformations.
 RELAY_COST = 1
-#: Labels of relays begin with this.
+#: Labels of relays, and of monitors of streams, begin so.
 _PREFIX = "relay of "
+_MONITOR = "monitor of "
+#: Out-port of a monitor.
+VERDICTS = "holds"
 #: Ways that are followed; beyond, less is supplied than could be.
 _MOST_WAYS = 64
 
@@ -55,8 +68,27 @@ def is_relay(transformation: Transformation | None) -> bool:
     )
 
 
-def transformation_of_relay(nodelet: NodeletStatus) -> Transformation | None:
-    """Return the transformation of a relay, which no library has; None for any other nodelet."""
+def monitor(topic: str, datatype: str) -> Transformation:
+    """Describe the nodelet that evaluates a formula, which it is given, about a topic."""
+    if datatype in ANY:
+        raise SpawnFailed(_MONITOR + topic, "the type of its messages is not known")
+    parameters = (Parameter("datatypes", "yaml", json.dumps({STREAM: datatype})),)
+    ports = (Port(STREAM, IN, datatype), Port(VERDICTS, OUT, VERDICT))
+    return Transformation(
+        _MONITOR + topic, FORMULA_CLASS, cost=0, parameters=parameters, ports=ports
+    )
+
+
+def is_monitor(transformation: Transformation | None) -> bool:
+    """Whether a transformation is that of a monitor, which no library has."""
+    return transformation is not None and transformation.label.startswith(_MONITOR + "/")
+
+
+def transformation_made_here(nodelet: NodeletStatus) -> Transformation | None:
+    """Return the transformation of a relay or monitor, which no library has; else None."""
+    stream = nodelet.port(STREAM)
+    if nodelet.transformation.startswith(_MONITOR + "/") and stream is not None:
+        return monitor(nodelet.transformation[len(_MONITOR) :], stream.datatype)
     out = nodelet.port("out")
     if not nodelet.transformation.startswith(_PREFIX + "/") or out is None or out.datatype in ANY:
         return None

@@ -30,11 +30,12 @@ from dyknow.manager.claims.limits import (
     Stream,
     name_of,
 )
+from dyknow.manager.claims.requirements import Requirements
+from dyknow.manager.claims.world import World
 from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
-from dyknow.model.transformation import Transformation
 
 #: Seconds between two counts while a first message is awaited.
 _FIRST_MESSAGE_PERIOD = 0.25
@@ -74,16 +75,18 @@ class StreamMonitor:
         self,
         context: ManagerContext,
         table: ClaimTable,
-        topics: Callable[[], Iterable[Transformation]],
+        world: Callable[[], World],
         running: Callable[[], float],
+        recover: float,
     ) -> None:
-        """``topics`` returns the descriptions of ordinary topics, ``running`` as for the table."""
+        """Watch nothing yet; ``running`` is that of the table, ``recover`` of requirements."""
         clock = context.clock.now
         self._graph = context.graph
         self._table = table
-        self._topics = topics
+        self._world = world
         self._clock = clock
         self._meter = FlowMeter(context.host, context.graph, clock, running)
+        self.requirements = Requirements(context, table, world, recover)
         #: Every limit that a claim may set.
         self._limits: tuple[Limit, ...] = (Silence(), Rate(), Age(self._stated_latency))
         #: The table of judgements: parts by name, by the claim that they are of no use to.
@@ -91,6 +94,10 @@ class StreamMonitor:
         self._streams: dict[str, Stream] = {}
         self._failures = Backoff(clock, _FIRST_PAUSE_OF_ALL)
         self._failures_for_claims = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER)
+        #: Transformations that are left out of streams of which the formula was FALSE, and the
+        #: parts that were made of them, by claim.
+        self._violations = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER, 0)
+        self._blamed: dict[str, dict[str, str]] = {}
 
     # The parts that can be relied on
 
@@ -101,8 +108,11 @@ class StreamMonitor:
 
     def unfit(self, claims: Iterable[Claim] = ()) -> frozenset[str]:
         """Nodelets and topics that no claim, or none of these claims, can rely on."""
+        claims = list(claims)
         tables = [_ALL, *[claim.claim_id for claim in claims]]
-        return self._meter.unresponsive.union(*[self._shortfalls.get(each, ()) for each in tables])
+        found = self._meter.unresponsive.union(self.requirements.unavailable)
+        found = found.union(*[self._shortfalls.get(each, ()) for each in tables])
+        return found.union(*map(self.blamed, claims))
 
     def faults(self, claim: Claim) -> list[str]:
         """Say which parts of a claim's stream cannot be relied on."""
@@ -114,21 +124,27 @@ class StreamMonitor:
             if name in self._shortfalls.get(key, ())
         ]
         hanging = self._meter.unresponsive.intersection(claim.nodelets)
-        return found + [f"nodelet {name} does not answer" for name in sorted(hanging)]
+        found += [f"nodelet {name} does not answer" for name in sorted(hanging)]
+        unavailable = self.requirements.unavailable
+        found += [unavailable[name] for name in parts if name in unavailable]
+        violation = self.violation(claim)
+        return [*found, violation] if violation else found
 
     @property
     def signature(self) -> Hashable:
         """A value that differs when a plan may have become possible."""
         shortfalls = frozenset((key, *sorted(each)) for key, each in self._shortfalls.items())
-        paused = self._failures.paused, self._failures_for_claims.paused
-        return shortfalls, self._meter.unresponsive, paused
+        backoffs = (self._failures, self._failures_for_claims, self._violations)
+        paused = tuple([each.paused for each in backoffs])
+        return shortfalls, self._meter.unresponsive, paused, self.requirements.verdicts
 
     # Transformations that failed lately: nothing is made of them for a while
 
     def paused(self, claims: Iterable[Claim]) -> frozenset[str]:
         """Labels of which no nodelet is to be made for these claims now."""
         ids = {claim.claim_id for claim in claims}
-        found = [key.split(" ", 1) for key in self._failures_for_claims.paused]
+        keys = self._failures_for_claims.paused | self._violations.paused
+        found = [key.split(" ", 1) for key in keys]
         return self._failures.paused.union(label for claim_id, label in found if claim_id in ids)
 
     def failed(self, label: str) -> None:
@@ -148,7 +164,8 @@ class StreamMonitor:
     # Judging
 
     def read(self) -> None:
-        """Count messages, and judge the streams by them."""
+        """Count messages, hear verdicts, and judge the streams by them."""
+        self.requirements.read()
         limited = [
             (limit, self._stream(claim))
             for claim in self._table.living
@@ -229,6 +246,28 @@ class StreamMonitor:
             shortfall.good_since = now
         return now - shortfall.good_since >= limit.probation * limit.watch(needed).window
 
+    # Formulas of requests
+
+    def violation(self, claim: Claim) -> str:
+        """Say that the formula of a claim's request is FALSE of its stream; empty if it is not."""
+        return self.requirements.violation(claim, self._stream(claim).changed)
+
+    def blamed(self, claim: Claim) -> set[str]:
+        """Parts that are left out of a claim's stream for a while, since its formula was FALSE."""
+        found = self._blamed.get(claim.claim_id)
+        if not found:
+            return set()
+        paused = self._violations.paused
+        return {part for part, key in found.items() if key in paused}
+
+    def blame(self, claim: Claim, part: str, label: str) -> None:
+        """Leave a part out of a claim's stream, and its transformation, for a while."""
+        key = f"{claim.claim_id} {label}"
+        _log.warning("claim %s: it goes on without %s", claim.claim_id, part)
+        self._violations.served(key, self._clock() - self._stream(claim).changed)
+        self._violations.failed(key)
+        self._blamed.setdefault(claim.claim_id, {})[part] = key
+
     def _stated_latency(self, place: Place) -> float:
         """Seconds that a place states to add to the age of messages; 0 if it states none."""
         name, port = place
@@ -236,7 +275,7 @@ class StreamMonitor:
         if name:
             found = [] if record is None else [record.transformation]
         else:
-            found = [each for each in self._topics() if each.source == port]
+            found = [each for each in self._world().descriptions if each.source == port]
         ports = [each for one in found if one is not None for each in one.ports]
         return max((each.latency for each in ports if not name or each.name == port), default=0.0)
 
@@ -263,6 +302,7 @@ class StreamMonitor:
         """Change the claims whose first message has come, or whose messages' age is unknown."""
         living = {claim.claim_id for claim in self._table.living}
         self._streams = {key: each for key, each in self._streams.items() if key in living}
+        self._blamed = {key: each for key, each in self._blamed.items() if key in living}
         for claim in self._table.living:
             stream = self._stream(claim)
             flow = self._meter.flows.get(stream.goal)

@@ -82,6 +82,8 @@ class Stream:
         self.topics = {("", topic): topic for topic in claim.sources}
         for name in claim.nodelets:
             record = graph.find(name)
+            if name == claim.monitor:
+                continue  # it judges the stream, and is no part of it
             if record is not None and record.transformation and record.state is State.RUNNING:
                 ports = record.transformation.ports
                 outs = {port.name for port in ports if port.direction == OUT}

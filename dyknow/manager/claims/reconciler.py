@@ -18,7 +18,7 @@ import logging
 import time
 import uuid
 from dataclasses import replace
-from typing import Callable
+from typing import Callable, Hashable
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.guards import NO_GUARDS, Guards
@@ -31,6 +31,7 @@ from dyknow.manager.claims.connector import ClaimContext, Connector
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.repair import Repair
+from dyknow.manager.claims.requirements import is_own
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
@@ -59,6 +60,7 @@ class StreamReconciler:
         #: Makes and destroys nodelets.
         self.manager = context.manager
         self._ended = self._had_work = False
+        self._required_at: Hashable = None
         self._context = context
         self._table = context.table
         self._lock = context.lock
@@ -116,7 +118,7 @@ class StreamReconciler:
                     self._table.add(pending, "requested")
                     missing = answer
                     break
-                self._planner.check_stamped(claim, answer)
+                self._planner.check_goal(claim, answer)
                 made = self._repair.make(claim, answer, lenient=True)
                 return replace(made, claim=self._table.add(made.claim, "requested"))
         raise self._refusal(claim, missing)
@@ -210,7 +212,7 @@ class StreamReconciler:
         plan = proposal.answer
         if isinstance(plan, NoPlan):
             raise self._refusal(claim, plan)
-        self._planner.check_stamped(claim, plan)
+        self._planner.check_goal(claim, plan)
         with self._lock.reading():
             own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
@@ -251,6 +253,7 @@ class StreamReconciler:
                 return
             self._table.expire_late()
             self._planner.look()
+            self._hold_requirements()
             self._context.connector.ask()
             self._context.connector.remember()
             self._collector.disconnect()
@@ -268,6 +271,15 @@ class StreamReconciler:
             self._collector.collect()
             self._cheaper_plans.report()
             self._monitor.report()
+
+    def _hold_requirements(self) -> None:
+        """Hold claims on the verdicts that the streams of clients may depend on."""
+        claims = [claim for claim in self._table.living if not is_own(claim)]
+        wanted = {(claim.demand, claim.request.exclude) for claim in claims}
+        at = (self._planner.signature(), frozenset(wanted))
+        if at != self._required_at:
+            self._required_at = at
+            self._monitor.requirements.hold(self._planner.required(claims))
 
     def end(self) -> None:
         """End every claim, since the manager is stopped on purpose; nothing is repaired later."""
@@ -327,7 +339,7 @@ def open_reconciler(
     )
     table = ClaimTable(store, now, running, on_event)
     connector = Connector(parts, table)
-    monitor = StreamMonitor(parts, table, lambda: connector.world().descriptions, running)
+    monitor = StreamMonitor(parts, table, lambda: connector.world(), running, options.recover)
     lock, manager = ClaimLock(), Manager(parts)
     return StreamReconciler(ClaimContext(manager, table, lock, connector, monitor, now, sleep))
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, Hashable, Iterable, Sequence
 
 from dyknow.backoff import Backoff
@@ -15,7 +16,7 @@ from dyknow.manager.claims.assembly import Acquired, Assembly
 from dyknow.manager.claims.claim_planner import ClaimPlanner, OwnNodelet, is_current
 from dyknow.manager.claims.connector import ClaimContext, timed_out
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.planning.problem import NoPlan, Plan, ways_to_meet
+from dyknow.manager.planning.problem import Answer, NoPlan, Obstacle, Plan, ways_to_meet
 from dyknow.manager.specifications.tags import Bindings, written_bindings
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -167,12 +168,31 @@ class Repair:
         situation = (self._planner.signature(), fault.what)
         if self._unplannable.get(claim_id) == situation:
             return
-        answer = self._planner.propose(claim).answer
+        answer = self._proposed(claim)
         if isinstance(answer, NoPlan):
             self._unplannable[claim_id] = situation
             self._give_up(claim, fault, answer)
         elif self._failures.allows(claim_id):
             self._mend(claim, fault, answer)
+
+    def _proposed(self, claim: Claim) -> Answer:
+        """Plan a stream again: without one of its parts if its formula is FALSE."""
+        is_violated = bool(self._monitor.violation(claim))
+        parts = {*claim.nodelets, *claim.sources}
+        if not is_violated or not parts.isdisjoint(self._monitor.unfit([claim])):
+            return self._planner.propose(claim).answer
+        found: list[tuple[int, str, str, Plan]] = []
+        for part, label in sorted(self._planner.replaceable(claim).items()):
+            answer = self._planner.propose(claim, False, frozenset([label]), {part}).answer
+            if isinstance(answer, Plan):
+                found.append((answer.cost, part, label, answer))
+        if not found:
+            demand = claim.demand
+            nothing = Obstacle(demand, ("no part of it can be replaced",))
+            return NoPlan(demand, (), False, obstacles=(nothing,))
+        _, part, label, plan = min(found, key=itemgetter(0, 1))
+        self._monitor.blame(claim, part, label)
+        return plan
 
     def _mend(self, claim: Claim, fault: Fault, plan: Plan) -> None:
         claim_id = claim.claim_id
@@ -234,7 +254,7 @@ class Repair:
             if self._collector.take_apart(claim):
                 own = {each.name for each in self._planner.own(claim)}
                 wiring: dict[str, dict[str, str]] = {name: {} for name in own & set(claim.wiring)}
-                changes.update(wiring=wiring, goal=("", ""), sources=(), bindings=())
+                changes.update(wiring=wiring, goal=("", ""), sources=(), bindings=(), monitor="")
             else:
                 still = "but a part of it cannot be disconnected yet"
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")

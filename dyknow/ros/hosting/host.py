@@ -27,7 +27,15 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from dyknow import names
 from dyknow.errors import HostError, NameTaken, PeerTimeout, Refused
 from dyknow.locks import turn_lock
-from dyknow.manager.host import Count, Host, HostReport, Listening, LoadRequest, ProcessState
+from dyknow.manager.host import (
+    Count,
+    HeardVerdict,
+    Host,
+    HostReport,
+    Listening,
+    LoadRequest,
+    ProcessState,
+)
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
@@ -38,6 +46,7 @@ from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
 from dyknow.ros.hosting.peer import LoadFailure, Peer, host_errors
+from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
@@ -66,10 +75,12 @@ class RosHost(Host):
         children: Children,
         registrar: Registrar,
         external: Sequence[str] = (),
+        on_verdict: Callable[[], object] = lambda: None,
     ) -> None:
         """Prepare; ``start`` looks for the ``external`` nodelet managers.
 
-        ``registrar`` registers the topics of this process.
+        ``registrar`` registers the topics of this process; ``on_verdict`` is called when a verdict
+        that is listened to differs.
         """
         self._context = context
         self._master = context.master
@@ -85,6 +96,7 @@ class RosHost(Host):
         #: Older guards or producers must not replace newer ones.
         self._grants_turn = turn_lock("grants to processes")
         self._counter = MessageCounter(registrar)
+        self._verdicts = VerdictTopics(on_verdict)
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
 
     def note_detail(self, manager: str, nodelet: str, detail: str) -> None:
@@ -264,12 +276,16 @@ class RosHost(Host):
     def is_stamped(self, datatype: str) -> bool | None:
         return ages.is_stamped(datatype)
 
+    def verdicts(self, topics: Collection[str]) -> dict[str, HeardVerdict]:
+        return self._verdicts.follow(topics)
+
     def listen(self, topic: str) -> Listening:
         return self._counter.listen(topic)
 
     def close(self) -> None:
         """Close all connections; our children go on."""
         self._counter.close()
+        self._verdicts.close()
         for peer in self._peers():
             peer.close()
         self._external.close()

@@ -114,7 +114,13 @@ class ManagerNode(Closable):
         self._children = Children(
             context, launcher, names.parent(node), settings.state_path("children.json")
         )
-        self._host = RosHost(context, self._children, Registrar(), settings.nodelet_managers)
+        self._host = RosHost(
+            context,
+            self._children,
+            Registrar(),
+            settings.nodelet_managers,
+            lambda: loop.wake(_RECONCILE),
+        )
         ontology = _ontology(settings)
         for warning in ontology.warnings if ontology is not None else ():
             rospy.logwarn("%s", warning)
@@ -123,7 +129,7 @@ class ManagerNode(Closable):
             self._store,
             Library(self._store, ontology, settings.limits, message_type),
             settings.guards,
-            ManagerOptions(names.parent(node), settings.spawn_timeout),
+            ManagerOptions(names.parent(node), settings.spawn_timeout, settings.recover),
             loop.once,
             running=running,
             on_change=self._on_change,

@@ -32,6 +32,7 @@ PARAMETERS = (
     "transformations",
     "spawn_timeout",
     "orphan_timeout",
+    "recover",
     "denied_topics",
     "allowed_topics",
     "allowed_programs",
@@ -55,6 +56,7 @@ class ManagerSettings:
         transformations: files of specifications to add at the start.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
+        recover: seconds for which a verdict has to be TRUE again before what requires it is used.
         guards: restrictions.
         limits: sizes of specifications.
     """
@@ -68,6 +70,7 @@ class ManagerSettings:
     transformations: tuple[str, ...] = ()
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
+    recover: float = 2.0
     guards: Guards = NO_GUARDS
     limits: SpecificationLimits = DEFAULT_LIMITS
 
@@ -89,6 +92,7 @@ class ManagerSettings:
             transformations=_strings("transformations"),
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
+            recover=_seconds("recover", cls.recover, least=0.0),
             guards=Guards(
                 denied_topics=_topic_patterns("denied_topics"),
                 allowed_topics=tuple(filter(None, [_topic_patterns("allowed_topics")])),

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Verdicts that decide which parts are used, and whether a stream is good enough.
+
+A transformation may *require* verdicts, by their tags. While one is FALSE it is not available: no
+plan uses it, and its nodelets count as lost. It is available again when the verdict has been TRUE
+for some time, so nothing flaps. The verdicts come from claims of the manager's own: on those that
+transformations require which could have a part in the stream of a claim, and on no others.
+
+A request may require a formula about its own stream, which a nodelet evaluates on the client's
+topic.
+"""
+
+from __future__ import annotations
+
+import uuid
+from typing import Callable, Iterable, Mapping
+
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.ends import VERDICTS
+from dyknow.manager.claims.world import World
+from dyknow.manager.host import HeardVerdict
+from dyknow.manager.lifecycle import ManagerContext
+from dyknow.manager.planning.problem import NO_VERDICTS, Verdicts, required_tags
+from dyknow.manager.record import Record
+from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import VERDICT, Transformation
+
+#: Client of the claims on verdicts.
+CLIENT = "dyknow_manager"
+
+
+def is_own(claim: Claim) -> bool:
+    """Whether a claim is the manager's own, on verdicts that transformations require."""
+    request = claim.request
+    return request.client_id == CLIENT and request.request_id == f"requires {request.tag}"
+
+
+class Requirements:
+    """The verdicts that were heard, and what follows from them; read once a round."""
+
+    def __init__(
+        self,
+        context: ManagerContext,
+        table: ClaimTable,
+        world: Callable[[], World],
+        recover: float,
+    ) -> None:
+        """``recover`` are the seconds for which a verdict has to be TRUE after it was FALSE."""
+        self._host = context.host
+        self._library = context.library
+        self._graph = context.graph
+        self._clock = context.clock.now
+        self._table = table
+        self._world = world
+        self._recover = recover
+        self._followed: set[str] = set()
+        self._heard: Mapping[str, HeardVerdict] = {}
+        self._tags: dict[Term, HeardVerdict] = {}
+        #: The verdicts of the last round.
+        self.verdicts = NO_VERDICTS
+        #: Why nodelets and topics are not available, by their names.
+        self.unavailable: Mapping[str, str] = {}
+
+    # The manager's own claims
+
+    def hold(self, wanted: Iterable[Term]) -> None:
+        """Hold claims on these verdicts, and on no others."""
+        tags = {str(tag) for tag in wanted}
+        held = {each.request.tag: each for each in self._table.living if is_own(each)}
+        for tag in sorted(tags - held.keys()):
+            request = StreamRequest(tag, VERDICT, CLIENT, f"requires {tag}")
+            self._table.add(Claim(uuid.uuid4().hex[:12], request), "transformations require it")
+        for tag in sorted(held.keys() - tags):
+            reason = "no transformation that a claim could use requires it any more"
+            self._table.end(held[tag].claim_id, ClaimState.RELEASED, reason)
+
+    # Verdicts
+
+    def read(self) -> None:
+        """Ask for the verdicts that were heard."""
+        own = {each.topic: each for each in self._table.living if is_own(each) and each.topic}
+        monitors = [topic_of_verdicts(each) for each in self._table.living]
+        topics = {*own, *monitors} - {""}
+        if not topics and not self._followed:
+            return
+        self._followed = topics
+        self._heard = self._host.verdicts(topics)
+        canonical = self._library.ontology.canonical
+        self._tags = {}
+        for topic, claim in own.items():
+            if topic in self._heard:
+                tag = parse_tag(claim.request.tag)
+                key = Term(canonical(tag.functor), tuple(map(canonical, tag.args)))
+                self._tags[key] = self._heard[topic]
+        good = {tag for tag, heard in self._tags.items() if self._is_good(heard)}
+        self.verdicts = Verdicts(frozenset(good), frozenset(self._tags.keys() - good))
+        self.unavailable = self._found_unavailable()
+
+    def _is_good(self, heard: HeardVerdict) -> bool:
+        is_back = not heard.was_false or self._clock() - heard.heard >= self._recover
+        return heard.is_true and is_back
+
+    def _found_unavailable(self) -> dict[str, str]:
+        """Find the running parts whose transformations are not available."""
+        if self.verdicts == NO_VERDICTS:
+            return {}
+        world, found = self._world(), {}
+        for record in world.records.values():
+            if record.state is State.RUNNING and record.transformation is not None:
+                why = self._why_not_nodelet(record, world)
+                if why:
+                    found[record.name] = f"{record.name} is not available: {why}"
+        for each in world.descriptions:
+            why = self.why_not(each, {})
+            if why:
+                found[each.source] = f"topic {each.source} is not available: {why}"
+        return found
+
+    def _why_not_nodelet(self, record: Record, world: World) -> str:
+        assert record.transformation is not None
+        label = record.transformation.label
+        known = self._library.get(label) if label in self._library else record.transformation
+        if not known.requires:
+            return ""
+        ways = world.ways(record.name) or [record.given]
+        return next(filter(None, [self.why_not(known, way) for way in ways]), "")
+
+    def why_not(self, transformation: Transformation, bindings: Mapping[str, str]) -> str:
+        """Say why a transformation is not available under bindings; empty if it is."""
+        if not transformation.requires:
+            return ""
+        canonical = self._library.ontology.canonical
+        unmet = self.verdicts.unmet(transformation, bindings, canonical)
+        written = required_tags(transformation, bindings, str)
+        tags = dict(zip(required_tags(transformation, bindings, canonical), written))
+        return "; ".join(f"{tags[tag]} {self._said(self._tags.get(tag))}" for tag in unmet)
+
+    def _said(self, heard: HeardVerdict | None) -> str:
+        if heard is None:
+            return "has no verdict yet"
+        if heard.is_true:
+            return f"has been TRUE for less than {self._recover:g} s again"
+        return said(heard)
+
+    # Formulas of requests
+
+    def violation(self, claim: Claim, since: float) -> str:
+        """Say that the formula of a claim's request is FALSE; empty if it is not.
+
+        Verdicts heard before ``since`` are about an earlier stream.
+        """
+        heard = self._heard.get(topic_of_verdicts(claim))
+        if heard is None or heard.is_true or heard.heard < since:
+            return ""
+        return f"'{claim.request.require}' {said(heard)}"
+
+
+def topic_of_verdicts(claim: Claim) -> str:
+    """Return the topic of the verdicts about a claim's stream; empty if there is none."""
+    return claim.wiring.get(claim.monitor, {}).get(VERDICTS, "")
+
+
+def said(heard: HeardVerdict) -> str:
+    """Write a verdict that is FALSE, as people read it."""
+    values = f" ({heard.why})" if heard.why else ""
+    return f"is FALSE since {heard.stamp:.3f}{values}"

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Hears the verdicts on which the wiring depends."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Callable, Collection
+
+import rospy
+from dyknow_msgs.msg import Verdict
+
+from dyknow.locks import state_lock
+from dyknow.manager.host import HeardVerdict
+from dyknow.periodic import Workers
+
+#: Seconds for registrations that are going on when it is closed.
+_END_PATIENCE = 1.0
+
+
+class VerdictTopics:
+    """Subscribes to topics of verdicts; no method waits for the master."""
+
+    def __init__(self, on_change: Callable[[], object]) -> None:
+        """Subscribe to nothing yet; ``on_change`` is called when a verdict differs."""
+        self._on_change = on_change
+        self._state_lock = state_lock("verdicts")
+        self._heard: dict[str, HeardVerdict] = {}
+        self._wanted: frozenset[str] = frozenset()
+        self._subscribers: dict[str, rospy.Subscriber] = {}
+        self._registrations = Workers("subscribing to verdicts", 1)
+
+    def follow(self, topics: Collection[str]) -> dict[str, HeardVerdict]:
+        """Listen to these topics and to no others; returns what was heard there by now."""
+        wanted = frozenset(topics)
+        with self._state_lock:
+            is_new, self._wanted = wanted != self._wanted, wanted
+            self._heard = {topic: each for topic, each in self._heard.items() if topic in wanted}
+            heard = dict(self._heard)
+        if is_new:
+            self._registrations.run(self._register)
+        return heard
+
+    def close(self) -> None:
+        """Subscribe to nothing any more."""
+        self._registrations.close(_END_PATIENCE)
+
+    def _register(self) -> None:
+        """Follow what is wanted by now; called by one thread."""
+        wanted = self._wanted
+        for topic in self._subscribers.keys() - wanted:
+            self._subscribers.pop(topic).unregister()
+        for topic in sorted(wanted - self._subscribers.keys()):
+            self._subscribers[topic] = rospy.Subscriber(topic, Verdict, partial(self._hear, topic))
+
+    def _hear(self, topic: str, message: Verdict) -> None:
+        if message.value == Verdict.UNKNOWN:
+            return
+        is_true = message.value == Verdict.TRUE
+        with self._state_lock:
+            known = self._heard.get(topic)
+            if topic not in self._wanted or (known is not None and known.is_true is is_true):
+                return
+            was_false = not is_true or (known is not None and known.was_false)
+            now, since = time.monotonic(), message.since.to_sec()
+            self._heard[topic] = HeardVerdict(is_true, now, since, message.why, was_false)
+        self._on_change()

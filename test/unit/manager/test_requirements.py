@@ -1,0 +1,377 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Verdicts that decide which parts are used, and whether a stream is good enough."""
+
+from __future__ import annotations
+
+import random
+from typing import Dict, List
+
+import pytest
+from unit.manager.field import CHAIN, LIBRARY, POINT, SOURCES, Field
+
+from dyknow.errors import BadParameter, FormulaError, NoPlanFound
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.requirements import CLIENT, is_own
+from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import VERDICT
+
+CHARGED = "Holds(charged, nao)"
+FORMULAS = """
+<transformations>
+  <transformation type="topic"><label>battery</label><source>/battery</source>
+    <ports><port type="out" datatype="sensor_msgs/BatteryState">out</port></ports>
+    <tags><tag port="out">Battery(nao)</tag></tags></transformation>
+  <transformation type="formula"><label>charged</label>
+    <ports><port type="in" datatype="sensor_msgs/BatteryState">battery</port>
+    <port type="out">holds</port></ports>
+    <tags><tag port="battery">Battery(?robot)</tag>
+    <tag port="holds">Holds(charged, ?robot)</tag></tags>
+    <formula>battery.percentage &gt; 0.2</formula></transformation>
+</transformations>
+"""
+
+
+def requiring(label: str, *tags: str, initially: bool = True) -> str:
+    """The specification of the library with a label that requires verdicts."""
+    lines = LIBRARY.split("</transformation>")
+    at = next(n for n, each in enumerate(lines) if f"<label>{label}</label>" in each)
+    attribute = "" if initially else ' initially="false"'
+    lines[at] += "".join(f"<requires{attribute}>{tag}</requires>" for tag in tags)
+    return "</transformation>".join(lines)
+
+
+@pytest.fixture
+def field() -> Field:
+    field = Field()
+    field.host.topics.add("/battery")
+    field.manager.add_transformation(FORMULAS)
+    field.manager.add_transformation(requiring("bottom camera", CHARGED))
+    return field
+
+
+def own(field: Field) -> Dict[str, Claim]:
+    """The manager's own claims, by tag."""
+    return {each.request.tag: each for each in field.living() if is_own(each)}
+
+
+def decide(field: Field, is_true: bool, tag: str = CHARGED, why: str = "") -> None:
+    field.host.decide(own(field)[tag].topic, is_true, why)
+
+
+def cameras(field: Field) -> List[str]:
+    return [label for label in field.labels() if label.endswith("camera")]
+
+
+# Required verdicts
+
+
+def test_a_part_whose_verdict_is_false_is_replaced_and_comes_back_after_a_while(
+    field: Field,
+) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    assert cameras(field) == ["bottom camera"]
+    decide(field, True)
+    field.settle()
+    decide(field, False, why="battery.percentage = 0.19")
+    before = field.now
+    field.tick()
+    mended = field.claim(claim.claim_id)
+    assert mended.state is ClaimState.ACTIVE and mended.topic == claim.topic
+    assert [reason for reason in field.reasons() if "mended" in reason] == [
+        "mended: /bottom_camera_1 is not available: Holds(charged, nao) is FALSE since "
+        f"{before:.3f} (battery.percentage = 0.19); /ceiling_camera_1 is used now"
+    ]
+    field.tidy()
+    assert cameras(field) == ["ceiling camera"]
+
+    decide(field, True)
+    field.tick(1.9)
+    assert field.reconciler.replan(claim.claim_id, dry_run=True).spawned == ()
+    field.settle(10.0)
+    news = [reason for reason in field.reasons() if "cheaper" in reason]
+    assert news == [f"a cheaper way has appeared, with {', '.join(CHAIN)}; replanning takes it"]
+    assert cameras(field) == ["ceiling camera"], "nothing comes back by itself"
+    field.reconciler.replan(claim.claim_id)
+    field.tidy()
+    assert cameras(field) == ["bottom camera"]
+
+
+def test_the_replacement_delivers_before_the_part_goes(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    decide(field, False)
+    field.tick()
+    field.settle(20.0)
+    assert field.moving >= {claim.topic}
+    handed = [reason for reason in field.reasons() if "sent nothing" in reason]
+    assert handed == []
+
+
+def test_claims_on_verdicts_end_with_the_claims_that_may_need_them(field: Field) -> None:
+    assert own(field) == {}
+    claims = [field.acquire().claim, field.acquire("Planes(field)").claim]
+    field.settle()
+    (verdicts,) = own(field).values()
+    assert (verdicts.request.tag, verdicts.request.client_id) == (CHARGED, CLIENT)
+    assert (verdicts.datatype, verdicts.state) == (VERDICT, ClaimState.ACTIVE)
+    assert field.host.followed == {verdicts.topic}
+    field.reconciler.release(claims[0].claim_id)
+    field.settle()
+    assert own(field) == {CHARGED: field.claim(verdicts.claim_id)}
+    field.reconciler.release(claims[1].claim_id)
+    field.tidy()
+    assert own(field) == {} and field.labels() == [] and field.host.followed == frozenset()
+
+
+def test_a_claim_that_cannot_depend_on_a_verdict_holds_none(field: Field) -> None:
+    field.acquire("Battery(nao)")
+    field.acquire(exclude=("bottom camera",))
+    field.settle()
+    assert own(field) == {}
+
+
+def test_verdicts_may_depend_on_verdicts(field: Field) -> None:
+    field.manager.add_transformation(
+        FORMULAS.replace("<formula>", "<requires>Awake(?robot)</requires><formula>")
+    )
+    field.acquire()
+    field.settle()
+    assert {*own(field)} == {CHARGED, "Awake(nao)"}
+    assert own(field)["Awake(nao)"].state is ClaimState.PENDING, "nothing supplies it"
+
+
+def test_an_acquire_while_it_is_false_uses_something_else(field: Field) -> None:
+    field.acquire("Planes(field)")
+    field.settle()
+    decide(field, False)
+    field.settle(20.0)
+    field.acquire()
+    assert cameras(field) == ["ceiling camera"]
+    field.manager.remove_transformation("ceiling camera")
+    field.settle()
+    refused = "bottom camera is not available: Holds\\(charged, nao\\) is FALSE since"
+    with pytest.raises(NoPlanFound, match=refused):
+        field.acquire("YUV(field)")
+
+
+@pytest.mark.parametrize("initially", [True, False])
+def test_before_the_first_verdict(field: Field, initially: bool) -> None:
+    field.manager.add_transformation(requiring("bottom camera", CHARGED, initially=initially))
+    field.manager.remove_transformation("ceiling camera")
+    if initially:
+        field.acquire()
+        assert cameras(field) == ["bottom camera"]
+        return
+    with pytest.raises(NoPlanFound, match="Holds\\(charged, nao\\) has no verdict yet"):
+        field.acquire()
+    field.settle()
+    assert cameras(field) == []
+    decide(field, True)
+    field.settle()
+    assert cameras(field) == ["bottom camera"], "at once: it was never FALSE"
+
+
+def test_without_anything_else_the_stream_goes_on_degraded(field: Field) -> None:
+    field.manager.remove_transformation("ceiling camera")
+    claim = field.acquire().claim
+    field.settle()
+    decide(field, False)
+    field.settle()
+    degraded = field.claim(claim.claim_id)
+    assert degraded.state is ClaimState.DEGRADED
+    assert "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE" in degraded.detail
+    assert claim.topic in field.moving
+    decide(field, True)
+    field.settle(1.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    field.settle(2.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_a_topic_may_require_a_verdict(field: Field) -> None:
+    field.manager.add_transformation(requiring("joints", CHARGED))
+    claim = field.acquire().claim
+    field.settle()
+    decide(field, False)
+    field.settle()
+    degraded = field.claim(claim.claim_id)
+    assert degraded.state is ClaimState.DEGRADED
+    assert "is not available" in degraded.detail
+
+
+def test_only_the_individual_that_a_verdict_is_about_is_concerned() -> None:
+    eyes = "".join(
+        f"""<transformation type="topic"><label>eye of {robot}</label><source>/{robot}/eye</source>
+        <ports><port type="out" datatype="{POINT}">out</port></ports>
+        <tags><tag port="out">Eye({robot})</tag></tags></transformation>"""
+        for robot in ("nao", "pepper")
+    )
+    field = Field(
+        sources={**SOURCES, "soccer/Seer": [("eye", "in", POINT), ("seen", "out", POINT)]},
+        library=f"""<transformations>{eyes}
+        <transformation><label>seer</label><source>soccer/Seer</source>
+        <ports><port type="in">eye</port><port type="out">seen</port></ports>
+        <tags><tag port="eye">Eye(?robot)</tag><tag port="seen">Seen(?robot)</tag></tags>
+        <requires>Holds(charged, ?robot)</requires></transformation></transformations>""",
+    )
+    field.host.topics |= {"/nao/eye", "/pepper/eye", "/nao/battery", "/pepper/battery"}
+    for robot in ("nao", "pepper"):
+        field.manager.add_transformation(
+            FORMULAS.replace("(nao)", f"({robot})")
+            .replace("<label>battery", f"<label>battery of {robot}")
+            .replace("/battery<", f"/{robot}/battery<")
+        )
+    claims = {robot: field.acquire(f"Seen({robot})").claim for robot in ("nao", "pepper")}
+    either = field.acquire("Seen(?robot)").claim
+    field.settle()
+    assert {*own(field)} == {"Holds(charged, nao)", "Holds(charged, pepper)"}
+    assert dict(field.claim(either.claim_id).bindings) == {"?robot": "nao"}
+    decide(field, False, "Holds(charged, nao)")
+    field.settle()
+    assert field.state(claims["nao"].claim_id) is ClaimState.DEGRADED
+    assert field.state(claims["pepper"].claim_id) is ClaimState.ACTIVE
+    assert dict(field.claim(either.claim_id).bindings) == {"?robot": "pepper"}
+
+
+def test_noise_replaces_nothing_more_often_than_recover_allows(field: Field) -> None:
+    """Ten minutes around the threshold, with a client that always takes the cheaper way."""
+    dice = random.Random(5)
+    claim = field.acquire().claim
+    field.settle()
+    for _ in range(3000):
+        decide(field, dice.random() < 0.7)
+        field.tick(0.2)
+        field.reconciler.replan(claim.claim_id)
+    changes = [
+        event.after.nodelets
+        for event in field.events
+        if event.after.claim_id == claim.claim_id and event.before.nodelets != event.after.nodelets
+    ]
+    assert 2 < len(changes) <= 600 / 2.0
+
+
+def test_verdicts_are_heard_again_after_a_restart(field: Field, tmp_path: object) -> None:
+    field = Field(path=f"{tmp_path}/state")
+    field.host.topics.add("/battery")
+    field.manager.add_transformation(FORMULAS)
+    field.manager.add_transformation(requiring("bottom camera", CHARGED))
+    claim = field.acquire().claim
+    field.settle()
+    field.kill_manager()
+    field.settle()
+    assert [*own(field)] == [CHARGED]
+    decide(field, False)
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.tidy()
+    assert cameras(field) == ["ceiling camera"]
+
+
+# Formulas of requests
+
+NEAR = "it.point.x < 3"
+
+
+def monitored(field: Field, claim: Claim) -> str:
+    """The topic of the verdicts about a claim's stream, whose nodelet is wired to it."""
+    now = field.claim(claim.claim_id)
+    assert now.wiring[now.monitor]["it"] == claim.topic
+    return now.wiring[now.monitor]["holds"]
+
+
+def test_a_stream_whose_formula_is_false_goes_on_without_one_of_its_parts(field: Field) -> None:
+    claim = field.acquire(require=NEAR).claim
+    field.settle()
+    first = monitored(field, claim)
+    field.host.decide(first, True)
+    field.settle()
+    field.host.decide(first, False, "it.point.x = 4")
+    before = field.now
+    field.tick()
+    assert [reason for reason in field.reasons() if "mended" in reason] == [
+        f"mended: 'it.point.x < 3' is FALSE since {before:.3f} (it.point.x = 4); "
+        "/ceiling_camera_1, /monitor_of_position_2 are used now".replace(
+            "position", claim.topic.strip("/").replace("/", "_")
+        )
+    ]
+    field.tidy()
+    assert cameras(field) == ["ceiling camera"]
+    second = monitored(field, claim)
+    assert second != first, "its verdicts know nothing of the earlier stream"
+    field.host.decide(second, True)
+    field.settle(5.0)
+    assert len(field.living()) == 1 + len(own(field))
+
+
+def test_without_another_plan_a_false_formula_degrades_the_stream(field: Field) -> None:
+    field.manager.remove_transformation("ceiling camera")
+    claim = field.acquire(require=NEAR).claim
+    field.settle()
+    events = len(field.events)
+    field.host.decide(monitored(field, claim), False)
+    field.settle(5.0)
+    degraded = field.claim(claim.claim_id)
+    assert degraded.state is ClaimState.DEGRADED
+    assert degraded.detail.startswith("'it.point.x < 3' is FALSE")
+    assert "no part of it can be replaced" in degraded.detail
+    assert len(field.events) == events + 1
+    field.host.decide(monitored(field, claim), True)
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_a_formula_that_is_false_of_everything_does_not_flap(field: Field) -> None:
+    claim = field.acquire(require=NEAR).claim
+    for _ in range(600):
+        field.tick(0.2)
+        field.host.decide(monitored(field, claim), False)
+    mended = [reason for reason in field.reasons() if "mended" in reason]
+    assert 1 <= len(mended) <= 8, "each pause is twice the one before"
+
+
+def test_a_monitor_that_dies_is_made_again(field: Field) -> None:
+    claim = field.acquire(require=NEAR).claim
+    field.settle()
+    name = field.claim(claim.claim_id).monitor
+    field.destroy_by_hand(name)
+    field.settle()
+    assert monitored(field, claim) in {f"{each}/holds" for each in field.host.running}
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.reconciler.release(claim.claim_id)
+    field.tidy()
+    assert field.labels() == []
+
+
+def test_a_monitor_is_no_silent_part(field: Field) -> None:
+    claim = field.acquire(require=NEAR, max_silence=1.0).claim
+    field.settle()
+    field.host.silent.add(field.claim(claim.claim_id).monitor)
+    field.settle(10.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert [reason for reason in field.reasons() if "mended" in reason] == []
+
+
+def test_clients_share_a_topic_if_they_require_the_same(field: Field) -> None:
+    topics = [
+        field.acquire(require=require).claim.topic for require in ("", NEAR, NEAR, "present(it)")
+    ]
+    assert topics[1] == topics[2] and len({*topics}) == 3
+
+
+@pytest.mark.parametrize(
+    ("require", "error", "text"),
+    [
+        ("it.point.x <", FormulaError, "expected"),
+        ("other.point.x < 3", BadParameter, "reads 'it' alone"),
+        ("1 < 2", FormulaError, "reads no port"),
+    ],
+)
+def test_formulas_that_are_refused(
+    field: Field, require: str, error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text):
+        field.acquire(require=require)
+    assert field.living() == []
