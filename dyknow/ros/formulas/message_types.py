@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-import roslib.message
-
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Formula, MessageType
 from dyknow.formulas.types import type_of
@@ -16,6 +14,8 @@ from dyknow.formulas.types import type_of
 
 def message_class(datatype: str) -> Any:
     """Return the class of a message type; None if it is not built here."""
+    import roslib.message  # only what reads a formula needs it
+
     try:
         return roslib.message.get_message_class(datatype)
     except (ImportError, ValueError):
