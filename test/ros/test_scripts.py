@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import tempfile
 import time
 from typing import List
@@ -54,6 +55,13 @@ rospy.spin()
 
 
 LAST_WORDS = ["stopping", "stopped"]
+#: Runs a script where rospy takes its time until it takes registrations back.
+SLOW_END = """
+import sys, time, rospy
+from dyknow.ros.nodelets import script_process
+rospy.core.add_preshutdown_hook(lambda reason: time.sleep(1.0))
+sys.exit(script_process.main())
+"""
 
 
 def words_on(topic: str) -> Heard:
@@ -313,6 +321,14 @@ class CommandTest(graph.TellingCase):
             node.stop(signal.SIGTERM)
             self.assertEqual(node.exit_code(20.0), 0)
             becomes(heard.copy, LAST_WORDS)
+
+    def test_an_interrupt_takes_its_registrations_back_however_long_that_takes(self):
+        talker = find_node("dyknow_test", "talker.py")[0]
+        node = self.run_process(sys.executable, "-c", SLOW_END, talker, "__name:=slow")
+        hears("/words", "hello")
+        node.stop()
+        self.assertEqual(node.exit_code(20.0), 0, node.output)
+        self.assertEqual(registered("/slow"), set())
 
     def test_its_exit_code_and_errors_are_its_own(self):
         for what, code, said in (

@@ -72,6 +72,8 @@ class _ScriptProcess:
         self._manager: NodeletManager | None = None
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
+        self._shut_down = threading.Event()
+        self._shut_down.set()
         self._withdrawal_turn = turn_lock("end of a script")
         os.register_at_fork(after_in_child=self._forget_node)
 
@@ -114,6 +116,8 @@ class _ScriptProcess:
         kept = [word for word in given if word.partition(":=")[0] not in renamed]
         rospy.init_node(**{**options, "argv": kept, "disable_signals": True})
         self._sandbox.name = rospy.get_name()
+        self._shut_down.clear()
+        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
         rospy.on_shutdown(self._withdraw)
         self._offer(renamed)
 
@@ -157,11 +161,15 @@ class _ScriptProcess:
         """Leave the node to the parent; a forked child has the locks of its threads, not them."""
         self._manager = None
         self._withdrawal_turn = turn_lock("end of a script")
+        self._shut_down = threading.Event()
+        self._shut_down.set()
 
     def _stop(self) -> None:
         """End the node; returns when it is done."""
         self._withdraw()
         rospy.signal_shutdown("told to end")
+        # It returns at once if another thread (a signal's) is at it; that one has to finish.
+        self._shut_down.wait(_LONGEST_END)
 
     def _withdraw(self) -> None:
         """Withdraw the script's registrations; rosnode kill begins here."""
