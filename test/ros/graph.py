@@ -127,10 +127,6 @@ class Manager(Ended, ManagerServices):
         if wait:
             self.wait_until_up()
 
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
     def threads(self) -> int:
         return len(os.listdir(f"/proc/{self.pid}/task"))
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import time
 import unittest
-from typing import Any, Callable, ContextManager, Iterator
+from typing import Callable, ContextManager
 
 import rospy
 import rostest
@@ -101,17 +100,6 @@ class HostsCase(StreamCase):
         while time.monotonic() < end:
             assert holds(), what()
             time.sleep(0.1)
-
-    @contextlib.contextmanager
-    def stopped(self, *senders: Callable[[int], Any]) -> Iterator[None]:
-        """Stop processes, each given by what sends signals to it."""
-        for send in senders:
-            send(signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            for send in senders:
-                send(signal.SIGCONT)
 
 
 class Split(HostsCase):

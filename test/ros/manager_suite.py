@@ -23,7 +23,16 @@ import psutil
 import rosgraph
 import rospy
 from nodelet.srv import NodeletList
-from processes import BUSY, Ended, TellingCase, eventually, forget_ended, free_port, nodes
+from processes import (
+    BUSY,
+    Ended,
+    TellingCase,
+    eventually,
+    forget_ended,
+    free_port,
+    nodes,
+    suspended,
+)
 from roslib.packages import find_node
 from std_msgs.msg import Header
 
@@ -130,11 +139,8 @@ class ManagerProcess:
     def child_stopped(self, name: str = CHILD) -> Iterator[ProcessId]:
         """Stop a nodelet manager with SIGSTOP."""
         child = self.child(name)
-        child.signal(signal.SIGSTOP)
-        try:
+        with suspended(child.pid):
             yield child
-        finally:
-            child.signal(signal.SIGCONT)
 
     def kill(self) -> None:
         self.process.kill()
@@ -153,11 +159,10 @@ class ManagerProcess:
     def destroy(self) -> None:
         """Remove everything, after any test."""
         if self.process is not None and self.process.poll() is None:
-            process = psutil.Process(self.process.pid)
-            process.suspend()
-            eventually(lambda: process.status() == psutil.STATUS_STOPPED, 5.0, "it stands still")
-            started = process.children()  # it may not have them on its list yet
-            self.kill()
+            with suspended(self.process.pid):
+                # It may not have them on its list yet.
+                started = psutil.Process(self.process.pid).children()
+                self.kill()
             for each in started:
                 each.kill()
             psutil.wait_procs(started, 5.0 * BUSY)

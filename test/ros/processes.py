@@ -17,6 +17,7 @@ import tempfile
 import time
 import traceback
 import unittest
+from pathlib import Path
 from typing import Any, Callable, Iterator, Sequence
 
 import rosgraph
@@ -125,8 +126,15 @@ class Running:
         eventually(lambda: self.has_ended or said(), timeout, what, self._said)
         assert said(), f"not true: {what}\n{self._said()}"
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def stop(self, number: int = signal.SIGINT) -> None:
+        """Send a signal; with SIGSTOP it stands still afterwards."""
         self._process.send_signal(number)
+        if number == signal.SIGSTOP:
+            await_standstill(self.pid)
 
     def exit_code(self, timeout: float) -> int:
         """Wait for the end of the process; on a quiet machine it takes at most so long (s)."""
@@ -155,6 +163,35 @@ class Ended(Running):
             self.stop()
             self.ends_within(60.0)  # roslaunch gives its nodes 17 s to end
         super().__exit__()
+
+
+def await_standstill(*pids: int) -> None:
+    """Wait for the effect of SIGSTOP: processes may still answer after it was sent."""
+
+    def states() -> set[str]:
+        """Of all threads."""
+        found = set()
+        for pid in pids:
+            for task in Path(f"/proc/{pid}/task").glob("*/stat"):
+                with contextlib.suppress(OSError):  # it has ended
+                    found.add(task.read_text().rpartition(") ")[2][0])
+        return found
+
+    eventually(lambda: states() <= {*"TtZX"}, 5.0, f"{pids} stand still", states)
+
+
+@contextlib.contextmanager
+def suspended(*pids: int) -> Iterator[None]:
+    """Processes stand still."""
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        await_standstill(*pids)
+        yield
+    finally:
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
 
 
 def free_port() -> str:

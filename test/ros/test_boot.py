@@ -30,7 +30,7 @@ from manager_suite import (
     listed,
     specification,
 )
-from processes import BUSY, becomes, eventually, nodes
+from processes import BUSY, becomes, eventually, nodes, suspended
 from stream_suite import CAMERA, CEILING, FILTER, TRACKER
 
 from dyknow.errors import DyKnowError, PeerTimeout
@@ -248,13 +248,13 @@ class BootTest(ManagerCase):
 
     def end(self, everything: bool, works: Sequence[Work] = ()) -> None:
         """Kill the manager, and perhaps all processes that it started, in one moment."""
-        self.manager.process.send_signal(signal.SIGSTOP)
-        running = self.processes() if everything else []
-        for work in works:
-            work.over.set()
-        for record in running:
-            record.process.signal(signal.SIGKILL)
-        self.manager.kill()
+        with suspended(self.manager.process.pid):
+            running = self.processes() if everything else []
+            for work in works:
+                work.over.set()
+            for record in running:
+                record.process.signal(signal.SIGKILL)
+            self.manager.kill()
         for record in running:
             record.process.wait(10.0 * BUSY)
 

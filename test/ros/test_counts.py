@@ -7,8 +7,6 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 import threading
 
 import rospy
@@ -16,7 +14,7 @@ import rostest
 from dyknow_msgs.msg import NodeletCounts, Port, PortCount
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
 from graph import NodeletManagerCase, call
-from processes import TellingCase, becomes, eventually
+from processes import TellingCase, becomes, eventually, suspended
 from std_msgs.msg import Header
 
 from dyknow.periodic import ControlLoop
@@ -168,15 +166,12 @@ class HearingTest(TellingCase):
         first = self.listen()
         self.speak(first)
         master = int(Master(rospy.get_name()).ask("getPid"))
-        os.kill(master, signal.SIGSTOP)
-        try:
+        with suspended(master):
             second = self.hearing.listen("/spoken")
             third = self.hearing.listen("/elsewhere")
             self.speak(first)
             self.assertIsNone(third.count(), "nobody can say that nothing comes")
             third.close()
-        finally:
-            os.kill(master, signal.SIGCONT)
         eventually(second.count, 10.0, "it listens")
         self.speak(first, second)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import signal
 import statistics
 import threading
 import time
@@ -36,7 +35,7 @@ from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Vector3
 from graph import Heard, connect, set_config, set_config_pairs, topics_of_ports
 from nodelet.srv import NodeletLoad
-from processes import BUSY, Running, TellingCase, becomes, eventually, free_port
+from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, suspended
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
 
@@ -467,15 +466,12 @@ class HungMasterTest(TellingCase):
         ports = self.client("/source/get_config", GetConfig)
         self.assertTrue(move.call(5.0 * BUSY, [PortConfig("out", "/a")]).success)
         ports.call(5.0 * BUSY)
-        core.stop(signal.SIGSTOP)
-        try:
+        with suspended(core.pid):
             for _ in range(2):
                 answer = move.call(5.0 * BUSY, [PortConfig("out", "/b")])
                 self.assertFalse(answer.success)
                 self.assertRegex(answer.message, "ROS master at .* does not answer")
             self.assertEqual(ports.call(5.0 * BUSY).ports[0].topic, "/a")
-        finally:
-            core.stop(signal.SIGCONT)
         self.assertTrue(move.call(5.0 * BUSY, [PortConfig("out", "/b")]).success)
 
 

@@ -16,7 +16,7 @@ import psutil
 import rospy
 import rostest
 from manager_suite import CHILD, MANAGER, ManagerCase, specification
-from processes import Running, becomes, eventually
+from processes import Running, becomes, eventually, suspended
 from roslib.packages import find_node
 from std_msgs.msg import String
 from test_dyknow_command import Done
@@ -133,14 +133,11 @@ class DoctorTest(ManagerCase):
         # It cannot hand them over again while it is suspended, and is not waited for.
         doctor = Doctor(ShellClient(MANAGER))
         becomes(lambda: list(doctor.guards()), [])
-        manager.process.send_signal(signal.SIGSTOP)
-        try:
+        with suspended(manager.process.pid):
             rospy.delete_param(f"{CHILD}/{guards_key(MANAGER)}")
             (found,) = doctor.guards()
             self.assertEqual(found.subject, CHILD)
             self.assertIn("has no guards", found.problem)
-        finally:
-            manager.process.send_signal(signal.SIGCONT)
 
     def test_resources_of_a_process(self):
         manager = self.started()

@@ -22,7 +22,7 @@ import rospy
 import rostest
 from graph import Heard
 from manager_suite import CHILD, MANAGER, PROGRAM, ManagerCase
-from processes import DYKNOW, Running, becomes, eventually, nodes
+from processes import DYKNOW, Running, becomes, eventually, nodes, suspended
 
 from dyknow.cli.main import main
 
@@ -196,15 +196,12 @@ class UnreachableTest(ManagerCase):
 
     def test_a_manager_that_hangs_or_was_killed(self):
         self.manager.start()
-        self.manager.process.send_signal(signal.SIGSTOP)
-        try:
+        with suspended(self.manager.process.pid):
             for words in (["list"], ["library"], ["destroy", "x"]):
                 done = self.check("did not answer within 0.5 s", *words, "--timeout", "0.5")
                 self.assertIn("it hangs, is busy, or its host is away", done.err)
                 self.assertNotIn("start one", done.err)
             self.assertEqual(completions("dyknow info "), [])
-        finally:
-            self.manager.process.send_signal(signal.SIGCONT)
         self.manager.kill()
         for words in (["list"], ["library"]):
             done = self.check(f"'{MANAGER}' is registered, but does not answer", *words)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any, Callable, ContextManager
+from typing import ContextManager
 
 import hosts_suite
 import rospy
@@ -19,7 +19,7 @@ from cpp_suite import OURS, start
 from graph import Heard
 from hosts_suite import NOTICED, HostsCase
 from manager_suite import CHILD, listed
-from processes import HELD_UP, Running, eventually
+from processes import HELD_UP, Running, eventually, suspended
 from std_msgs.msg import Header
 from stream_suite import CAMERA, LIBRARY
 
@@ -124,9 +124,9 @@ class Fencing:
         publishers = Master(rospy.get_name()).publishers
         eventually(lambda: len(publishers(topic)) == 1, 15.0, "one publishes", self.reasons)
 
-    def stays_away(self, send: Callable[[int], Any]) -> None:
+    def stays_away(self, pid: int) -> None:
         """Its process is stopped, and replaced; it sends nothing when it goes on."""
-        with self.stopped(send):
+        with suspended(pid):
             self.is_replaced()
             time.sleep(8.0)
             went_on = time.monotonic()
@@ -140,10 +140,10 @@ class Fencing:
         self.replaces_it(self.network.without(*ways), 6.0)
 
     def test_a_nodelet_manager_that_is_stopped(self):
-        self.stays_away(self.far_process.stop)
+        self.stays_away(self.far_process.pid)
 
     def test_a_manager_that_is_stopped_disturbs_nothing(self):
-        with self.stopped(self.manager.process.send_signal):
+        with suspended(self.manager.process.pid):
             time.sleep(10.0)
         self.disturbs_nothing()
 
@@ -168,7 +168,7 @@ class FencingTest(Fencing, HostsCase):
         self.replaces_it(self.network.far(self.far, 1.0), 10.0)
 
     def test_what_is_stopped_together_goes_on_together(self):
-        with self.stopped(self.manager.process.send_signal, self.far_process.stop):
+        with suspended(self.manager.process.pid, self.far_process.pid):
             time.sleep(10.0)
         self.disturbs_nothing(longest_pause=HELD_UP)
 
@@ -176,7 +176,7 @@ class FencingTest(Fencing, HostsCase):
         self.manager.client.release_stream(self.claim_id)
         self.manager.client.destroy("/far_camera")
         self.claim_of("Raw(own)", CHILD)
-        self.stays_away(self.manager.child().signal)
+        self.stays_away(self.manager.child().pid)
 
     def test_a_manager_that_is_killed_disturbs_nothing(self):
         self.manager.kill()
