@@ -133,7 +133,7 @@ class OutsideTest(BusTest):
         slow.stop(signal.SIGSTOP)
         # 40 messages of a megabyte: more than the sockets and the queue of five hold.
         self.assertLess(call("/talker", "publish", 40, 1 << 20), HELD_UP)
-        becomes(lambda: heard[-1], 39)
+        becomes(lambda: heard[-1:], [39])
         slow.stop(signal.SIGCONT)
         slow.wait_for("/a 39 1048576\n")
 

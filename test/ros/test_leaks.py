@@ -42,7 +42,8 @@ class LeakCase(NodeletManagerCase):
         before = self.holdings()
         for _ in range(rounds):
             action()
-        becomes(lambda: graph.registered("/manager"), own)
+        # A topic that was left just before they were read may have been among them still.
+        becomes(lambda: graph.registered("/manager") - own, set())
         most = {**dict.fromkeys(before, SPARE), **most}
 
         def grown():

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 
@@ -104,10 +105,10 @@ class RoscoreTest(MasterCase):
         """Wait until its stream flows; it has always been active."""
 
         def said():
-            return [line for line in listener.output.splitlines() if line[0] != "["]
+            return re.findall(r"^([A-Z]+) \S* (flows|still)", listener.output, re.MULTILINE)
 
-        eventually(lambda: said()[-1].split()[2] == "flows", 5.0, "it flows")
-        self.assertEqual({line.split()[0] for line in said()}, {"ACTIVE"}, said())
+        eventually(lambda: said()[-1][1] == "flows", 5.0, "it flows", lambda: listener.output)
+        self.assertEqual({state for state, _ in said()}, {"ACTIVE"}, said())
 
     def start(self):
         manager = self.manager()

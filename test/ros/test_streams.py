@@ -120,7 +120,8 @@ class AcquireTest(StreamCase):
             self.assertTrue(stream.wait_until_active(400.0))
             self.enter(Heard(stream.topic, PointStamped)).flows()
             self.delivers(manager, stream.claim_id)
-            eventually(lambda: news[-1].after.state is ClaimState.ACTIVE, 5.0, "it is told")
+            states = lambda: [each.after.state for each in news]  # noqa: E731
+            eventually(lambda: states()[-1:] == [ClaimState.ACTIVE], 5.0, "it is told", states)
             age = 2 * LIMIT
             becomes(ClaimState.DEGRADED, f"topic {TOPIC} delays the stream by 1")
             age = 0.0

@@ -42,7 +42,9 @@ def ask(server):
     if not client.wait_for_server(rospy.Duration(20.0)):
         raise RuntimeError(f"no action server {server}")
     client.send_goal(TestGoal(goal=41))
-    client.wait_for_result()
+    # It does not know of the result of a goal that is reached before its `send_goal` returns.
+    while not client.wait_for_result(rospy.Duration(5.0)):
+        client.send_goal(TestGoal(goal=41))
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     found = buffer.lookup_transform("base", "tool", rospy.Time(0), rospy.Duration(20.0))

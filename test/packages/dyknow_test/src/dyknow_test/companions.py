@@ -180,7 +180,10 @@ class Careless(Puppet):
     def ask(self, server, goal):
         client = actionlib.SimpleActionClient(server, TestAction)
         client.wait_for_server()
-        client.send_goal_and_wait(TestGoal(goal))
+        client.send_goal(TestGoal(goal))
+        # It does not know of the result of a goal that is reached before its `send_goal` returns.
+        while not client.wait_for_result(rospy.Duration(5.0)):
+            client.send_goal(TestGoal(goal))
         return client.get_result().result
 
     def _count(self, goal):
