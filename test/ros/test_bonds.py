@@ -21,7 +21,6 @@ from bond.msg import Constants, Status
 from graph import Heard, nodes_on, peer
 from processes import BUSY, TellingCase, becomes, eventually
 
-from dyknow.ros.bonding.bond_table import DuplicateBond
 from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
 
 #: A bond that breaks within this time (s) does so because its sister said so.
@@ -84,30 +83,6 @@ class BondsTest(TellingCase):
         self.breaks("one")
         process.stop(signal.SIGCONT)
         process.wait_for("broken one")
-
-    def test_removing_before_the_sister_is_there_tells_her_when_she_comes(self):
-        late = self.make(dataclasses.replace(STOCK_TIMINGS, disconnect_timeout=LONG))
-        self.add("one", bonds=late)
-        late.remove("one")
-        self.start_sisters("one").wait_for("broken one")
-        self.assertTrue(self.broken.empty())
-
-    def test_an_id_once_alive_and_used_again(self):
-        self.add("one", "two")
-        first = self.sisters("one")
-        with self.assertRaises(DuplicateBond):
-            self.add("one")
-        self.bonds.remove("one")
-        self.add("one")
-        first.wait_for("broken one")
-        second, other = self.sisters("one"), self.sisters("two")
-        self.assertTrue(self.broken.empty())
-        second.stop()
-        self.breaks("one")
-        self.assertEqual(second.exit_code(20.0), 0)
-        self.bonds.remove("two")
-        other.wait_for("broken two")
-        self.assertTrue(self.broken.empty())
 
     def test_forty_bonds_cost_no_more_threads_than_one(self):
         first, *others = bond_ids = [f"bond{number}" for number in range(40)]

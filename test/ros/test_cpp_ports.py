@@ -10,7 +10,6 @@ import contextlib
 import itertools
 import os
 import statistics
-import threading
 import time
 
 import graph
@@ -518,39 +517,6 @@ class UnloadTest(CppCase):
 
         eventually(lambda: is_gone() or self.manager.has_ended, 5.0, "it is destroyed")
         self.assertEqual(self.manager.list(), ["/source"])
-
-    def test_unload_against_move(self):
-        ended = threading.Event()
-        refusals = set()
-
-        def move() -> None:
-            topics = itertools.cycle(("/a", "/b", ""))
-            while not ended.is_set():
-                for nodelet, port in (("/source", "out"), ("/sink", "in")):
-                    # It may be unloaded just now.
-                    with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
-                        refusals.add(set_config(nodelet, **{port: next(topics)}).message)
-
-        threads = [threading.Thread(target=move) for _ in range(2)]
-        for thread in threads:
-            thread.start()
-        try:
-            for _ in range(max(5, COUNT // 400)):
-                self.load("Sink", "in", "/a")
-                self.load("Source", "out", "/a", count=COUNT, rate=RATE)
-                start("/source")
-                time.sleep(0.05)  # not a wait: the moves go on meanwhile
-                self.manager.unload("/sink")
-                self.manager.unload("/source")
-        finally:
-            ended.set()
-            for thread in threads:
-                thread.join()
-        expected = ("was unloaded during", "is held up by another registration")
-        others = [each for each in refusals if each and not any(t in each for t in expected)]
-        self.assertEqual(others, [])
-        self.assertEqual(self.manager.list(), [])
-        becomes(lambda: graph.nodes_on("/a"), (set(), set()))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 
 import rosgraph
 import rospkg
@@ -23,9 +22,8 @@ from manager_suite import (
     gaps,
 )
 from nodelet.srv import NodeletUnload
-from processes import becomes, eventually, nodes
+from processes import becomes, eventually
 
-from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
 
 NEIGHBOURS = ("/counter", "/relay")
@@ -119,20 +117,6 @@ class LeftoversTest(ManagerCase):
         manager.client.destroy("/alone")
         becomes(lambda: everything() ^ before, set())
         self.assertNotIn("alone_nodelet_manager-running", files())
-
-        def spawn_in_vain() -> None:
-            with self.assertRaises(DyKnowError):
-                manager.client.spawn("hangs", "/alone", isolated=True)
-            refused.append(True)
-
-        refused: list[bool] = []
-        spawn = threading.Thread(target=spawn_in_vain)
-        spawn.start()
-        eventually(lambda: name in nodes(), 10.0, "it begins to register")
-        manager.child(name).signal(signal.SIGKILL)
-        spawn.join()
-        self.assertTrue(refused)
-        becomes(lambda: everything() ^ before, set())
 
 
 if __name__ == "__main__":

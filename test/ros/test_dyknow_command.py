@@ -190,10 +190,6 @@ class UnreachableTest(ManagerCase):
         self.assertEqual((done.returncode, done.stdout), (255, ""))
         self.assertIn("'--read-only' would have no effect", done.stderr)
 
-    def test_no_master(self):
-        for uri in ("http://localhost:1", "http://no.such.host.invalid:11311", "nonsense"):
-            self.check(f"no ROS master at {uri}", "list", ROS_MASTER_URI=uri)
-
     def test_a_manager_that_hangs_or_was_killed(self):
         self.manager.start()
         with suspended(self.manager.process.pid):

@@ -17,7 +17,6 @@ from cpp_suite import RUN
 from graph import WordsCase, connect, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
 from processes import BUSY, DYKNOW, becomes, eventually, finished
-from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -272,26 +271,6 @@ class OthersTest(WordsCase, ManagerCase):
             self.shown("/robot/mux")
             connect("/robot/mux", **{"/a": "/b"})
             hears("/out", "right", is_whole=True)
-
-    def test_a_standalone_nodelet(self):
-        with tempfile.TemporaryDirectory() as folder:
-            picture = Path(folder) / "picture.ppm"
-            picture.write_bytes(b"P6\n2 2\n255\n" + bytes(12))
-            self.run_process(
-                *(*RUN, "nodelet", "nodelet", "standalone", "image_publisher/image_publisher"),
-                *(f"_filename:={picture}", "__name:=painter"),
-            )
-
-            def image_ports():
-                ports = self.shown("/painter").ports
-                return [each for each in ports if each.datatype == "sensor_msgs/Image"]
-
-            eventually(image_ports, 10.0, "its port is shown")
-            port = image_ports()[0]
-            self.assertEqual(rospy.wait_for_message(port.topic, Image, 20.0 * BUSY).width, 2)
-            self.manager.client.set_config("/painter", {port.name: "/moved/image"})
-            self.assertEqual(rospy.wait_for_message("/moved/image", Image, 20.0 * BUSY).width, 2)
-            rospy.wait_for_message("/moved/camera_info", CameraInfo, 20.0 * BUSY)
 
 
 if __name__ == "__main__":
