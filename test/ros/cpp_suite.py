@@ -26,18 +26,13 @@ PRELOADED = (*RUN, "nodelet", "nodelet", "manager")
 FLAWLESS = {"lost": 0, "doubled": 0, "reordered": 0, "copied": 0}
 
 
-class CppManager(graph.Ended, graph.ManagerServices):
-    """A nodelet manager in C++ in a process of its own."""
+class CppManager(graph.Manager):
+    """A nodelet manager in C++."""
+
+    package = "dyknow_cpp_test"
 
     def __init__(self, name: str, *command: str) -> None:
-        namespace, _, base = name.rpartition("/")
-        graph.ManagerServices.__init__(self, name)
-        super().__init__(*(command or OURS), f"__name:={base}", f"__ns:={namespace or '/'}")
-        self.wait_until_up()
-
-    def load(self, type_name: str, name: str, *arguments: Any, **parameters: Any) -> None:
-        full_name = type_name if "/" in type_name else f"dyknow_cpp_test/{type_name}"
-        super().load(full_name, name, *arguments, **parameters)
+        super().__init__(name, command=command or OURS)
 
 
 def start(source: str) -> None:

@@ -31,7 +31,7 @@ from dyknow_msgs.msg import PortConfig  # noqa: E402
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
-from processes import NODELET, Ended, TellingCase, becomes, eventually  # noqa: E402
+from processes import NODELET, Ended, TellingCase, becomes, eventually, forget  # noqa: E402
 from sensor_msgs.msg import BatteryState  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 
@@ -46,6 +46,9 @@ def peer(*words: str) -> list[str]:
 
 class ManagerServices:
     """The services of a nodelet manager, whoever started it."""
+
+    #: Of the types of nodelets that are named without one.
+    package = "dyknow_test"
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -66,13 +69,13 @@ class ManagerServices:
         bond_id: str = "",
         **parameters: Any,
     ) -> None:
-        """Set the parameters and load a nodelet of the test package."""
+        """Set the parameters and load a nodelet."""
         for key, value in parameters.items():
             rospy.set_param(f"{name}/{key}", value)
         remappings = remappings or {}
         self.load_nodelet(
             name=name,
-            type=type_name if "/" in type_name else f"dyknow_test/{type_name}",
+            type=type_name if "/" in type_name else f"{self.package}/{type_name}",
             remap_source_args=list(remappings),
             remap_target_args=list(remappings.values()),
             my_argv=list(my_argv),
@@ -90,8 +93,7 @@ class ManagerServices:
         for name in self.list():
             with contextlib.suppress(rospy.ServiceException):  # a script that ends just now
                 self.unload(name)
-            if rospy.has_param(name):
-                rospy.delete_param(name)
+            forget(name)
         assert self.list() == [], self.list()
 
     def list(self) -> list[str]:
@@ -108,7 +110,7 @@ class ManagerServices:
     def is_free(self, name: str) -> bool:
         """Whether a nodelet can be loaded under a name; unloads it again."""
         try:
-            self.load("dyknow_test/Introspector", name)
+            self.load("Introspector", name)
         except rospy.ServiceException:
             return False
         self.unload(name)
@@ -116,14 +118,18 @@ class ManagerServices:
 
 
 class Manager(Ended, ManagerServices):
-    """A nodelet manager in a process of its own."""
+    """A nodelet manager in a process of its own, by default DyKnow's."""
 
-    def __init__(self, name: str = "/manager", *arguments: str, wait: bool = True) -> None:
+    def __init__(
+        self,
+        name: str = "/manager",
+        *arguments: str,
+        command: Sequence[str] = (*NODELET, "manager"),
+        wait: bool = True,
+    ) -> None:
         namespace, _, base = name.rpartition("/")
         ManagerServices.__init__(self, name)
-        super().__init__(
-            *NODELET, "manager", f"__name:={base}", f"__ns:={namespace or '/'}", *arguments
-        )
+        super().__init__(*command, f"__name:={base}", f"__ns:={namespace or '/'}", *arguments)
         if wait:
             self.wait_until_up()
 

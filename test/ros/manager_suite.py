@@ -18,27 +18,19 @@ from pathlib import Path
 from typing import Any, Iterator
 from unittest import mock
 
-import graph  # noqa: F401 - it makes the test packages known
+import graph  # first: it makes the test packages known
 import psutil
 import rosgraph
 import rospy
 from nodelet.srv import NodeletList
-from processes import (
-    BUSY,
-    Ended,
-    TellingCase,
-    eventually,
-    forget_ended,
-    free_port,
-    nodes,
-    suspended,
-)
+from processes import BUSY, Ended, TellingCase, eventually, forget_ended, free_port, suspended
 from roslib.packages import find_node
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import StreamStatus
+from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire.master import Master
@@ -50,23 +42,20 @@ CHILD = "/dyknow_nodelet_manager"
 CPP_CHILD = "/dyknow_cpp_nodelet_manager"
 
 
-def specification(label: str, source: str, ports: str, **params: Any) -> str:
-    """Write a transformation; ports are `>name` for in and `name>` for out."""
-    kinds = {float: "double", int: "int", str: "string", bool: "bool"}
-    lines = [f"<transformation><label>{label}</label><source>{source}</source>"]
-    if params:
-        lines.append("<params>")
-        for name, value in params.items():
-            text = str(value).lower() if isinstance(value, bool) else value
-            lines.append(f'<param name="{name}" type="{kinds[type(value)]}">{text}</param>')
-        lines.append("</params>")
-    if ports:
-        lines.append("<ports>")
-        for port in ports.split():
-            side = "in" if port[0] == ">" else "out"
-            lines.append(f'<port type="{side}">{port.strip(">")}</port>')
-        lines.append("</ports>")
-    return "".join([*lines, "</transformation>"])
+def specification(
+    label: str, source: str, ports: str, kind: str = "nodelet", cost: int = 1, **params: Any
+) -> str:
+    """Write a transformation; ports are `>name` for in and `name>` for out, or `name>=tag`."""
+    types = {float: "double", int: "int", str: "string", bool: "bool"}
+    given = []
+    for name, value in params.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        given.append(Parameter(name, types[type(value)], text))
+    made = [
+        Port(name.strip(">"), "in" if name[0] == ">" else "out", tags=(tag,) if tag else ())
+        for name, _, tag in (each.partition("=") for each in ports.split())
+    ]
+    return Transformation(label, source, kind, cost, tuple(given), tuple(made)).to_xml()
 
 
 LIBRARY = "".join(
@@ -170,11 +159,9 @@ class ManagerProcess:
         for process in children.values():
             process.signal(signal.SIGKILL)
             process.wait(5.0 * BUSY)
-        names = (self.node, *children)
-        for name in names:
-            if rospy.has_param(name):
-                rospy.delete_param(name)
-        forget_ended(*names, *nodes())
+        for name in (self.node, *children):
+            graph.forget(name)
+        forget_ended()
 
     def clear(self) -> None:
         """Remove all that a test has made, so that the next one finds it as new."""
@@ -261,9 +248,7 @@ class ManagerCase(TellingCase):
     def make(self, node: str = MANAGER, **parameters: Any) -> ManagerProcess:
         """A manager of this test alone, to be started by it."""
         self.end_idle()
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        manager = ManagerProcess(folder.name, node, **parameters)
+        manager = ManagerProcess(str(self.make_folder()), node, **parameters)
         self.addCleanup(manager.destroy)
         return manager
 
@@ -329,9 +314,7 @@ class MasterCase(TellingCase):
     """Each test has a master of its own, which can be killed, for all its processes."""
 
     def setUp(self) -> None:
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.state = folder.name
+        self.state = str(self.make_folder())
         self.port = free_port()
         self.uri = f"http://localhost:{self.port}"
         patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})

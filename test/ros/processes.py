@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Any, Callable, Iterator, Sequence
 
 import rosgraph
+import rospy
+import rostest
 from roslib.packages import find_node
 
 from dyknow.errors import PeerTimeout
@@ -209,13 +211,13 @@ def nodes() -> set[str]:
     return {node for kind in state for _, names in kind for node in names}
 
 
-def forget_ended(*nodes: str) -> None:
-    """Make the master forget those nodes that have ended.
+def forget_ended(*names: str) -> None:
+    """Make the master forget those nodes, by default of all, that have ended.
 
     Else it shuts down the next process on their port, as soon as their names are back.
     """
     master = Master("/tests")
-    for node in nodes:
+    for node in names or nodes():
         with contextlib.suppress(PeerTimeout):  # no master: it has ended too
             uri = master.node(node)
             try:
@@ -223,6 +225,12 @@ def forget_ended(*nodes: str) -> None:
                     master.pid(node, uri, 1.0)
             except (PeerTimeout, LookupError):
                 master.purge(node, uri)
+
+
+def forget(parameter: str) -> None:
+    """Delete a parameter, if it is there."""
+    if rospy.has_param(parameter):
+        rospy.delete_param(parameter)
 
 
 def finished(command: Sequence[str], timeout: float = 20.0) -> tuple[int, str]:
@@ -250,6 +258,31 @@ class TellingCase(unittest.TestCase):
         self.addCleanup(context.__exit__, None, None, None)
         return value
 
+    def publisher(self, topic: str, message_class: Any, **options: Any) -> rospy.Publisher:
+        """Advertise a topic until the end of the test."""
+        publisher = rospy.Publisher(topic, message_class, **{"queue_size": 100, **options})
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+    def make_folder(self) -> Path:
+        """Make a folder, which is removed at the end of the test."""
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        return Path(folder.name)
+
+    def parameter(self, name: str, value: Any) -> None:
+        """Set a parameter until the end of the test."""
+        rospy.set_param(name, value)
+        self.addCleanup(forget, name)
+
     def run_process(self, *command: str) -> Ended:
         """Start a process, which is ended at the end of the test."""
         return self.enter(Ended(*command))
+
+
+def run(tests: Any = "__main__", is_node: bool = True) -> None:
+    """Run the tests of the main module, or some of them, by default in a node of its name."""
+    name = Path(sys.argv[0]).stem
+    if is_node:
+        rospy.init_node(name)
+    rostest.rosrun("dyknow", name.replace("test_", ""), tests)

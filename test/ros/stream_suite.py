@@ -11,7 +11,7 @@ import rosgraph
 import rospy
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from graph import Heard, is_fed
-from manager_suite import MANAGER, ManagerCase, ManagerProcess, listed
+from manager_suite import MANAGER, ManagerCase, ManagerProcess, listed, specification
 from processes import eventually, nodes
 from std_msgs.msg import String
 
@@ -23,15 +23,8 @@ from dyknow.ros.wire.messages import event_from
 
 def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:
     """Write a transformation with tags on its port out and, if it has one, its port in."""
-    ports, tags = '<port type="out">out</port>', f'<tag port="out">{supplies}</tag>'
-    if needs:
-        ports += '<port type="in">in</port>'
-        tags += f'<tag port="in">{needs}</tag>'
-    return (
-        f'<transformation cost="{cost}"><label>{label}</label>'
-        f"<source>dyknow_manager_test/{source}</source>"
-        f"<ports>{ports}</ports><tags>{tags}</tags></transformation>"
-    )
+    ports = f"out>={supplies}" + (f" >in={needs}" if needs else "")
+    return specification(label, f"dyknow_manager_test/{source}", ports, cost=cost)
 
 
 FILTER = transformation("filter", "Moody", "Filtered(ball)", "Raw(?camera)")
@@ -39,11 +32,6 @@ SPARE_FILTER = transformation("spare filter", "Moody", "Filtered(ball)", "Raw(?c
 TRACKER = transformation("tracker", "Relay", "Position(ball)", "Filtered(ball)")
 CAMERA = transformation("camera", "Counter", "Raw(own)")
 CEILING = transformation("ceiling", "Counter", "Raw(ceiling)", cost=9)
-SENSOR = (
-    '<transformation type="topic"><label>sensor</label><source>/sensor/raw</source>'
-    '<ports><port type="out" datatype="std_msgs/Header">out</port></ports>'
-    '<tags><tag port="out">Raw(sensor)</tag></tags></transformation>'
-)
 LIBRARY = f"<transformations>{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
 GOAL = "Position(ball)"
 
@@ -99,8 +87,8 @@ class StreamCase(ManagerCase):
 
     def tell(self, nodelet: str, order: str) -> None:
         """Send an order to a nodelet that can misbehave on request."""
-        publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
-        self.addCleanup(publisher.unregister)  # not before, which would drop unsent messages
+        # It stays for as long as the test, which would drop unsent messages otherwise.
+        publisher = self.publisher(f"{nodelet}/order", String)
         eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
         publisher.publish(order)
 

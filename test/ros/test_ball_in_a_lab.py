@@ -10,11 +10,9 @@ import os
 import sys
 from pathlib import Path
 
-import rospy
-import rostest
 from geometry_msgs.msg import PointStamped
 from graph import Heard
-from processes import becomes
+from processes import becomes, run
 from stream_suite import StreamCase
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
@@ -58,5 +56,4 @@ class LabTest(StreamCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("ball_in_a_lab_test")
-    rostest.rosrun("dyknow", "ball_in_a_lab", "__main__")
+    run()

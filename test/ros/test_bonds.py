@@ -16,10 +16,9 @@ import signal
 import threading
 
 import rospy
-import rostest
 from bond.msg import Constants, Status
 from graph import Heard, nodes_on, peer
-from processes import BUSY, TellingCase, becomes, eventually
+from processes import BUSY, TellingCase, becomes, eventually, run
 
 from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
 
@@ -138,5 +137,4 @@ class BondsTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("bonds_test")
-    rostest.rosrun("dyknow", "bonds", "__main__")
+    run()

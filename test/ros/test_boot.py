@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import rospy
-import rostest
 from manager_suite import (
     CPP_CHILD,
     ManagerCase,
@@ -30,7 +29,7 @@ from manager_suite import (
     listed,
     specification,
 )
-from processes import BUSY, becomes, eventually, nodes, suspended
+from processes import BUSY, becomes, eventually, nodes, run, suspended
 from stream_suite import CAMERA, CEILING, FILTER, TRACKER
 
 from dyknow.errors import DyKnowError, PeerTimeout
@@ -41,21 +40,13 @@ from dyknow.ros.hosting import child_records
 from dyknow.ros.wire.master import Master
 
 LIBRARY = (
-    (
-        "<transformations>"
-        + specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0)
-        + specification("heavy", "dyknow_manager_test/Heavy", ">in out>", rate=1.0)
-        + specification("half", "image_proc/resize", ">image ~image>", use_scale=True)
-        + specification("talker", "dyknow_test/talker.py", "words>", rate=10)
-        + specification("copier", "topic_tools/relay words copy", ">words copy>", lazy=False)
-        + CAMERA
-        + CEILING
-        + FILTER
-        + TRACKER
-        + "</transformations>"
-    )
-    .replace("><label>talker", ' type="node"><label>talker')
-    .replace("><label>copier", ' type="node"><label>copier')
+    "<transformations>"
+    + specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0)
+    + specification("heavy", "dyknow_manager_test/Heavy", ">in out>", rate=1.0)
+    + specification("half", "image_proc/resize", ">image ~image>", use_scale=True)
+    + specification("talker", "dyknow_test/talker.py", "words>", "node", rate=10)
+    + specification("copier", "topic_tools/relay words copy", ">words copy>", "node", lazy=False)
+    + f"{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
 )
 #: Label, in-port or none, out-port, and whether it has a process of its own.
 KINDS = (
@@ -375,5 +366,4 @@ def differences(what: str, wanted: Mapping[str, Any], found: Mapping[str, Any]) 
 
 
 if __name__ == "__main__":
-    rospy.init_node("boot_test")
-    rostest.rosrun("dyknow", "boot", "__main__")
+    run()

@@ -10,10 +10,8 @@ import itertools
 import signal
 
 import graph  # first: it makes the test package known
-import rospy
-import rostest
 from graph import Heard, Manager, NodeletManagerCase, call, is_linked, peer
-from processes import HELD_UP, becomes, eventually, finished
+from processes import HELD_UP, becomes, eventually, finished, run
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
@@ -30,11 +28,6 @@ class BusTest(NodeletManagerCase):
 
     def received(self, nodelet, numbers):
         becomes(lambda: call(nodelet, "received"), list(numbers))
-
-    def publisher(self, latch=False):
-        publisher = rospy.Publisher("/a", Header, queue_size=10, latch=latch)
-        self.addCleanup(publisher.unregister)
-        return publisher
 
 
 class OutsideTest(BusTest):
@@ -89,7 +82,7 @@ class OutsideTest(BusTest):
             self.assertEqual(graph.comes("/a", Header).seq, latched)
 
     def test_a_latch_of_the_outside_reaches_every_new_connection(self):
-        self.publisher(latch=True).publish(Header(seq=5))
+        self.publisher("/a", Header, latch=True).publish(Header(seq=5))
         for names in (["/one"], ["/one", "/two"]):
             self.manager.load("Listener", names[-1], {"/in": "/a"})
             for name in names:
@@ -141,7 +134,7 @@ class OutsideTest(BusTest):
         for names in (("AnyListener", "Listener"), ("Listener", "AnyListener")):
             with self.subTest(names):
                 self.load(**dict.fromkeys(names, "in"))
-                publisher = self.publisher()
+                publisher = self.publisher("/a", Header)
                 eventually(publisher.get_num_connections, 5.0, "connected from outside")
                 for number in range(3):
                     publisher.publish(Header(seq=number))
@@ -203,7 +196,7 @@ class OrdinaryHandleTest(BusTest):
         for publisher, numbers in zip(self.PUBLISHERS, ([0, 1], [2, 3])):
             call("/n", "publish", publisher, numbers)
             becomes(heard.copy, list(range(numbers[-1] + 1)))
-        speaker = self.publisher()
+        speaker = self.publisher("/a", Header)
         eventually(lambda: is_linked("/a", 2), 5.0, "connected both ways")
         speaker.publish(Header(seq=4))
         for label in self.SUBSCRIBERS:
@@ -359,5 +352,4 @@ class LazyTest(NodeletManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("bus_test")
-    rostest.rosrun("dyknow", "bus", "__main__")
+    run()

@@ -11,10 +11,9 @@ import itertools
 import cv2
 import numpy as np
 import rospy
-import rostest
 from geometry_msgs.msg import Point, PointStamped, Twist, Vector3, Vector3Stamped
 from graph import Heard
-from processes import BUSY, TellingCase, eventually
+from processes import BUSY, TellingCase, eventually, run
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import SetBool
@@ -38,11 +37,6 @@ class BothCase(TellingCase):
     def listen(self, topic, *options):
         """What each version sends."""
         return [self.enter(Heard(f"/{version}/{topic}", *options)) for version in VERSIONS]
-
-    def publisher(self, topic, datatype):
-        publisher = rospy.Publisher(topic, datatype, queue_size=100)
-        self.addCleanup(publisher.unregister)
-        return publisher
 
     def service(self, name):
         rospy.wait_for_service(name, 5.0 * BUSY)
@@ -171,5 +165,4 @@ class VelocityGuardTest(BothCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_convert")
-    rostest.rosrun("dyknow", "convert", "__main__")
+    run()

@@ -10,11 +10,10 @@ import math
 import threading
 
 import rospy
-import rostest
 from dyknow_msgs.msg import NodeletCounts, Port, PortCount
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
 from graph import NodeletManagerCase, call
-from processes import TellingCase, becomes, eventually, suspended
+from processes import TellingCase, becomes, eventually, run, suspended
 from std_msgs.msg import Header
 
 from dyknow.periodic import ControlLoop
@@ -131,8 +130,7 @@ class HearingTest(TellingCase):
     def setUp(self):
         self.hearing = MessageCounter(Registrar())
         self.addCleanup(self.hearing.close)
-        self.publisher = rospy.Publisher("/spoken", Header, queue_size=10)
-        self.addCleanup(self.publisher.unregister)
+        self.speaker = self.publisher("/spoken", Header)
 
     def listen(self, topic="/spoken"):
         counter = self.hearing.listen(topic)
@@ -144,7 +142,7 @@ class HearingTest(TellingCase):
         before = [each.count().messages for each in listeners]
 
         def heard():
-            self.publisher.publish(Header())
+            self.speaker.publish(Header())
             counts = [each.count().messages for each in listeners]
             return all(count > old for count, old in zip(counts, before))
 
@@ -177,5 +175,4 @@ class HearingTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("counts_test")
-    rostest.rosrun("dyknow", "counts", "__main__")
+    run()

@@ -14,13 +14,11 @@ from typing import Iterator
 from unittest import mock
 
 import graph
-import rospy
-import rostest
 from cpp_suite import RUN
 from dyknow_msgs.msg import NodeletChanges, PortConfig
 from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
 from graph import Heard, WordsCase, hears
-from processes import BUSY, becomes, eventually
+from processes import BUSY, becomes, eventually, run
 from rosgraph_msgs.msg import Log, TopicStatistics
 from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
@@ -113,8 +111,7 @@ class StatisticsTest(HabitsCase):
 
     def setUp(self):
         super().setUp()
-        rospy.set_param("/enable_statistics", True)
-        self.addCleanup(rospy.delete_param, "/enable_statistics")
+        self.parameter("/enable_statistics", True)
         # Else this process publishes its own.
         patch = mock.patch.object(SubscriberStatisticsLogger, "is_enabled", return_value=False)
         patch.start()
@@ -211,5 +208,4 @@ class StandaloneTest(HabitsCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("cpp_habits_test")
-    rostest.rosrun("dyknow", "cpp_habits", "__main__")
+    run()

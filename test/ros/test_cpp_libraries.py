@@ -10,12 +10,11 @@ import signal
 
 import graph
 import rospy
-import rostest
 from cpp_suite import RUN, Camera, CppManager, report
 from geometry_msgs.msg import TransformStamped
 from graph import connect, topics_of_ports
 from manager_suite import ManagerCase
-from processes import BUSY, becomes, eventually
+from processes import BUSY, becomes, eventually, run
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
@@ -52,8 +51,7 @@ class LibrariesCase:
         connect(name, left="/cam/camera_info", right="/cam/camera_info")
         eventually(lambda: report(name)["pairs"] > 2, 10.0, "pairs are made")
         self.assertEqual(report(name)["transforms"], 0)
-        publisher = rospy.Publisher("/other/tf", TFMessage, queue_size=1, latch=True)
-        self.addCleanup(publisher.unregister)
+        publisher = self.publisher("/other/tf", TFMessage, latch=True)
         transform = TransformStamped(child_frame_id="base")
         transform.header.frame_id = "map"
         transform.header.stamp = rospy.Time.now()
@@ -77,8 +75,7 @@ class NodeletLibrariesTest(LibrariesCase, ManagerCase):
             manager = self.enter(CppManager("/simulated"))
         finally:
             rospy.delete_param("/use_sim_time")
-        publisher = rospy.Publisher("/clock", Clock, queue_size=10)
-        self.addCleanup(publisher.unregister)
+        publisher = self.publisher("/clock", Clock)
         manager.load("Libraries", "/late")
         self.assertNotIn("/clock", topics_of_ports("/late"))
         eventually(lambda: publisher.get_num_connections() > 0, 5.0, "it listens to the clock")
@@ -111,5 +108,4 @@ class NodeLibrariesTest(LibrariesCase, ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("cpp_libraries_test")
-    rostest.rosrun("dyknow", "cpp_libraries", "__main__")
+    run()

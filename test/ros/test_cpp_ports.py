@@ -14,7 +14,6 @@ import time
 
 import graph
 import rospy
-import rostest
 from cpp_suite import (
     FLAWLESS,
     OURS,
@@ -34,7 +33,7 @@ from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Vector3
 from graph import Heard, connect, set_config, set_config_pairs, topics_of_ports
 from nodelet.srv import NodeletLoad
-from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, suspended
+from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, run, suspended
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
 
@@ -326,8 +325,7 @@ class ReconfigureTest(CppCase):
 
     def publish(self, topic: str, *numbers: float) -> None:
         """Publish numbers to the nodelet's port."""
-        publisher = rospy.Publisher(topic, Float64, queue_size=10)
-        self.addCleanup(publisher.unregister)
+        publisher = self.publisher(topic, Float64)
         eventually(publisher.get_num_connections, 5.0, "connected")
         for number in numbers:
             publisher.publish(number)
@@ -374,8 +372,7 @@ class RefusalTest(CppCase):
         self.refused(set_config("/n", out=topic), problem)
 
     def published(self, topic, message_class):
-        publisher = rospy.Publisher(topic, message_class, queue_size=1)
-        self.addCleanup(publisher.unregister)
+        publisher = self.publisher(topic, message_class)
         eventually(lambda: graph.nodes_on(topic)[0], 5.0, f"{topic} is registered")
         return publisher
 
@@ -476,8 +473,7 @@ class HungMasterTest(TellingCase):
 
 class StuckTest(TellingCase):
     def test_a_callback_that_does_not_return_is_announced(self):
-        rospy.set_param("/stuck/stuck_after", 1.0)
-        self.addCleanup(rospy.delete_param, "/stuck/stuck_after")
+        self.parameter("/stuck/stuck_after", 1.0)
         manager = CppManager("/stuck")
         self.addCleanup(manager.__exit__)
         details: dict[str, list[str]] = {"/sink": [], "/source": []}
@@ -520,5 +516,4 @@ class UnloadTest(CppCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("cpp_ports_test")
-    rostest.rosrun("dyknow", "cpp_ports", "__main__")
+    run()

@@ -13,12 +13,11 @@ import time
 from pathlib import Path
 
 import rospy
-import rostest
 from cpp_suite import CppManager, start
 from dyknow_msgs.srv import SetConfigResponse
 from graph import set_config
 from nodelet.srv import NodeletUnload
-from processes import BUSY, TellingCase
+from processes import BUSY, TellingCase, run
 
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
 #: Workspaces in build/ whose nodelet managers are tried.
@@ -147,5 +146,4 @@ class StressTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("cpp_stress_test")
-    rostest.rosrun("dyknow", "cpp_stress", "__main__")
+    run()

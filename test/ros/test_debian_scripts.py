@@ -16,11 +16,10 @@ from typing import Callable, Iterator
 
 import graph  # first: it makes the test package known
 import rospy
-import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped
 from graph import NodeletManagerCase, Talker, comes, connect, topics_of_ports
-from processes import BUSY, DYKNOW, becomes, eventually
+from processes import BUSY, DYKNOW, becomes, eventually, run
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Header, Int32, String
 from tf2_msgs.msg import TFMessage
@@ -219,6 +218,5 @@ def time_server() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_debian_scripts")
     with time_server():
-        rostest.rosrun("dyknow", "debian_scripts", "__main__")
+        run()

@@ -10,12 +10,10 @@ import os
 import re
 import signal
 import sys
-import tempfile
 from pathlib import Path
 
 import rosgraph
-import rostest
-from processes import Running, TellingCase, free_port
+from processes import Running, TellingCase, free_port, run
 
 PICTURES = [
     f"soccer_{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")
@@ -38,9 +36,7 @@ STORY = (
 
 class DemoCase(TellingCase):
     def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.folder = Path(folder.name)
+        self.folder = self.make_folder()
 
     def start(self, *arguments, alone=False):
         """Start a demonstration, perhaps where no ROS master runs."""
@@ -100,4 +96,4 @@ class SoccerTest(DemoCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("dyknow", "demo", "__main__")
+    run(is_node=False)

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import psutil
 import rospy
-import rostest
 from manager_suite import CHILD, MANAGER, ManagerCase, specification
-from processes import Running, becomes, eventually, suspended
+from processes import Running, becomes, eventually, run, suspended
 from roslib.packages import find_node
 from std_msgs.msg import String
 from test_dyknow_command import Done
@@ -108,8 +107,7 @@ class DoctorTest(ManagerCase):
         manager.client.add_transformation(specification("moody", MOODY, ">in out>"))
         manager.client.spawn("counter", "c", {"out": "/s"})
         manager.client.spawn("moody", "/moody", {"in": "/s"})
-        mood = rospy.Publisher("/moody/order", String, queue_size=1, latch=True)
-        self.addCleanup(mood.unregister)
+        mood = self.publisher("/moody/order", String, latch=True)
         mood.publish("hang")
         running = "a callback has been running for"
         self.found("nodelets", "/moody", running, "dyknow info /moody")
@@ -161,5 +159,4 @@ class DoctorTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("doctor_test")
-    rostest.rosrun("dyknow", "doctor", DoctorTest)
+    run()

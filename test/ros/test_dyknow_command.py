@@ -18,11 +18,9 @@ import signal
 import subprocess
 from unittest.mock import patch
 
-import rospy
-import rostest
 from graph import Heard
 from manager_suite import CHILD, MANAGER, PROGRAM, ManagerCase
-from processes import DYKNOW, Running, becomes, eventually, nodes, suspended
+from processes import DYKNOW, Running, becomes, eventually, nodes, run, suspended
 
 from dyknow.cli.main import main
 
@@ -51,7 +49,7 @@ class Done:
         return json.loads(self.out)
 
 
-def run(*command, **environment):
+def execute(*command, **environment):
     """A command in a process of its own, with the texts that it writes."""
     return subprocess.run(
         command,
@@ -65,7 +63,7 @@ def run(*command, **environment):
 
 def completions(line):
     """Completions by argcomplete at the end of a line, without the space after a word."""
-    done = run(
+    done = execute(
         *("sh", "-c", 'exec "$@" 8>&1 >/dev/null', "sh", *DYKNOW),
         _ARGCOMPLETE="1",
         _ARGCOMPLETE_COMP_WORDBREAKS=" \t\n\"'><=;|&(:",
@@ -134,7 +132,7 @@ class CommandTest(ManagerCase):
             (["info", "x"], 1, "", "dyknow: no nodelet named '/x' runs; see 'dyknow list'\n"),
             (["list", "--manager-node", "n"], 3, "", None),
         ):
-            done = run(*DYKNOW, *words)
+            done = execute(*DYKNOW, *words)
             self.assertEqual((done.returncode, done.stdout), (code, out), done.stderr)
             self.assertEqual(done.stderr, done.stderr if err is None else err)
             self.assertEqual(done.stderr.count("\n"), int(code > 0), done.stderr)
@@ -146,7 +144,9 @@ class CommandTest(ManagerCase):
             self.assertEqual(watching.exit_code(20.0), 130)
             self.assertNotIn("Traceback", watching.output)
         # A reader that goes away ends it quietly.
-        done = run("bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "-", *DYKNOW, *WATCH)
+        done = execute(
+            "bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "-", *DYKNOW, *WATCH
+        )
         self.assertEqual((done.returncode, done.stderr), (141, ""))
 
     def test_completion(self):
@@ -186,7 +186,7 @@ class UnreachableTest(ManagerCase):
             self.check("is not running: start one", *words)
 
     def test_a_manager_takes_no_words_that_would_have_no_effect(self):
-        done = run(PROGRAM, "--read-only")
+        done = execute(PROGRAM, "--read-only")
         self.assertEqual((done.returncode, done.stdout), (255, ""))
         self.assertIn("'--read-only' would have no effect", done.stderr)
 
@@ -205,5 +205,4 @@ class UnreachableTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_dyknow_command")
-    rostest.rosrun("dyknow", "dyknow_command", "__main__")
+    run()

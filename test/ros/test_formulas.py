@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
-from pathlib import Path
 from typing import Any, List
 
 import graph  # first: it makes the test package known
 import rosbag
 import rospy
-import rostest
 from dyknow_msgs.msg import Verdict
 from graph import Battery, Heard, NodeletManagerCase, battery
-from processes import DYKNOW, TellingCase, eventually, finished
+from processes import DYKNOW, TellingCase, eventually, finished, run
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool
 
@@ -41,10 +38,9 @@ class NodeletTest(NodeletManagerCase):
     def test_live_and_from_a_bag_the_verdicts_are_the_same(self):
         self.load("/charged", FORMULA, {"battery": "sensor_msgs/BatteryState"}, delay=1000.0)
         live = self.enter(Heard("/charged/verdicts", Verdict))
-        publisher = rospy.Publisher("/battery", BatteryState, queue_size=1000)
+        publisher = self.publisher("/battery", BatteryState, queue_size=1000)
         eventually(publisher.get_num_connections, 10.0, "the nodelet is connected")
-        folder = self.enter(tempfile.TemporaryDirectory())
-        path = str(Path(folder, "run.bag"))
+        path = str(self.make_folder() / "run.bag")
         messages = drained(rospy.get_time() - 100.0)
         with rosbag.Bag(path, "w") as bag:
             for number, message in enumerate(messages):
@@ -141,7 +137,7 @@ class HoldsTest(TellingCase):
                 self.assertIn(text, output)
 
     def test_what_a_bag_lacks_is_said(self):
-        path = str(Path(self.enter(tempfile.TemporaryDirectory()), "run.bag"))
+        path = str(self.make_folder() / "run.bag")
         with rosbag.Bag(path, "w") as bag:
             bag.write("/battery", battery(1.0, 0.5), rospy.Time(1.0))
         code, output = finished([*DYKNOW, "holds", "batery.percentage > 1", "--bag", path])
@@ -156,5 +152,4 @@ class HoldsTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("formulas_test")
-    rostest.rosrun("dyknow", "formulas", "__main__")
+    run()

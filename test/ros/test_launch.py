@@ -18,9 +18,8 @@ from typing import Any, Callable, Sequence
 import graph
 import rosgraph
 import rospy
-import rostest
 from graph import comes, connect, registered, topics_of_ports
-from processes import BUSY, DYKNOW, TellingCase, becomes, eventually, free_port
+from processes import BUSY, DYKNOW, TellingCase, becomes, eventually, free_port, run
 from std_msgs.msg import String
 
 from dyknow.ros.wire.master import Master
@@ -206,5 +205,4 @@ class EndTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("launch_test")
-    rostest.rosrun("dyknow", "launch", "__main__")
+    run()

@@ -89,8 +89,7 @@ class LeakTest(LeakCase):
 
     def test_loads_and_unloads(self):
         self.enter(Heard("/b"))
-        speaker = rospy.Publisher("/a", graph.Header, queue_size=1)
-        self.addCleanup(speaker.unregister)
+        self.publisher("/a", graph.Header)
         topics = {"/in": "/a", "/out": "/b"}
 
         def load_and_unload():
@@ -129,6 +128,5 @@ class ScriptLeakTest(LeakCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("leaks_test")
-    is_of_scripts = rospy.has_param("~cycles")
-    rostest.rosrun("dyknow", "leaks", ScriptLeakTest if is_of_scripts else LeakTest)
+    rospy.init_node("leaks")
+    rostest.rosrun("dyknow", "leaks", ScriptLeakTest if rospy.has_param("~cycles") else LeakTest)

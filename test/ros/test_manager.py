@@ -11,7 +11,6 @@ from pathlib import Path
 
 import rosnode
 import rospy
-import rostest
 from dyknow_msgs.msg import Model, PortConfig
 from dyknow_msgs.srv import Spawn
 from graph import Heard, Manager
@@ -26,7 +25,7 @@ from manager_suite import (
     registrations,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
-from processes import BUSY, becomes, eventually
+from processes import BUSY, becomes, eventually, run
 
 from dyknow.errors import Refused
 from dyknow.model.graph import State
@@ -266,5 +265,4 @@ class StartTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("manager_test")
-    rostest.rosrun("dyknow", "manager", "__main__")
+    run()

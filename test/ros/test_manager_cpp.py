@@ -14,11 +14,10 @@ from pathlib import Path
 import cpp_suite
 import rospkg
 import rospy
-import rostest
 from cpp_suite import Camera
 from dyknow_msgs.srv import GetStatistics
 from manager_suite import CPP_CHILD, ManagerCase, registrations, specification
-from processes import BUSY, eventually
+from processes import BUSY, eventually, run
 from sensor_msgs.msg import Image
 
 from dyknow.cli.rewirable import find_library
@@ -187,5 +186,4 @@ class ExternalTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("manager_cpp_test")
-    rostest.rosrun("dyknow", "manager_cpp", "__main__")
+    run()

@@ -6,23 +6,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import sys
-import tempfile
 from pathlib import Path
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import rospy
-import rostest
 from dyknow_msgs.srv import Spawn
 from faulty_disk import full, kept_aside, read_only, small_disk
 from graph import Heard
 from manager_suite import CHILD, MANAGER, ManagerCase, specification
-from processes import Running, becomes, eventually
+from processes import Running, becomes, eventually, run
 
 from dyknow import __version__
 from dyknow.model.graph import State
@@ -33,11 +30,7 @@ SOURCE = specification("numbers", "dyknow_manager_test/Counter", "out>")
 
 class ManagerDiskTest(ManagerCase):
     def setUp(self):
-        parent = tempfile.TemporaryDirectory()
-        self.addCleanup(parent.cleanup)
-        stack = contextlib.ExitStack()
-        self.addCleanup(stack.close)
-        self.disk = stack.enter_context(small_disk(Path(parent.name) / "disk"))
+        self.disk = self.enter(small_disk(self.make_folder() / "disk"))
         self.manager = self.make(state_dir=str(self.disk))
         self.manager.state = str(self.disk)
 
@@ -135,5 +128,4 @@ class ManagerDiskTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_manager_disk")
-    rostest.rosrun("dyknow", "manager_disk", ManagerDiskTest)
+    run()

@@ -12,7 +12,6 @@ import time
 
 import rosgraph
 import rospy
-import rostest
 from graph import Heard
 from manager_suite import (
     CHILD,
@@ -24,7 +23,7 @@ from manager_suite import (
     parameters,
     registrations,
 )
-from processes import BUSY, HELD_UP, becomes, eventually
+from processes import BUSY, HELD_UP, becomes, eventually, run
 from std_msgs.msg import Header
 from test_boot import BootTest
 
@@ -43,8 +42,7 @@ class NodeletManagerFaultsTest(ManagerCase):
             manager.client.spawn("relay", f"/relay{number}", config, number % 2 == 0)
         manager.client.set_config("/relay18", {"out": "/end"})
         manager.shows("/relay18", out="/end")
-        rospy.set_param("/relay3/of_others", 1)
-        self.addCleanup(rospy.delete_param, "/relay3/of_others")
+        self.parameter("/relay3/of_others", 1)
         receiver = self.enter(Heard("/end"))
         receiver.flows()
         before = nodelets(manager)
@@ -89,8 +87,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         through.flows()
         beside.flows()
         process = manager.child("/fragile_nodelet_manager")
-        order = rospy.Publisher("/order", Header, queue_size=1)
-        self.addCleanup(order.unregister)
+        order = self.publisher("/order", Header)
         eventually(order.get_num_connections, 5.0, "it listens")
         order.publish(Header())
         self.assertTrue(process.wait(5.0 * BUSY))
@@ -207,5 +204,4 @@ def nodelets(manager):
 
 
 if __name__ == "__main__":
-    rospy.init_node("manager_faults_test")
-    rostest.rosrun("dyknow", "manager_faults", "__main__")
+    run()

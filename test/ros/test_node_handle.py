@@ -14,27 +14,19 @@ import threading
 import dynamic_reconfigure.client
 import graph  # first: it makes the test package known
 import rospy
-import rostest
 import tf2_ros
 from actionlib.msg import TestActionGoal, TestGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from graph import Heard, NodeletManagerCase, call, comes, is_linked
-from processes import BUSY, becomes, eventually
+from processes import BUSY, becomes, eventually, run
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 
-class HandleCase(NodeletManagerCase):
-    def publisher(self, topic, message_class, **options):
-        publisher = rospy.Publisher(topic, message_class, queue_size=10, **options)
-        self.addCleanup(publisher.unregister)
-        return publisher
-
-
-class ApiTest(HandleCase):
+class ApiTest(NodeletManagerCase):
     def setUp(self):
         self.manager.load("Features", "/robot/n", {"/robot/in": "/wired"}, answer=42)
 
@@ -125,7 +117,7 @@ class ShippedTest(NodeletManagerCase):
         self.manager.wait_for_match(line)
 
 
-class FilterTest(HandleCase):
+class FilterTest(NodeletManagerCase):
     def test_a_time_synchroniser_on_ports(self):
         self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
         publishers = {topic: self.publisher(topic, Image) for topic in ("/a", "/b", "/c")}
@@ -176,8 +168,7 @@ class TransformTest(NodeletManagerCase):
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)
         self.addCleanup(listener.unregister)
-        publisher = rospy.Publisher("/tf", TFMessage, queue_size=10)
-        self.addCleanup(publisher.unregister)
+        publisher = self.publisher("/tf", TFMessage)
         eventually(lambda: is_linked("/tf", 2), 5.0, "connected both ways")
         call("/one", "send", "map", "robot", 7.0)
         found = buffer.lookup_transform("map", "robot", rospy.Time(0), rospy.Duration(5.0 * BUSY))
@@ -197,7 +188,7 @@ class TransformTest(NodeletManagerCase):
         self.sent("/two", 2.0, "/two")
 
 
-class LibrariesTest(HandleCase):
+class LibrariesTest(NodeletManagerCase):
     def test_diagnostics(self):
         self.manager.load("Diagnosed", "/n")
 
@@ -250,5 +241,4 @@ class LibrariesTest(HandleCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("node_handle_test")
-    rostest.rosrun("dyknow", "node_handle", "__main__")
+    run()

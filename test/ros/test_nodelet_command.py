@@ -16,30 +16,10 @@ import time
 
 import graph  # first: it makes the test package known
 import rospy
-import rostest
-from graph import Manager, ManagerServices, NodeletManagerCase, let_the_bond_form
+from cpp_suite import STOCK
+from graph import Manager, NodeletManagerCase, let_the_bond_form
 from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
-from processes import (
-    BUSY,
-    NODELET,
-    STOCK_NODELET,
-    Ended,
-    TellingCase,
-    becomes,
-    eventually,
-    finished,
-    nodes,
-)
-
-
-class StockManager(Ended, ManagerServices):
-    """nodelet_core's manager, in C++."""
-
-    def __init__(self, name: str) -> None:
-        namespace, _, base = name.rpartition("/")
-        ManagerServices.__init__(self, name)
-        super().__init__(*STOCK_NODELET, "manager", f"__name:={base}", f"__ns:={namespace or '/'}")
-        self.wait_until_up()
+from processes import BUSY, NODELET, STOCK_NODELET, TellingCase, becomes, eventually, finished, run
 
 
 class CommandCase(TellingCase):
@@ -99,7 +79,7 @@ class ClientTest(ClientCase, NodeletManagerCase):
             self.ends(process)
             self.unloaded()
             self.assertIn(f"Unloading nodelet {self.name} from manager", process.output)
-            eventually(lambda: self.name not in nodes(), 5.0, "the client is gone")
+            becomes(lambda: graph.registered(self.name), set())
 
     def test_kill_9_of_the_client_unloads(self):
         for client in self.clients:
@@ -158,10 +138,10 @@ class EndedManagerTest(ClientCase):
     """The manager ends or hangs before the client does."""
 
     namespace = "/ending"
-    manager_class = Manager
+    command = (*NODELET, "manager")
 
     def setUp(self):
-        self.manager = self.enter(self.manager_class(f"{self.namespace}/manager"))
+        self.manager = self.enter(Manager(f"{self.namespace}/manager", command=self.command))
 
     def test_the_client_ends_with_the_manager(self):
         for number in (signal.SIGKILL, signal.SIGINT):
@@ -209,7 +189,7 @@ class StockManagerTest(ClientTest):
 
     @classmethod
     def start_manager(cls):
-        manager = StockManager(cls.manager_name)
+        manager = Manager(cls.manager_name, command=STOCK)
         cls.addClassCleanup(manager.__exit__)
         return manager
 
@@ -232,7 +212,7 @@ class StockManagerTest(ClientTest):
 class EndedStockManagerTest(EndedManagerTest):
     nodelet_type = "image_proc/resize"
     namespace = "/ending_stock"
-    manager_class = StockManager
+    command = STOCK
 
 
 class WaitingTest(CommandCase):
@@ -245,7 +225,7 @@ class WaitingTest(CommandCase):
         process = self.run_process(*NODELET, "load", "image_proc/resize", "/late", "__name:=early")
         process.wait_for("waitForService: Service [/late/load_nodelet] has not been advertised")
         process.wait_for("Waiting for service /late/load_nodelet to be available for 10 seconds..")
-        late = self.enter(StockManager("/late"))
+        late = self.enter(Manager("/late", command=STOCK))
         process.wait_for("waitForService: Service [/late/load_nodelet] is now available.")
         becomes(late.list, ["/early"])
 
@@ -324,5 +304,4 @@ class OddManagerTest(CommandCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("nodelet_command_test")
-    rostest.rosrun("dyknow", "nodelet_command", "__main__")
+    run()

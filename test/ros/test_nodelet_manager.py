@@ -17,13 +17,12 @@ import xmlrpc.client
 import graph  # first: it makes the test package known
 import rosgraph
 import rospy
-import rostest
 import test_nodelet_command
 from dyknow_msgs.msg import NodeletChanges
 from dyknow_test.puppet import Echo
 from graph import Heard, Manager, NodeletManagerCase, call, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
-from processes import BUSY, NODELET, STOCK_NODELET, TellingCase, becomes, eventually, nodes
+from processes import BUSY, NODELET, STOCK_NODELET, TellingCase, becomes, eventually, nodes, run
 from roslib.packages import find_node
 from std_msgs.msg import Header, String
 from test_nodelet_command import CommandCase
@@ -139,8 +138,7 @@ class RefusalTest(RobotCase):
 
     def tearDown(self):
         super().tearDown()
-        if rospy.has_param("/n"):
-            rospy.delete_param("/n")
+        graph.forget("/n")
 
     def refused(self, *texts, kind="dyknow_test/Talker", name="/n", **request):
         """A load is refused, with all the texts in the answer and in the log."""
@@ -348,8 +346,7 @@ class LaunchTest(CommandCase):
             self.assertEqual(call("/rover/introspector", "describe")["argv"], [])
             image = call("/rover/introspector", "resolve", "image")
             self.assertEqual(image, "/rover/camera/image")
-            speaker = rospy.Publisher("/rover/source", Header, queue_size=1)
-            self.addCleanup(speaker.unregister)
+            speaker = self.publisher("/rover/source", Header)
             with Heard("/result", note=lambda message: message.seq) as heard:
                 eventually(speaker.get_num_connections, 5.0, "the relay is connected")
                 speaker.publish(Header(seq=9))
@@ -383,5 +380,4 @@ class DescriptorsTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("nodelet_manager_test")
-    rostest.rosrun("dyknow", "nodelet_manager", "__main__")
+    run()

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import graph
 import rospy
-import rostest
 from cpp_suite import RUN
 from graph import WordsCase, connect, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
-from processes import BUSY, DYKNOW, becomes, eventually, finished
+from processes import BUSY, DYKNOW, becomes, eventually, finished, run
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -274,5 +273,4 @@ class OthersTest(WordsCase, ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("nodes_test")
-    rostest.rosrun("dyknow", "nodes", "__main__")
+    run()

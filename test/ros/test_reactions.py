@@ -6,11 +6,9 @@
 
 from __future__ import annotations
 
-import rospy
-import rostest
 from graph import Battery, Heard
 from manager_suite import ManagerProcess
-from processes import DYKNOW, eventually, finished
+from processes import DYKNOW, eventually, finished, run
 from std_msgs.msg import Header
 from stream_suite import CAMERA, GOAL, SPARE_FILTER, StreamCase
 
@@ -136,5 +134,4 @@ class RequireTest(StreamCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("reactions_test")
-    rostest.rosrun("dyknow", "reactions", "__main__")
+    run()

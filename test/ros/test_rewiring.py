@@ -15,7 +15,6 @@ import time
 
 import graph  # first: it makes the test package known
 import rospy
-import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
 from graph import (
@@ -27,7 +26,7 @@ from graph import (
     port_statistics,
     set_config,
 )
-from processes import HELD_UP, becomes, eventually
+from processes import HELD_UP, becomes, eventually, run
 
 #: Seconds that a set_config waits for peers outside.
 PATIENCE = 0.5
@@ -262,5 +261,4 @@ class ReadvertisedTest(RewiringTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("rewiring_test")
-    rostest.rosrun("dyknow", "rewiring", ReadvertisedTest if STEPS else "__main__")
+    run(ReadvertisedTest if STEPS else "__main__")

@@ -16,7 +16,6 @@ from typing import List
 import graph  # first: it makes the test package known
 import psutil
 import rospy
-import rostest
 from dyknow_msgs.msg import NodeletChanges, Port
 from dyknow_msgs.srv import GetCounts
 from graph import (
@@ -30,7 +29,7 @@ from graph import (
     set_config,
     topics_of_ports,
 )
-from processes import BUSY, DYKNOW, HELD_UP, NODELET, becomes, eventually
+from processes import BUSY, DYKNOW, HELD_UP, NODELET, becomes, eventually, run
 from roslib.packages import find_node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -397,5 +396,4 @@ class CommandTest(graph.TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_scripts")
-    rostest.rosrun("dyknow", "scripts", "__main__")
+    run()

@@ -10,7 +10,6 @@ import contextlib
 
 import graph
 import rospy
-import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import (
     AcquireStream,
@@ -36,7 +35,7 @@ from manager_suite import (
     specification,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
-from processes import becomes, eventually
+from processes import becomes, eventually, run
 from std_msgs.msg import String
 
 from dyknow.errors import Refused
@@ -103,10 +102,7 @@ def too_long(service_class):
 
 
 def program(label, source):
-    return (
-        f'<transformation type="node"><label>{label}</label><source>{source}</source>'
-        "</transformation>"
-    )
+    return specification(label, source, "", "node")
 
 
 class TopicsTest(ManagerCase):
@@ -114,8 +110,7 @@ class TopicsTest(ManagerCase):
 
     def setUp(self):
         self.manager = self.started(denied_topics=["/e_stop", "/tf"])
-        words = rospy.Publisher("/words", String, queue_size=1, latch=True)
-        self.addCleanup(words.unregister)
+        words = self.publisher("/words", String, latch=True)
         words.publish("hello")
 
     def assert_untouched(self, *topics):
@@ -313,5 +308,4 @@ class LimitsTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("security_test")
-    rostest.rosrun("dyknow", "security", "__main__")
+    run()

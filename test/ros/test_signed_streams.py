@@ -18,18 +18,17 @@ import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Callable, Sequence
-from xml.sax.saxutils import escape
 
 import rospy
-import rostest
 from graph import PACKAGES, Heard
 from manager_suite import CHILD, ManagerCase, ManagerProcess
 from nodelet.srv import NodeletUnload
-from processes import becomes, eventually
+from processes import becomes, eventually, run
 from std_msgs.msg import Header, String
 
 from dyknow.errors import DyKnowError
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 sys.path.append(str(PACKAGES / "dyknow_manager_test" / "src"))
 import signatures
@@ -63,25 +62,14 @@ class Signed:
     def xml(self, report: str) -> str:
         both = (("in", self.inputs), ("out", self.outputs))
         listed = [(name, way, tag) for way, ports in both for name, tag in ports.items()]
-        ports = "".join(
-            f'<port type="{way}" datatype="std_msgs/Header">{name}</port>'
-            for name, way, _ in listed
-        )
-        tags = "".join(f'<tag port="{name}">{escape(tag)}</tag>' for name, _, tag in listed)
+        ports = tuple(Port(name, way, "std_msgs/Header", (tag,)) for name, way, tag in listed)
+        if self.topic:
+            return Transformation(self.label, self.topic, "topic", self.cost, (), ports).to_xml()
         values = {"ports": json.dumps(listed), "kinds": json.dumps(KINDS), "report": report}
-        params = "".join(
-            f'<param name="{name}" type="string">{escape(value)}</param>'
-            for name, value in {**values, "rate": str(self.rate)}.items()
-        )
-        kind, source, params = (
-            (' type="topic"', self.topic, "")
-            if self.topic
-            else ("", "dyknow_manager_test/Signed", f"<params>{params}</params>")
-        )
-        return (
-            f'<transformation{kind} cost="{self.cost}"><label>{self.label}</label><source>'
-            f"{source}</source>{params}<ports>{ports}</ports><tags>{tags}</tags></transformation>"
-        )
+        values["rate"] = str(self.rate)
+        params = tuple(Parameter(name, "string", value) for name, value in values.items())
+        source = "dyknow_manager_test/Signed"
+        return Transformation(self.label, source, "nodelet", self.cost, params, ports).to_xml()
 
     def replaced(self, choice: random.Random) -> Signed:
         """Another one with this label, whose outputs keep their functors."""
@@ -433,5 +421,4 @@ class SignedTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("signed_streams_test")
-    rostest.rosrun("dyknow", "signed_streams", "__main__")
+    run()

@@ -17,12 +17,10 @@ from typing import Any, Callable
 
 import graph
 import psutil
-import rospy
-import rostest
 from cpp_suite import RUN
 from manager_suite import ManagerCase, everything
-from processes import Ended, eventually
-from stream_suite import CAMERA
+from processes import Ended, eventually, run
+from stream_suite import transformation
 from test_boot import LIBRARY, Promises, Work
 
 from dyknow.errors import DyKnowError
@@ -133,8 +131,7 @@ class SoakTest(ManagerCase):
         """Add or remove a transformation."""
         label = f"more {self.random.randrange(10)}"
         if self.random.random() < 0.5:
-            specification = CAMERA.replace("camera", label).replace("own", "other")
-            self.client.add_transformation(specification)
+            self.client.add_transformation(transformation(label, "Counter", "Raw(other)"))
         else:
             with contextlib.suppress(DyKnowError):
                 self.client.remove_transformation(label)
@@ -209,5 +206,4 @@ class SoakTest(ManagerCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("soak_test")
-    rostest.rosrun("dyknow", "soak", "__main__")
+    run()

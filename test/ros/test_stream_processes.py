@@ -10,11 +10,9 @@ import re
 import signal
 import time
 
-import rospy
-import rostest
 from graph import Heard, peer
 from manager_suite import MasterCase, answers
-from processes import DYKNOW, Running, eventually, finished
+from processes import DYKNOW, Running, eventually, finished, run
 from stream_suite import GOAL, LIBRARY, StreamCase
 
 from dyknow.errors import Refused
@@ -150,5 +148,4 @@ class RoscoreTest(MasterCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("stream_processes_test")
-    rostest.rosrun("dyknow", "stream_processes", "__main__")
+    run()

@@ -12,26 +12,23 @@ from __future__ import annotations
 import time
 
 import rospy
-import rostest
 from dyknow_msgs.srv import GetCounts
 from geometry_msgs.msg import PointStamped
 from graph import Heard
-from manager_suite import CHILD
+from manager_suite import CHILD, specification
 from nodelet.srv import NodeletUnload
-from processes import eventually
+from processes import eventually, run
 from std_msgs.msg import Header
-from stream_suite import CAMERA, GOAL, SPARE_FILTER, StreamCase, transformation
+from stream_suite import GOAL, SPARE_FILTER, StreamCase, transformation
 
 import dyknow
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState, StreamRequest
+from dyknow.model.transformation import Port, Transformation
 
 LIMIT = 5.0  # s, of an age or a silence; what is late is twice as old
 TOPIC = "/scanner/points"
-SCANNER = (
-    f'<transformation type="topic"><label>scanner</label><source>{TOPIC}</source>'
-    '<ports><port type="out" datatype="geometry_msgs/PointStamped">out</port></ports>'
-    '<tags><tag port="out">Scan(ball)</tag></tags></transformation>'
-)
+SCAN = Port("out", "out", "geometry_msgs/PointStamped", ("Scan(ball)",))
+SCANNER = Transformation("scanner", TOPIC, "topic", ports=(SCAN,)).to_xml()
 AGING = (
     "<transformations>"
     + transformation("eye", "Stamped", "Seen(ball)")
@@ -39,16 +36,12 @@ AGING = (
     + transformation("last", "Lagging", "Place(ball)", "Smooth(ball)")
     + "</transformations>"
 )
-CLIENT = (
-    "<transformation><label>client</label><source>dyknow_manager_test/Client</source>"
-    '<params><param name="tag" type="string">Filtered(ball)</param></params>'
-    '<ports><port type="out">out</port></ports></transformation>'
-)
+CLIENT = specification("client", "dyknow_manager_test/Client", "out>", tag="Filtered(ball)")
 MAPS = (
     "<transformations>"
     + transformation("map", "Counter", "Map(here)")
     + transformation("spare map", "Counter", "Map(here)", cost=3)
-    + CAMERA.replace("<label>camera", "<label>twin")  # as good as the camera
+    + transformation("twin", "Counter", "Raw(own)")  # as good as the camera
     + "</transformations>"
 )
 
@@ -241,5 +234,4 @@ class HarmTest(StreamCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("streams_test")
-    rostest.rosrun("dyknow", "streams", "__main__")
+    run()

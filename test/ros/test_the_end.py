@@ -11,9 +11,8 @@ import time
 
 import graph  # first: it makes the test package known
 import rospy
-import rostest
 from graph import Manager, call, peer
-from processes import HELD_UP, NODELET, TellingCase, eventually, finished
+from processes import HELD_UP, NODELET, TellingCase, eventually, finished, run
 from std_msgs.msg import Header
 
 
@@ -50,8 +49,7 @@ class EndTest(TellingCase):
             self.assert_ends(*names)
 
     def test_in_the_middle_of_callbacks_that_do_not_return(self):
-        speaker = rospy.Publisher("/orders", Header, queue_size=1)
-        self.addCleanup(speaker.unregister)
+        speaker = self.publisher("/orders", Header)
         names = [f"/n{number}" for number in range(6)]
         for name in names:
             self.manager.load("Fragile", name, {"/in": "/orders"})
@@ -101,5 +99,4 @@ class EndTest(TellingCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("end_test")
-    rostest.rosrun("dyknow", "the_end", "__main__")
+    run()
