@@ -5,24 +5,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
 import unittest
-from typing import Callable, ContextManager
+from typing import Callable
 
-import rospy
-import rostest
-from graph import Heard
+import processes
 from hosts import Host, Network, missing
-from manager_suite import CHILD, LIBRARY, ManagerProcess, listed
-from processes import NODELET, Running, becomes, eventually
-from stream_suite import GOAL, StreamCase
-
-from dyknow.errors import Refused
-from dyknow.model.graph import State
-from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.wire.master import Master
+from manager_suite import ManagerProcess, listed
+from processes import NODELET, Running, eventually
+from stream_suite import StreamCase
 
 #: The manager notices within this many seconds that a host is unreachable, or back.
 NOTICED = 5.0
@@ -102,125 +94,9 @@ class HostsCase(StreamCase):
             time.sleep(0.1)
 
 
-class Split(HostsCase):
-    """Two nodelet managers of one name, on hosts that could not see each other."""
-
-    def newcomer_survives(self, meanwhile: Callable[[ManagerProcess], None]) -> None:
-        """When the two meet, one goes on with its nodelets and the claims; the other ends."""
-        far = self.host()
-        elder = self.nodelet_manager(far, "twin")
-        manager = self.tracking(own=True, nodelet_managers=["/twin"], num_nodelet_managers=0)
-        self.placed(manager)
-        events = self.events()
-        claim = manager.client.acquire_stream(StreamRequest(GOAL))
-        self.assertEqual(len(listed("/twin")), 3)
-        flow = self.enter(Heard(claim.topic))
-        flow.flows()
-        with self.network.cut(far):
-            events.mended("does not answer")
-            newcomer = self.nodelet_manager(self.host(), "twin")
-            self.placed(manager)
-            meanwhile(manager)
-            self.placed(manager)
-            flow.flows()
-            changes = events.changes()
-        eventually(lambda: elder.has_ended, NOTICED, "the elder ends")
-        self.stays(2.0, lambda: not newcomer.has_ended, lambda: newcomer.output)
-        manager.becomes("/probe", State.RUNNING)
-        self.assertEqual(listed("/twin"), ["/probe"])
-        self.assertEqual(self.claim(manager, claim.claim_id).state, ClaimState.ACTIVE)
-        self.assertEqual(events.changes(), changes)
-        publishers = Master(rospy.get_name()).publishers(claim.topic)
-        self.assertEqual(len(publishers), 1, publishers)
-        flow.flows()
-
-    def placed(self, manager: ManagerProcess) -> None:
-        """Spawn a nodelet in /twin, after the one in an earlier process has gone."""
-
-        def is_placed() -> bool:
-            with contextlib.suppress(Refused):
-                if manager.nodelet("/probe") is None:
-                    manager.client.spawn("camera", "/probe", manager="/twin")
-                return listed("/twin") == ["/probe"]
-            return False
-
-        eventually(is_placed, NOTICED, "/twin is used", lambda: manager.output)
-
-
-class ClaimOverHosts(HostsCase):
-    """A claim that is met by a nodelet on another host, to which something happens.
-
-    The stream can be made on the desk too.
-    """
-
-    def with_claim(self, max_silence: float) -> None:
-        self.far = self.host()
-        self.far_process = self.nodelet_manager(self.far, "far")
-        self.manager = self.tracking(own=True, nodelet_managers=["/far"])
-        self.manager.client.add_transformation(LIBRARY)
-        self.hosting(self.manager, "far")
-        self.manager.client.spawn("camera", "/far_camera", manager="/far")
-        self.heard = self.events()
-        request = StreamRequest("Filtered(ball)", max_silence=max_silence)
-        self.claim_id = self.manager.client.acquire_stream(request).claim_id
-        self.assertIn("/far_camera", self.claim(self.manager, self.claim_id).nodelets)
-        # A fault before that may be noticed in two steps, a nodelet and then its host.
-        self.delivers(self.manager, self.claim_id)
-        self.since = len(self.heard)
-        self.fast = self.spawn_time(self.manager)
-
-    def changes(self) -> list[str]:
-        """Changes of the claim since it was met; an offer of a cheaper way does not count."""
-        return self.heard.changes(self.since)
-
-    def is_replaced(self) -> bool:
-        claim = self.claim(self.manager, self.claim_id)
-        model = self.manager.client.get_model()
-        places = {each.manager for each in model.nodelets if each.name in claim.nodelets}
-        return claim.state is ClaimState.ACTIVE and "/far" not in places
-
-    def loses_it(self, fault: ContextManager[None], seconds: float) -> None:
-        """It is replaced once, other claims stay, and the returning nodelet is removed."""
-
-        def once() -> bool:
-            return len(self.changes()) == 2
-
-        with fault:
-            eventually(self.is_replaced, NOTICED, "it is replaced")
-            eventually(once, NOTICED, "it is told once", self.changes)
-            self.heard.is_one_loss(self.since)
-            self.spawns_fast(self.manager, self.fast)
-            self.stays(seconds, once, self.changes)
-            self.assertTrue(self.is_replaced())
-        self.manager.becomes("/far_camera", State.RUNNING)
-        alone = ["/far_camera"]
-        becomes(lambda: listed("/far"), alone)
-        self.stays(seconds, lambda: listed("/far") == alone, lambda: listed("/far"))
-        self.assertTrue(once(), self.changes())
-        self.manager.client.destroy("/far_camera")
-        self.assertEqual(listed("/far"), [])
-        self.settled(self.manager)
-
-    def keeps_it(self, fault: ContextManager[None], seconds: float) -> None:
-        """It does not change, neither during the fault nor after it."""
-
-        def is_calm() -> bool:
-            return not self.changes()
-
-        with fault:
-            self.stays(seconds, is_calm, self.changes)
-            self.manager.client.spawn("relay", "/late", {"in": "/x"}, manager="/far")
-            self.manager.client.destroy("/late")
-            # On the desk: on the far host a spawn takes eight seconds at 200 ms each way.
-            self.spawns_fast(self.manager, self.fast, CHILD)
-        self.stays(seconds, is_calm, self.changes)
-        self.assertEqual(self.claim(self.manager, self.claim_id).state, ClaimState.ACTIVE)
-
-
-def run(suite: str) -> None:
+def run() -> None:
     """Run the tests of the main module on a network, if there can be one."""
     if not missing():
         HostsCase.network = Network(os.environ["ROS_MASTER_URI"])
         os.environ["ROS_IP"] = HostsCase.network.desk.address
-    rospy.init_node(f"{suite}_test")
-    rostest.rosrun("dyknow", suite, "__main__")
+    processes.run()

@@ -18,7 +18,7 @@ import rospy
 from cpp_suite import OURS, start
 from graph import Heard
 from hosts_suite import NOTICED, HostsCase
-from manager_suite import CHILD, listed
+from manager_suite import CHILD, listed, specification
 from processes import HELD_UP, Running, eventually, suspended
 from std_msgs.msg import Header
 from stream_suite import CAMERA, LIBRARY
@@ -26,12 +26,8 @@ from stream_suite import CAMERA, LIBRARY
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.wire.master import Master
 
-CPP_CAMERA = (
-    "<transformation><label>cpp camera</label><source>dyknow_cpp_test/Source</source>"
-    '<params><param name="count" type="int">1000000</param>'
-    '<param name="rate" type="double">50.0</param></params>'
-    '<ports><port type="out">out</port></ports>'
-    '<tags><tag port="out">Raw(own)</tag></tags></transformation>'
+CPP_CAMERA = specification(
+    "cpp camera", "dyknow_cpp_test/Source", "out>=Raw(own)", count=1000000, rate=50.0
 )
 #: Seconds for which two nodes may send on a topic of a claim, side by side.
 MOST_TOGETHER = 1.0
@@ -206,4 +202,4 @@ class CppFencingTest(Fencing, HostsCase):
 
 
 if __name__ == "__main__":
-    hosts_suite.run("fencing")
+    hosts_suite.run()
