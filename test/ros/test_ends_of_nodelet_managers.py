@@ -4,21 +4,33 @@
 
 """However the process of a nodelet manager ends, its nodelets come back; unloads are followed.
 
-The parameter ~repetitions says how often each way is tried, each time with a new manager.
+Nodelets that crash it are kept apart. The parameter ~repetitions says how often each end is tried.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import unittest
 from typing import Any
 
+import rosgraph
 import rosnode
+import rospkg
 import rospy
-import rostest
-from manager_suite import CHILD, CPP_CHILD, ManagerCase, listed, specification
+from graph import Heard
+from manager_suite import (
+    CHILD,
+    CPP_CHILD,
+    ManagerCase,
+    counted,
+    everything,
+    gaps,
+    listed,
+    specification,
+)
 from nodelet.srv import NodeletUnload
-from processes import NODELET, STOCK_NODELET, Running, becomes, eventually
+from processes import NODELET, STOCK_NODELET, Running, becomes, eventually, forget, run
 from std_msgs.msg import String
 
 from dyknow.model.graph import State
@@ -26,6 +38,7 @@ from dyknow.model.graph import State
 PEER = "/peer"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 PROTECTED = ("/counter", "/relay2")
+NEIGHBOURS = ("/counter", "/relay")
 NATIVE = specification("native", "image_proc/resize", ">image ~image>")
 #: Port to topic, by nodelet; an order makes `/fatal` end its process.
 WIRING = {
@@ -154,12 +167,92 @@ class EndsTest(ManagerCase):
         self.assertEqual({each.name for each in self.nodelets()}, left)
 
 
+class CrashesTest(ManagerCase):
+    def setUp(self):
+        self.manager = self.started()
+        self.client = self.manager.client
+        self.client.spawn("counter", "/counter", {"out": "/s0"}, True)
+        self.client.spawn("relay", "/relay", {"in": "/s0", "out": "/s1"})
+        self.heard = self.enter(Heard("/s1", note=counted))
+        self.heard.flows()
+
+    def spawn_fatal(self, topic: str = "", **moments: str) -> None:
+        """Spawn a nodelet that ends its process at the given moments, but not in the spawn."""
+        self.client.spawn("fatal", "/fatal", {"in": topic})
+        for moment, way in moments.items():
+            self.parameter(f"/fatal/{moment}", way)
+
+    def is_alone(self) -> None:
+        eventually(lambda: self.manager.nodelet("/fatal").isolated, 10.0, "it is alone")
+        self.assert_left_in_peace()
+
+    def assert_left_in_peace(self) -> None:
+        """The neighbours' process lives on, without losing a message."""
+        for name in NEIGHBOURS:
+            self.manager.becomes(name, State.RUNNING)
+        self.heard.flows()
+        del self.heard[:]
+        child = self.manager.child()
+        self.heard.flows(100)
+        self.assertEqual(self.manager.child(), child)
+        self.assertEqual(gaps(self.heard), [])
+
+    def test_one_that_crashes_on_each_message_is_kept_apart(self):
+        for way in ("segfault", "exit"):
+            with self.subTest(way):
+                self.spawn_fatal("/s0", on_message=way)
+                self.is_alone()
+                found = self.manager.nodelet("/fatal").detail
+                self.assertRegex(found, "alone .* SIGSEGV|alone .* exit code 3")
+                self.assertRegex(self.manager.output, "crashed .* while it ran code of .*/fatal")
+                self.client.destroy("/fatal")
+                self.manager.is_gone("/fatal")
+
+    def test_one_whose_on_init_crashes_is_kept_apart(self):
+        self.spawn_fatal(on_init="abort")
+        self.manager.child().signal(signal.SIGKILL)
+        self.is_alone()
+        found = self.manager.becomes("/fatal", State.FAILED)
+        self.assertIn("SIGABRT", found.detail)
+        forget("/fatal/on_init")
+        self.manager.becomes("/fatal", State.RUNNING)
+
+    def test_one_that_crashes_when_it_is_destroyed_or_unloaded_is_gone(self):
+        def unload() -> None:
+            with self.assertRaises(rospy.ServiceException):
+                rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/fatal")
+
+        for end in (unload, lambda: self.client.destroy("/fatal")):
+            self.spawn_fatal(on_shutdown="segfault")
+            end()
+            self.manager.is_gone("/fatal")
+            self.assert_left_in_peace()
+            self.assertIsNone(self.manager.nodelet("/fatal"))
+
+    def test_what_dies_leaves_nothing(self):
+        before, name = everything(), "/alone_nodelet_manager"
+        self.client.spawn("relay", "/alone", {"in": "/a"}, isolated=True)
+        for child in (name, CHILD):
+            self.manager.kill_child(child)
+        self.manager.becomes("/alone", State.RUNNING)
+        self.assertIn("alone_nodelet_manager-running", files())
+        self.client.destroy("/alone")
+        becomes(lambda: everything() ^ before, set())
+        self.assertNotIn("alone_nodelet_manager-running", files())
+
+
+def files() -> list[str]:
+    """Files of this master's nodelet managers in the log folder."""
+    host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
+    return os.listdir(os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}"))
+
+
 def load_tests(loader, tests, pattern) -> unittest.TestSuite:
     names = loader.getTestCaseNames(EndsTest)
     repetitions = rospy.get_param("~repetitions", 1)
-    return unittest.TestSuite(EndsTest(name) for name in names for _ in range(repetitions))
+    repeated = [EndsTest(name) for name in names for _ in range(repetitions)]
+    return unittest.TestSuite([*repeated, loader.loadTestsFromTestCase(CrashesTest)])
 
 
 if __name__ == "__main__":
-    rospy.init_node("ends_test")
-    rostest.rosrun("dyknow", "ends_of_nodelet_managers", "__main__")
+    run()
