@@ -9,10 +9,12 @@ They are read from a checkout that an environment variable points to, and run as
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from pathlib import Path
-from typing import Dict, Optional, Sequence
+from typing import Dict, Iterable, Iterator, Optional, Sequence
 
 import pytest
 from unit.packaging.workspaces import ROOT, Workspace
@@ -25,6 +27,10 @@ PREFIX = "rosrun dyknow rewirable"
 TIMEOUT = 900.0
 #: How often a suite runs whose verdicts differ: those of ROS have time limits of their own.
 ATTEMPTS = 3
+_ROSTEST = re.compile(
+    r"^\s*add_rostest(?:_gtest)?\(\s*(?:[\w${}-]+\s+)?(\S+\.(?:xml|launch|test))", re.MULTILINE
+)
+_GTEST = re.compile(r"^\s*catkin_add_gtest\(\s*([\w${}-]+)", re.MULTILINE)
 
 Verdicts = Dict[str, str]  # "ok", or why not, by the names of suite and test
 
@@ -45,6 +51,7 @@ class Suites:
         self._workspace = Workspace(folder / "ws", upon=[ROOT / "build/ws/devel"])
         self.source = self._workspace.folder / "src"
         self._results = folder / "results"
+        self._counts: Counter[str] = Counter()
         for package in packages:
             self._workspace.add_copy(package.name, package)
         for target in targets:
@@ -52,12 +59,31 @@ class Suites:
         space = self._workspace.folder if targets else ROOT / "build/ws"
         self._setup = space / "devel/setup.sh"
 
-    def differences(self, suite: Path) -> Verdicts:
-        """Return why tests fail with live ports that pass without, each time that both run."""
+    def of_cpp(self, package: str) -> Iterator[Path]:
+        """Find the suites of a package in C++; each of its programs with tests becomes one."""
+        for file in sorted((self.source / package).rglob("CMakeLists.txt")):
+            text = file.read_text().replace("${PROJECT_NAME}", package)
+            yield from (file.parent / name for name in _ROSTEST.findall(text))
+            for name in _GTEST.findall(text):
+                suite = file.with_name(f"{name}.test")
+                test = f'test-name="{name}" pkg="{package}" type="{name}" time-limit="{TIMEOUT}"'
+                suite.write_text(f"<launch><test {test}/></launch>")
+                yield suite
+
+    def compare(self, suites: Iterable[Path]) -> Verdicts:
+        """Return why tests fail with live ports that pass without, and print the counts."""
+        differing: Verdicts = {}
+        for suite in suites:
+            differing.update(self._differences(suite))
+        print(self._workspace.folder, dict(self._counts))
+        assert self._counts["plain"] > 0
+        return differing
+
+    def _differences(self, suite: Path) -> Verdicts:
+        """Return why tests of a suite fail with live ports each time that both run."""
         differing: Optional[Verdicts] = None
         for _ in range(ATTEMPTS):
-            plain, live = self.run(suite, False), self.run(suite, True)
-            assert plain, f"{suite} has no tests"
+            plain, live = self._run(suite, False), self._run(suite, True)
             found = {
                 name: live.get(name, "does not run")
                 for name, verdict in plain.items()
@@ -68,9 +94,11 @@ class Suites:
             }
             if not differing:
                 break
+        passed = {"plain": [*plain.values()].count("ok"), "live": [*live.values()].count("ok")}
+        self._counts.update({"suites": 1, "tests": len(plain), **passed})
         return differing or {}
 
-    def run(self, suite: Path, is_live: bool) -> Verdicts:
+    def _run(self, suite: Path, is_live: bool) -> Verdicts:
         """Run a suite, each of its programs with live ports or as it is."""
         name = suite.with_suffix("").name
         results = self._results / name / ("live" if is_live else "plain")
@@ -97,7 +125,7 @@ class Suites:
                 last = [(each.text or "").strip().rpartition("\n")[2] for each in failures]
                 title = f"{report.stem.replace('rosunit-', '')}.{case.get('name')}"
                 verdicts[title] = "; ".join(last) if failures else "ok"
-        return verdicts
+        return verdicts or {name: "it has no results"}
 
 
 def with_prefix(suite: Path) -> Path:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The suites of rospy and actionlib have the same verdicts with live ports as without.
+"""Suites of ROS's own packages have the same verdicts with live ports as without.
 
-They run where ``DYKNOW_ROS_COMM`` and ``DYKNOW_ACTIONLIB`` name checkouts of ros/ros_comm and
-ros/actionlib.
+They run where ``DYKNOW_ROS_COMM``, ``DYKNOW_NODELET_CORE`` and ``DYKNOW_ACTIONLIB`` name checkouts
+of ros/ros_comm, ros/nodelet_core and ros/actionlib.
 """
 
 from __future__ import annotations
@@ -33,17 +33,29 @@ def test_rospy(tmp_path):
     tests = checkout("DYKNOW_ROS_COMM") / "test"
     packages = [tests / "test_rospy", tests / "test_rosmaster"]
     suites = Suites(tmp_path, packages, ["tests", "all"])
-    differing = {}
-    for suite in sorted((suites.source / "test_rospy/test/rostest").glob("*.test")):
-        differing.update(suites.differences(suite))
+    rostests = suites.source / "test_rospy/test/rostest"
+    differing = suites.compare(sorted(rostests.glob("*.test")))
     assert set(differing) == set(EXPECTED), differing
 
 
 @pytest.mark.long
 def test_actionlib(tmp_path):
     suites = Suites(tmp_path, [checkout("DYKNOW_ACTIONLIB") / "actionlib"], [])
-    differing = {}
-    for name in ACTIONLIB:
-        suite = suites.source / f"actionlib/test/{name}.launch"
-        differing.update(suites.differences(suite))
-    assert differing == {}
+    folder = suites.source / "actionlib/test"
+    assert suites.compare(folder / f"{name}.launch" for name in ACTIONLIB) == {}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("variable", "package"),
+    [
+        ("DYKNOW_ROS_COMM", "test/test_roscpp"),
+        ("DYKNOW_NODELET_CORE", "test_nodelet"),
+        ("DYKNOW_NODELET_CORE", "test_nodelet_topic_tools"),
+        ("DYKNOW_ACTIONLIB", "actionlib"),
+    ],
+)
+def test_cpp(tmp_path, variable, package):
+    path = checkout(variable) / package
+    suites = Suites(tmp_path, [path], ["tests", "all"])
+    assert suites.compare(suites.of_cpp(path.name)) == {}
