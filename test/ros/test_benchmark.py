@@ -11,30 +11,23 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
-from processes import TellingCase
+import psutil
+from processes import TellingCase, run
 
 from dyknow_benchmark.chains import KINDS
 
-PKG, NAME = "dyknow", "benchmark"
 TIME_LIMIT = 900.0
+#: Variable of all processes of a measurement.
+MARK = "DYKNOW_BENCHMARK_TEST"
 
 
-def processes_with(text):
-    """Pids whose environment has ``text``."""
-    found = []
-    for each in Path("/proc").iterdir():
-        if each.name.isdigit():
-            try:
-                environment = (each / "environ").read_bytes()
-            except OSError:
-                continue
-            if text.encode() in environment:
-                found.append(int(each.name))
-    return found
+def left_of(measurement):
+    """Commands of its processes that run still."""
+    every = psutil.process_iter(["environ", "cmdline"])
+    marked = [each.info for each in every if (each.info["environ"] or {}).get(MARK) == measurement]
+    return [info["cmdline"] for info in marked]
 
 
 def zeros(*names):
@@ -43,26 +36,22 @@ def zeros(*names):
 
 class BenchmarkTest(TellingCase):
     def setUp(self):
-        directory = tempfile.TemporaryDirectory()
-        self.addCleanup(directory.cleanup)
-        self.out = Path(directory.name) / "out"
+        self.out = self.make_folder() / "out"
 
     def command(self, *arguments):
         return [sys.executable, "-m", "dyknow_benchmark", *map(str, arguments)]
 
     def measure(self, *arguments, name=None):
         name = name or arguments[0]
-        mark = f"{self.id()} {name}"
-        marked = {**os.environ, "DYKNOW_BENCHMARK_TEST": mark}
         done = subprocess.run(
             self.command(*arguments, "--out", self.out / name),
-            env=marked,
+            env={**os.environ, MARK: name},
             capture_output=True,
             text=True,
             timeout=TIME_LIMIT,
         )
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
-        self.assertEqual(processes_with(f"DYKNOW_BENCHMARK_TEST={mark}\0"), [])
+        self.assertEqual(left_of(name), [])
         return done.stdout
 
     def column(self, measurement, file, *names):
@@ -98,9 +87,9 @@ class BenchmarkTest(TellingCase):
                 name: pool.submit(self.measure, *command, name=name)
                 for name, command in commands.items()
             }
-        for name, run in runs.items():
+        for name, measured in runs.items():
             with self.subTest(name):
-                self.assertIn("busy_percent", run.result())
+                self.assertIn("busy_percent", measured.result())
         hops = [(kind, each, "6", "0") for kind in KINDS for each in ("1", "3")]
         for measurement, file, names, values in (
             ("every_kind", "figure4", "kind hops messages lost", hops),
@@ -149,28 +138,13 @@ class BenchmarkTest(TellingCase):
         self.assertEqual(done, ["open", "nodelet manager killed", "both managers killed"])
 
     def test_an_interrupted_measurement_ends_its_processes(self):
-        mark = f"DYKNOW_BENCHMARK_TEST={self.id()}"
-        name, _, value = mark.partition("=")
-        process = subprocess.Popen(
-            self.command("model", "--nodelets", 1),
-            env={**os.environ, name: value},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            while "listening" not in process.stderr.readline():
-                self.assertIsNone(process.poll())
-            process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=30)
-            self.assertEqual(process.returncode, 130)
-            self.assertEqual(processes_with(mark), [])
-        finally:
-            if process.poll() is None:
-                process.kill()
-                process.communicate()
+        model = self.command("model", "--nodelets", 1)
+        process = self.run_process("env", f"{MARK}=interrupted", *model)
+        process.wait_for("listening")
+        process.stop(signal.SIGTERM)
+        self.assertEqual(process.exit_code(30.0), 130, process.output)
+        self.assertEqual(left_of("interrupted"), [])
 
 
 if __name__ == "__main__":
-    import rostest
-
-    rostest.rosrun(PKG, NAME, BenchmarkTest)
+    run(is_node=False)
