@@ -180,12 +180,13 @@ def ros_tests(long: bool = False) -> Outcome:
     suites = sorted((folder / "long" if long else folder).glob("*.test"))
     if not suites:
         return Outcome(0, 1, note="no tests found")
-    passed, failed, failures = rostests.run_all(
+    passed, failures = rostests.run_all(
         suites,
         RESULTS,
         jobs=int(os.environ.get("ROSTEST_JOBS", "7")),
         timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
     )
+    failed = len(failures)
     return Outcome(passed, failed, "", f"{passed} passed, {failed} failed", failures)
 
 
