@@ -71,7 +71,7 @@ def test_the_loss_of_a_manager_that_shows_at_one_nodelet_is_one_repair(field: Fi
     claim = field.acquire("Planes(field)").claim
     assert claim.nodelets == ("/camera", "/planes")
     looking = field.manager.look
-    field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
+    field.manager.look = lambda changed=(): 0.0  # type: ignore[method-assign]
     hang(field, "/far")
     for _ in range(15):
         field.tick()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 import pytest
 from hypothesis import example, given, settings
@@ -53,7 +53,7 @@ class LimitField(Field):
 class Limit:
     """A limit, and the faults that exceed it; a fault has a degree from 0 (none) to 5."""
 
-    request: Dict[str, float]
+    request: Dict[str, Any]
     spoil: Callable[[LimitField, str, int], None]
     spoiled: Callable[[LimitField], List[str]]
     reason: str
@@ -204,7 +204,7 @@ def test_clients_without_the_limit_go_on_with_the_part(
     easy = field.acquire("YUV(field)").claim
     keen = field.acquire(**limit.request).claim
     field.pass_time(10.0)
-    limit.spoil(field, *easy.nodelets, 5)
+    limit.spoil(field, easy.nodelets[0], 5)
     field.pass_time(30.0)
     assert len(field.mended()) == 1
     assert field.claim(easy.claim_id).nodelets == easy.nodelets

@@ -218,7 +218,7 @@ def test_what_cannot_come_back_since_its_name_is_taken_says_so(world: World) -> 
 def test_what_a_killed_manager_was_bringing_back_says_why_it_is_not_up(world: World) -> None:
     world.spawn("camera", "a", config={"image": "/i"})
 
-    world.host.fail_at("loaded", error=Killed)
+    world.host.fail_at("loaded", error=Killed())
     world.host.kill("/fake_0")
     with pytest.raises(Killed):
         world.manager.look()

@@ -93,7 +93,7 @@ def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
 
 
 def without_looks(field: Field) -> None:
-    field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
+    field.manager.look = lambda changed=(): 0.0  # type: ignore[method-assign]
 
 
 def test_a_part_that_waits_for_one_that_hangs_is_not_blamed(field: Field) -> None:
