@@ -11,13 +11,12 @@ workspace="$root/build/$name"
 package="$workspace/src/dyknow"
 
 # The entries are linked one by one: a link to the whole checkout would contain itself, and rosrun's search follows links.
+# What is linked stays so: tests may be running from here.
 mkdir -p "$package"
-find "$package" -mindepth 1 -maxdepth 1 -type l -delete
+find "$package" -mindepth 1 -maxdepth 1 -xtype l -delete
 for entry in "$root"/*; do
-  case "${entry##*/}" in
-    build) ;;
-    *) ln -s "$entry" "$package/" ;;
-  esac
+  link="$package/${entry##*/}"
+  [ "${entry##*/}" = build ] || [ "$link" -ef "$entry" ] || ln -sfn "$entry" "$link"
 done
 
 # ROS's Python is the system's, whichever other one comes first.
