@@ -69,7 +69,6 @@ LIBRARY = "".join(
         specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
         specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
         specification("fatal", "dyknow_manager_test/Fatal", ">in out>"),
-        specification("aborts", "dyknow_manager_test/Aborts", ">in out> >order"),
         "</transformations>",
     ]
 )

@@ -26,7 +26,7 @@ from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import StreamRequest
 
 EXAMPLES = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations"
-RELAY = specification("images", "dyknow_manager_test/ImageRelay", ">in out>")
+RELAY = specification("images", "dyknow/Relay", ">in out>", datatype="sensor_msgs/Image")
 
 
 def size_on(topic: str, timeout: float = 10.0 * BUSY) -> tuple[int, int]:

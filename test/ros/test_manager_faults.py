@@ -24,7 +24,7 @@ from manager_suite import (
     registrations,
 )
 from processes import BUSY, HELD_UP, becomes, eventually, run
-from std_msgs.msg import Header
+from std_msgs.msg import String
 from test_boot import BootTest
 
 from dyknow.errors import Refused
@@ -81,15 +81,15 @@ class NodeletManagerFaultsTest(ManagerCase):
         manager = self.started()
         manager.client.spawn("counter", "/counter", {"out": "/s"})
         manager.client.spawn("relay", "/relay", {"in": "/s", "out": "/t"})
-        config = {"in": "/t", "out": "/u", "order": "/order"}
-        manager.client.spawn("aborts", "/fragile", config, isolated=True)
+        config = {"in": "/t", "out": "/u"}
+        manager.client.spawn("fatal", "/fragile", config, isolated=True)
         through, beside = self.enter(Heard("/u")), self.enter(Heard("/t", note=counted))
         through.flows()
         beside.flows()
         process = manager.child("/fragile_nodelet_manager")
-        order = self.publisher("/order", Header)
+        order = self.publisher("/fragile/order", String)
         eventually(order.get_num_connections, 5.0, "it listens")
-        order.publish(Header())
+        order.publish("abort")
         self.assertTrue(process.wait(5.0 * BUSY))
         through.flows()
         beside.flows()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that count, relay, fail, hang, abort and destroy themselves."""
+"""Nodelets that count, relay, fail, hang, crash and destroy themselves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import time
 import rospy
 from dyknow_msgs.srv import Destroy
 from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 import dyknow
@@ -42,15 +41,6 @@ class Relay(dyknow.Nodelet):
         self.input = self.nh.Subscriber("in", Header, self.out.publish, queue_size=1000)
 
 
-class ImageRelay(dyknow.Nodelet):
-    """Publishes the images that it receives."""
-
-    def on_init(self):
-        self.nh = dyknow.NodeHandle(self.node_handle)
-        self.out = self.nh.Publisher("out", Image, queue_size=2)
-        self.input = self.nh.Subscriber("in", Image, self.out.publish, queue_size=2)
-
-
 class FailsInInit(Relay):
     """Raises after it has made all its handles."""
 
@@ -77,14 +67,6 @@ class DestroysItself(dyknow.Nodelet):
 
     def on_message(self, message):
         self.nh.ServiceProxy("/dyknow_manager/destroy", Destroy)(self.name)
-
-
-class Aborts(Relay):
-    """Takes its whole process down when a message says so."""
-
-    def on_init(self):
-        super().on_init()
-        self.order = self.nh.Subscriber("order", Header, lambda message: os.abort(), queue_size=1)
 
 
 class Fatal(Relay):
