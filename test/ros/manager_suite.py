@@ -58,19 +58,19 @@ def specification(
     return Transformation(label, source, kind, cost, tuple(given), tuple(made)).to_xml()
 
 
-LIBRARY = "".join(
-    [
-        "<transformations>",
-        specification("counter", "dyknow_manager_test/Counter", "out>", rate=50.0),
-        specification("relay", "dyknow_manager_test/Relay", ">in out>"),
-        specification("fails", "dyknow_manager_test/FailsInInit", ">in out>", speed=3),
-        specification("hangs", "dyknow_manager_test/HangsInInit", ">in out>", speed=3),
-        specification("wrong", "dyknow_manager_test/Relay", ">in out> nothing>", speed=3),
-        specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
-        specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
-        specification("fatal", "dyknow_manager_test/Fatal", ">in out>"),
-        "</transformations>",
-    ]
+def library(*specifications: str) -> str:
+    return "\n".join(["<transformations>", *specifications, "</transformations>"])
+
+
+LIBRARY = library(
+    specification("counter", "dyknow_manager_test/Counter", "out>", rate=50.0),
+    specification("relay", "dyknow_manager_test/Relay", ">in out>"),
+    specification("fails", "dyknow_manager_test/FailsInInit", ">in out>", speed=3),
+    specification("hangs", "dyknow_manager_test/HangsInInit", ">in out>", speed=3),
+    specification("wrong", "dyknow_manager_test/Relay", ">in out> nothing>", speed=3),
+    specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
+    specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
+    specification("fatal", "dyknow_manager_test/Fatal", ">in out>"),
 )
 
 

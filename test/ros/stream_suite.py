@@ -11,7 +11,7 @@ import rosgraph
 import rospy
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from graph import Heard, is_fed
-from manager_suite import MANAGER, ManagerCase, ManagerProcess, listed, specification
+from manager_suite import MANAGER, ManagerCase, ManagerProcess, library, listed, specification
 from processes import eventually, nodes
 from std_msgs.msg import String
 
@@ -32,7 +32,7 @@ SPARE_FILTER = transformation("spare filter", "Moody", "Filtered(ball)", "Raw(?c
 TRACKER = transformation("tracker", "Relay", "Position(ball)", "Filtered(ball)")
 CAMERA = transformation("camera", "Counter", "Raw(own)")
 CEILING = transformation("ceiling", "Counter", "Raw(ceiling)", cost=9)
-LIBRARY = f"<transformations>{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
+LIBRARY = library(CAMERA, CEILING, FILTER, TRACKER)
 GOAL = "Position(ball)"
 
 

@@ -26,6 +26,7 @@ from manager_suite import (
     ManagerCase,
     ManagerProcess,
     everything,
+    library,
     listed,
     specification,
 )
@@ -39,14 +40,13 @@ from dyknow.model.transformation import Parameter
 from dyknow.ros.hosting import child_records
 from dyknow.ros.wire.master import Master
 
-LIBRARY = (
-    "<transformations>"
-    + specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0)
-    + specification("heavy", "dyknow_manager_test/Heavy", ">in out>", rate=1.0)
-    + specification("half", "image_proc/resize", ">image ~image>", use_scale=True)
-    + specification("talker", "dyknow_test/talker.py", "words>", "node", rate=10)
-    + specification("copier", "topic_tools/relay words copy", ">words copy>", "node", lazy=False)
-    + f"{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
+LIBRARY = library(
+    specification("relay", "dyknow_manager_test/Relay", ">in out>", rate=1.0),
+    specification("heavy", "dyknow_manager_test/Heavy", ">in out>", rate=1.0),
+    specification("half", "image_proc/resize", ">image ~image>", use_scale=True),
+    specification("talker", "dyknow_test/talker.py", "words>", "node", rate=10),
+    specification("copier", "topic_tools/relay words copy", ">words copy>", "node", lazy=False),
+    *(CAMERA, CEILING, FILTER, TRACKER),
 )
 #: Label, in-port or none, out-port, and whether it has a process of its own.
 KINDS = (

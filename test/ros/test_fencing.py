@@ -18,7 +18,7 @@ import rospy
 from cpp_suite import OURS, start
 from graph import Heard
 from hosts_suite import NOTICED, HostsCase
-from manager_suite import CHILD, listed, specification
+from manager_suite import CHILD, library, listed, specification
 from processes import HELD_UP, Running, eventually, suspended
 from std_msgs.msg import Header
 from stream_suite import CAMERA, LIBRARY
@@ -43,7 +43,7 @@ class Fencing:
     """A claim whose stream comes from a nodelet on another host than the manager's."""
 
     tag = "Filtered(ball)"
-    library = LIBRARY
+    specifications = LIBRARY
     camera = "camera"
 
     def setUp(self) -> None:
@@ -53,7 +53,7 @@ class Fencing:
         self.manager = self.make(nodelet_managers=["/far"])
         self.manager.command = self.robot.command(*self.manager.command)
         self.manager.start()
-        self.manager.client.add_transformation(self.library)
+        self.manager.client.add_transformation(self.specifications)
         self.claim_of(self.tag, "/far")
 
     def claim_of(self, tag: str, manager: str) -> None:
@@ -186,7 +186,7 @@ class CppFencingTest(Fencing, HostsCase):
 
     tag = "Raw(own)"
     camera = "cpp camera"
-    library = f"<transformations>{CAMERA}{CPP_CAMERA}</transformations>"
+    specifications = library(CAMERA, CPP_CAMERA)
 
     def far_manager(self) -> Running:
         process = self.far.run(*OURS, "__name:=far")

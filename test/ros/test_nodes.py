@@ -14,7 +14,7 @@ import graph
 import rospy
 from cpp_suite import RUN
 from graph import WordsCase, connect, hears
-from manager_suite import CHILD, ManagerCase, parameters, registrations
+from manager_suite import CHILD, ManagerCase, library, parameters, registrations, specification
 from processes import BUSY, DYKNOW, becomes, eventually, finished, run
 
 from dyknow.errors import Refused
@@ -25,40 +25,17 @@ from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.process.os_process import ProcessId
 
-LIBRARY = """
-<transformations>
-  <transformation type="node">
-    <label>copier</label>
-    <source>topic_tools/relay words copy</source>
-    <params><param name="unreliable" type="bool">false</param></params>
-    <ports><port type="in">words</port><port type="out">copy</port></ports>
-  </transformation>
-  <transformation type="node">
-    <label>usage</label>
-    <source>topic_tools/throttle</source>
-    <ports><port type="in">words</port></ports>
-  </transformation>
-  <transformation type="node">
-    <label>shell script</label>
-    <source>dyknow_manager_test/greet.sh</source>
-  </transformation>
-  <transformation type="node">
-    <label>talker</label>
-    <source>dyknow_test/talker.py --word moin</source>
-    <ports><port type="out" datatype="std_msgs/String">words</port></ports>
-  </transformation>
-  <transformation type="node" node="/by_hand">
-    <label>by hand</label>
-    <ports><port type="in">/b</port><port type="out">/spoken</port></ports>
-    <tags><tag port="/b">Words(?x)</tag><tag port="/spoken">Spoken(?x)</tag></tags>
-  </transformation>
-  <transformation type="topic">
-    <label>left words</label><source>/a</source>
-    <ports><port type="out">a</port></ports><tags><tag port="a">Words(left)</tag></tags>
-  </transformation>
-</transformations>"""
-
-
+BY_HAND = (Port("/b", "in", tags=("Words(?x)",)), Port("/spoken", "out", tags=("Spoken(?x)",)))
+LIBRARY = library(
+    specification(
+        "copier", "topic_tools/relay words copy", ">words copy>", "node", unreliable=False
+    ),
+    specification("usage", "topic_tools/throttle", ">words", "node"),
+    specification("shell script", "dyknow_manager_test/greet.sh", "", "node"),
+    specification("talker", "dyknow_test/talker.py --word moin", "words>", "node"),
+    specification("left words", "/a", "a>=Words(left)", "topic"),
+    Transformation("by hand", "", "node", ports=BY_HAND, node="/by_hand").to_xml(),
+)
 RATE = Parameter("rate", "int", "30")
 PROBE = (*DYKNOW, "probe")
 

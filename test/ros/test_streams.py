@@ -15,7 +15,7 @@ import rospy
 from dyknow_msgs.srv import GetCounts
 from geometry_msgs.msg import PointStamped
 from graph import Heard
-from manager_suite import CHILD, specification
+from manager_suite import CHILD, library, specification
 from nodelet.srv import NodeletUnload
 from processes import eventually, run
 from std_msgs.msg import Header
@@ -29,20 +29,16 @@ LIMIT = 5.0  # s, of an age or a silence; what is late is twice as old
 TOPIC = "/scanner/points"
 SCAN = Port("out", "out", "geometry_msgs/PointStamped", ("Scan(ball)",))
 SCANNER = Transformation("scanner", TOPIC, "topic", ports=(SCAN,)).to_xml()
-AGING = (
-    "<transformations>"
-    + transformation("eye", "Stamped", "Seen(ball)")
-    + transformation("lagging", "Lagging", "Smooth(ball)", "Seen(ball)")
-    + transformation("last", "Lagging", "Place(ball)", "Smooth(ball)")
-    + "</transformations>"
+AGING = library(
+    transformation("eye", "Stamped", "Seen(ball)"),
+    transformation("lagging", "Lagging", "Smooth(ball)", "Seen(ball)"),
+    transformation("last", "Lagging", "Place(ball)", "Smooth(ball)"),
 )
 CLIENT = specification("client", "dyknow_manager_test/Client", "out>", tag="Filtered(ball)")
-MAPS = (
-    "<transformations>"
-    + transformation("map", "Counter", "Map(here)")
-    + transformation("spare map", "Counter", "Map(here)", cost=3)
-    + transformation("twin", "Counter", "Raw(own)")  # as good as the camera
-    + "</transformations>"
+MAPS = library(
+    transformation("map", "Counter", "Map(here)"),
+    transformation("spare map", "Counter", "Map(here)", cost=3),
+    transformation("twin", "Counter", "Raw(own)"),  # as good as the camera
 )
 
 
