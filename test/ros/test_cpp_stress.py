@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import threading
 import time
 from pathlib import Path
@@ -15,9 +16,9 @@ from pathlib import Path
 import rospy
 from cpp_suite import CppManager, start
 from dyknow_msgs.srv import SetConfigResponse
-from graph import set_config
+from graph import nodes_on, set_config
 from nodelet.srv import NodeletUnload
-from processes import BUSY, TellingCase, run
+from processes import BUSY, TellingCase, becomes, run
 
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
 #: Workspaces in build/ whose nodelet managers are tried.
@@ -33,6 +34,8 @@ TSAN = (
 )
 MANAGER = "/stressed"
 TOPICS = ("", "/a", "/b", "/c", "~own", "not a topic")
+#: Why a move may be refused.
+REFUSALS = re.compile("not a topic|was unloaded during|is held up by another registration")
 #: Port and parameters of each nodelet type.
 TYPES = {
     "Source": ("out", {"count": 100000, "rate": 500.0, "latch": False}),
@@ -104,16 +107,22 @@ class Stress(threading.Thread):
     def _move(self, config: dict[str, str]) -> SetConfigResponse:
         """Of some twenty thousand calls roscpp drops one, in a stock nodelet manager as well."""
         try:
-            return set_config(self._name, **config)
+            return self._set(config)
         except rospy.ServiceException:
             self.dropped += 1
-            return set_config(self._name, **config)
+            return self._set(config)
+
+    def _set(self, config: dict[str, str]) -> SetConfigResponse:
+        answer = set_config(self._name, **config)
+        if not answer.success and not REFUSALS.search(answer.message):
+            self.trouble = f"{self._name}: {answer.message}"
+        return answer
 
     def _move_on(self, port: str) -> None:
         """Move a port of a nodelet that is being unloaded."""
         for topic in TOPICS:
             try:
-                set_config(self._name, **{port: topic})
+                self._set({port: topic})
             except (rospy.ServiceException, rospy.ROSException):
                 return  # it is gone
 
@@ -140,6 +149,9 @@ class StressTest(TellingCase):
             self.assertFalse(manager.has_ended, manager.output)
             self.assertEqual([each.trouble for each in threads if each.trouble], [])
             self.assertLess(sum(each.dropped for each in threads), 2 + moves / 2000)
+            self.assertEqual(manager.list(), [])
+            for topic in TOPICS[1:4]:
+                becomes(lambda topic=topic: nodes_on(topic), (set(), set()))
             manager.stop()
             self.assertEqual(manager.exit_code(10.0), 0, manager.output)
             self.assertNotIn("Sanitizer", manager.output)
