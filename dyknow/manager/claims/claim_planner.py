@@ -294,7 +294,7 @@ class ClaimPlanner:
         """Return a plan by which all claims together cost less than now, or None."""
         own = self.own(claim)
         saved = self._saved(claim, own)
-        situation = self.situation(claim, without=frozenset(saved))
+        situation = self.situation(claim, without=self._lingering().union(saved))
         answer = self._searched(
             situation._replace(
                 own=tuple(each for each in situation.own if situation.known[each.label].node),
@@ -308,6 +308,16 @@ class ClaimPlanner:
         cost = answer.cost + (RELAY_COST if is_elsewhere else 0)
         is_cheaper = cost < self._price(claim, saved.values())
         return self._priced(answer, own, situation.known) if is_cheaper else None
+
+    def _lingering(self) -> frozenset[str]:
+        """Nodelets that no claim needs, and that go soon."""
+        world = self._world()
+        needed = world.needed | self._lock.reserved
+        return frozenset(
+            name
+            for name, each in world.records.items()
+            if each.claimed and not each.is_protected and name not in needed
+        )
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
