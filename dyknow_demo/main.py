@@ -46,9 +46,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="rosrun dyknow demo",
         description="Asks for the position of a ball on a soccer field. A robot tracks it with "
-        "its own camera; when that goes, a camera at the ceiling takes its place behind the "
-        "robot's own tracking; then the robot returns. Uses the ROS master that ROS_MASTER_URI "
-        "names, or starts one for itself.",
+        "its own camera; when its battery runs low, a camera at the ceiling takes over behind the "
+        "robot's own tracking; then the battery is charged. Uses the ROS master that "
+        "ROS_MASTER_URI names, or starts one for itself.",
         epilog="Exit code: 0 if the position was never lost for longer than the claim allows, "
         "else 1; 130 after Ctrl-C.",
     )

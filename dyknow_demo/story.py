@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
+"""The story: a robot tracks a ball, its battery runs low, and it charges; the stream goes on.
 
-The story requests a stream, removes the robot's camera and adds it again. The manager makes,
-repairs and re-wires the stream by itself; the story reads the changes from the model. A ROS
-master or manager that runs is used; otherwise one is started, and ended with the story.
+The story requests a stream, and plays the robot's battery: a topic. The camera of the robot
+requires the verdict that the battery is charged. The manager makes, repairs and re-wires the
+stream by itself; the story reads the changes from the model. A ROS master or manager that runs is
+used; otherwise one is started, and ended with the story.
 """
 
 from __future__ import annotations
@@ -19,21 +20,28 @@ from typing import Any, Callable, Iterator
 import rospkg
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
+from dyknow_msgs.msg import Verdict
 from geometry_msgs.msg import PointStamped
 
 import dyknow
 from dyknow import names
-from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.errors import DyKnowError, HostError, PeerTimeout
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.messages import model_from
+from dyknow_demo.battery import Battery
 from dyknow_demo.processes import MANAGER, own_processes, running_manager, tell
 from dyknow_demo.soccer.world import SoccerWorld
 from dyknow_demo.telling import Track, changes, draw, to_dot
+from dyknow_demo.timeline import Timeline
 
 TAG = "FieldPosition(ball)"
+CHARGED = "Holds(charged, nao)"
+BATTERY = "/nao/battery"
+#: Levels of the battery: at the beginning, before it runs low, while the robot is away, and after.
+FULL, LOW, EMPTY, CHARGING = 0.5, 0.22, 0.1, 0.4
 OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
 #: Labels of the robot's own tracking nodelets, which are kept and re-wired.
 TRACKING = ("image_subsampler", "ball_detector", "localization")
@@ -41,6 +49,7 @@ TRACKING = ("image_subsampler", "ball_detector", "localization")
 _PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
 _PATIENCE = 15.0  # s for the manager's own work
+_DRAINING = 1.0  # s in which the battery falls below what is enough, or is charged above it
 _ORPHAN_TIMEOUT = 3.0  # s that nodelets may go on if the manager is killed
 
 
@@ -119,33 +128,38 @@ class _Story:
         self._problems: list[str] = []
         self._first: Model | None = None
         self._tracking: dict[str, str] = {}
+        self._battery = Battery(BATTERY, FULL)
 
     def run(self) -> bool:
-        topic = names.join(self._client.manager, "model")
+        manager = self._client.manager
+        topic = names.join(manager, "model")
         model = rospy.Subscriber(topic, ModelMessage, self._on_model)
-        with dyknow.acquire(
+        with contextlib.closing(self._battery), dyknow.acquire(
             TAG,
             PointStamped,
             max_silence=self._options.max_silence,
             on_event=self._on_event,
-            manager=self._client.manager,
-        ) as self._stream:
+            manager=manager,
+        ) as self._stream, dyknow.acquire(CHARGED, Verdict, manager=manager) as charged:
             self._reported = time.monotonic()
             self._track = Track(self._reported, SoccerWorld().ball_on_field)
+            self._timeline = Timeline(self._reported, self._track)
             self._topic: str = self._stream.topic
             positions = rospy.Subscriber(self._topic, PointStamped, self._on_position)
+            verdicts = rospy.Subscriber(charged.topic, Verdict, self._on_verdict)
             try:
                 self._say(f"the position is on {self._topic}")
+                self._battery.head_for(LOW, self._options.seconds)
                 self._act(OWN_CAMERA, "before", "The robot tracks the ball with its own camera")
-                camera = self._leave()
+                self._leave()
                 title = "The robot's own tracking works on the ceiling camera's footage"
                 self._act(OTHER_CAMERA, "during", title)
-                self._return(camera)
+                self._return()
                 self._act(OWN_CAMERA, "after", "The robot's camera is back")
-                return self._verdict()
+                return self._outcome()
             finally:
-                model.unregister()
-                positions.unregister()
+                for each in (model, positions, verdicts):
+                    each.unregister()
 
     def _act(self, camera: str, act: str, title: str) -> None:
         """Follow the ball for a while; then check which nodelets do the work, and draw them."""
@@ -166,26 +180,15 @@ class _Story:
         files = draw(dot, self._options.pictures.absolute(), f"soccer_{act}")
         tell("drawn: " + ", ".join(str(file) for file in files))
 
-    def _leave(self) -> str:
-        """Remove the robot's camera; returns its specification."""
-        tell("\nThe battery runs low: the robot leaves to recharge, and its camera goes.")
-        model = self._client.get_model()
-        gone = next(each for each in model.transformations if each.label == OWN_CAMERA)
-        self._client.remove_transformation(OWN_CAMERA)
-        for nodelet in model.nodelets:
-            if nodelet.transformation == OWN_CAMERA:
-                try:
-                    self._client.destroy(nodelet.name)
-                except Refused:  # the manager may have destroyed it
-                    if self._client.get_model().nodelet(nodelet.name) is not None:
-                        raise
+    def _leave(self) -> None:
+        tell("\nThe battery runs low: the robot leaves to recharge.")
+        self._battery.head_for(EMPTY, _DRAINING)
         self._wait_for_images_of(OTHER_CAMERA)
-        return gone.to_xml()
 
-    def _return(self, camera: str) -> None:
-        tell("\nThe robot is back, and its camera can be used again.")
+    def _return(self) -> None:
+        tell("\nThe battery is being charged.")
         self._reasons.clear()
-        self._client.add_transformation(camera)
+        self._battery.head_for(CHARGING, _DRAINING)
         _wait(self._check, self._is_cheaper, "an event about the cheaper way")
         self._report()
         tell("It is not taken by itself. The client asks for it: replan.")
@@ -193,11 +196,15 @@ class _Story:
         self._say(f"replanned: new {', '.join(answer.spawned)}, the rest re-wired")
         self._wait_for_images_of(OWN_CAMERA)
 
-    def _verdict(self) -> bool:
+    def _outcome(self) -> bool:
         whole, limit = self._track.stretch(time.monotonic()), self._options.max_silence
         if self._stream.topic != self._topic:
             self._problems.append(f"the topic has changed to {self._stream.topic}")
         problems = dict.fromkeys([*self._problems, *whole.shortcomings(limit)])
+        if self._timeline.values != ["TRUE", "FALSE", "TRUE"]:
+            problems[f"the verdicts were {', '.join(self._timeline.values)}"] = None
+        files = self._timeline.draw(self._options.pictures.absolute(), "soccer_timeline")
+        tell("drawn: " + ", ".join(str(file) for file in files))
         tell(
             f"\n{whole.count} positions on {self._topic}, error {whole.median:.3f} m at the "
             f"median; longest pause {whole.pause:.2f} s of {limit:g} s that are allowed."
@@ -222,7 +229,8 @@ class _Story:
         self._say(
             f"{self._stream.state.name:10} {latest.rate:5.1f} Hz  "
             f"error {latest.median:.3f} m (at most {latest.worst:.3f})  "
-            f"pause {latest.pause:.2f} s  {_feeding(self._model)}"
+            f"pause {latest.pause:.2f} s  battery {self._battery.level:.0%}  "
+            f"{_feeding(self._model)}"
         )
 
     def _is_cheaper(self) -> bool:
@@ -240,6 +248,12 @@ class _Story:
     def _on_position(self, position: Any) -> None:
         stamp, point = position.header.stamp.to_sec(), position.point
         self._track.note(time.monotonic(), stamp, point.x, point.y)
+
+    def _on_verdict(self, verdict: Any) -> None:
+        names_of_values = {Verdict.TRUE: "TRUE", Verdict.FALSE: "FALSE"}
+        value = names_of_values.get(verdict.value, "UNKNOWN")
+        if self._timeline.note(time.monotonic(), value, self._battery.level):
+            self._say(f"{CHARGED} is {value}: {verdict.why}")
 
     def _wait_for_images_of(self, camera: str) -> None:
         what = f"the images are of {camera}"

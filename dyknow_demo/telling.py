@@ -66,6 +66,11 @@ class Track:
         truth = self._truth(stamp)
         self._found.append((arrival, float(((x - truth[0]) ** 2 + (y - truth[1]) ** 2) ** 0.5)))
 
+    @property
+    def errors(self) -> list[tuple[float, float]]:
+        """Times of arrival (s), each with the error (m)."""
+        return list(self._found)
+
     def stretch(self, end: float, begin: float | None = None) -> Stretch:
         """Summarise the arrivals between two times, by default from the first one on."""
         begin = self._begin if begin is None else begin

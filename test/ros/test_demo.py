@@ -16,14 +16,17 @@ import rosgraph
 from processes import Running, TellingCase, free_port, run
 
 PICTURES = [
-    f"soccer_{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")
+    f"soccer_{name}.{form}"
+    for name in ("after", "before", "during", "timeline")
+    for form in ("png", "svg")
 ]
 #: Lines of the story on the soccer field.
 STORY = (
     r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
     r"\+ bottom_camera_1",
-    r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_",
-    r"RECOVERING: .*bottom_camera.* (was removed|is gone|does not answer)",
+    r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  battery \d+%  bott",
+    r"Holds\(charged, nao\) is FALSE: battery\.percentage = 0\.1\d+ at \d+\.\d+",
+    r"RECOVERING: .*bottom_camera_1 is not available: Holds\(charged, nao\) is FALSE since ",
     r"- bottom_camera_1",
     r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
     r"ACTIVE .* ceiling_camera",

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from clocks import HandClock
 
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.ontology import load_ontology
@@ -23,6 +24,7 @@ SOCCER = EXAMPLES / "transformations" / "soccer.xml"
 TRACKING = {"/nao_body_1", "/image_subsampler_1", "/ball_detector_1"}
 LOCALIZATION = "/localization_1"
 CAMERA, CEILING = "/bottom_camera_1", "/ceiling_camera_1"
+VERDICTS = "/charged_1"
 
 
 class Field:
@@ -54,6 +56,16 @@ class Field:
         self.manager = self.reconciler.manager
         self.manager.start()
         self.manager.add_transformation(SOCCER.read_text())
+        self.host.topics.add("/nao/battery")
+
+    def battery(self, is_charged: bool) -> None:
+        self.host.decide(f"{VERDICTS}/holds", is_charged)
+
+    def claim(self, claim_id: str) -> Claim:
+        return next(each for each in self.reconciler.claims() if each.claim_id == claim_id)
+
+    def cheaper(self) -> list[str]:
+        return [reason for reason in self.reasons if "cheaper" in reason]
 
     def sleep(self, seconds: float) -> None:
         self.clock.time += seconds
@@ -86,31 +98,34 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
     assert set(field.host.running) == {CAMERA, *own}
     field.feeds(CAMERA)
     field.settle()
-
-    # The battery runs low: camera and transformation go, with frames or without.
-    field.manager.remove_transformation("bottom_camera")
-    field.manager.destroy(CAMERA)
+    field.battery(True)
     field.settle()
-    (now,) = field.reconciler.claims()
+
+    # The battery runs low: the verdict that the camera requires falls.
+    field.battery(False)
+    field.settle()
+    now = field.claim(claim.claim_id)
     assert (now.state, now.topic) == (ClaimState.ACTIVE, claim.topic)
-    assert set(field.host.running) == {CEILING, *own}
     field.feeds(CEILING)
     joints = field.host.nodelet("/nao_body_1").ports["joint_states"].topic
     assert field.host.nodelet("/ball_detector_1").ports["joint_states"].topic == joints
     field.settle(10.0)
-    assert not any("cheaper" in reason for reason in field.reasons)
+    assert set(field.host.running) == {CEILING, VERDICTS, *own}
+    assert field.cheaper() == []
 
-    # It returns: reported, and taken up on request only.
-    field.manager.add_transformation(SOCCER.read_text())
-    field.settle(10.0)  # reported once it has been there for a while
-    assert any("cheaper" in reason and "bottom_camera" in reason for reason in field.reasons)
+    # It is charged: reported once that has lasted, and taken up on request only.
+    field.battery(True)
+    field.settle(10.0)
+    assert [each for each in field.cheaper() if "bottom_camera" in each] == field.cheaper()
+    assert len(field.cheaper()) == 1
     field.feeds(CEILING)
     answer = field.reconciler.replan(claim.claim_id)
     assert len(answer.spawned) == 1
     field.settle(10.0)
-    assert set(field.host.running) == {CAMERA, *own}
+    assert set(field.host.running) == {CAMERA, VERDICTS, *own}
     field.feeds(CAMERA)
-    assert field.reconciler.claims()[0].topic == claim.topic
+    assert field.claim(claim.claim_id).topic == claim.topic
+    assert len(field.cheaper()) == 1, "what is in use is no news"
 
 
 def test_two_cameras_at_a_time_are_not_mixed_up(field: Field) -> None:
