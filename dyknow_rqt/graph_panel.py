@@ -340,6 +340,7 @@ class GraphPanel(QWidget):
         monitor, view, bar = self._monitor, self.view, self.bar
         monitor.changed.connect(self._take_snapshot)
         monitor.measured.connect(view.scene().set_traffic)
+        monitor.decided.connect(view.scene().set_verdicts)
         monitor.heart.told.connect(self._show_sign)
         monitor.heart.linked.connect(self._grey)
         monitor.library_changed.connect(self._show_sign)

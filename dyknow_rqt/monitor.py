@@ -13,7 +13,18 @@ import contextlib
 import logging
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, Optional, Tuple, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -27,12 +38,15 @@ from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
 from dyknow_rqt.graph.contact import PATIENCE
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
+from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.remote import Remote
 
 if TYPE_CHECKING:
+    from dyknow.formulas import Verdict
     from dyknow.model.graph import Model
     from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.streams import StreamStatus
 
 T = TypeVar("T")
 
@@ -41,6 +55,8 @@ _LOG = logging.getLogger("rosout.dyknow_rqt")
 _ASKED = 40
 #: Seconds that reading the statistics may take in one look.
 _ASKING = 1.0
+#: Milliseconds for which verdicts are gathered before they are shown.
+_GATHERING = 100
 #: The master's state is queried at most in one of so many parts of the time.
 _SELDOM = 20
 
@@ -62,6 +78,8 @@ class GraphMonitor(QObject):
     library_changed = Signal(object)
     #: Rates have been measured: ``PortRate`` by ``PortRef``.
     measured = Signal(object)
+    #: Verdicts have changed: ``PortVerdict`` by ``PortRef``.
+    decided = Signal(object)
     #: Something has become of a stream: a ``StreamEvent``.
     stream_event = Signal(object)
     #: An error, in words.
@@ -100,12 +118,21 @@ class GraphMonitor(QObject):
         self._drawing.setSingleShot(True)
         self._drawing.setInterval(0)
         self._drawing.timeout.connect(self._take_heard)
+        #: The last verdicts by topic, None before the first one.
+        self._verdicts: Dict[str, Optional[Verdict]] = {}
+        self._streams: Tuple[StreamStatus, ...] = ()
+        self.heart.listed.connect(self._take_streams)
+        self._gathering = QTimer(self)
+        self._gathering.setSingleShot(True)
+        self._gathering.setInterval(_GATHERING)
+        self._gathering.timeout.connect(self._tell_verdicts)
         self.set_period(period)
 
     def start(self) -> None:
         self.remote.start(
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
+            self._hear_verdict,
         )
         self.heart.start()
         self._timer.start()
@@ -115,6 +142,7 @@ class GraphMonitor(QObject):
         """Stop; returns at once."""
         self._timer.stop()
         self._drawing.stop()
+        self._gathering.stop()
         self.heart.close()
         self._calls.close()
         self.remote.close()
@@ -334,6 +362,7 @@ class GraphMonitor(QObject):
             self.snapshot = snapshot
             self.changed.emit(snapshot)
             self._tell_rates()
+            self._follow_verdicts()
         if model.library_revision != self._library_revision:
             self.read_library()
 
@@ -363,6 +392,34 @@ class GraphMonitor(QObject):
         nodelets = self.snapshot.nodelets
         self._meter.keep(each.name for each in nodelets if each.state is State.RUNNING)
         self.measured.emit(self._meter.traffic)
+
+    def _follow_verdicts(self) -> None:
+        sources = verdict_sources(self.snapshot.nodelets)
+        self._verdicts = {topic: self._verdicts.get(topic) for _, topic in sources}
+        self.remote.follow_verdicts(sources)
+        self._tell_verdicts()
+
+    def _hear_verdict(self, topic: str, verdict: Verdict) -> None:
+        """Take one that differs from the last; in any thread, several times a second."""
+        if verdict != self._verdicts.get(topic, verdict):
+            self._calls.deliver(lambda: self._take_verdict(topic, verdict))
+
+    def _take_verdict(self, topic: str, verdict: Verdict) -> None:
+        if topic in self._verdicts:
+            self._verdicts[topic] = verdict
+        if not self._gathering.isActive():
+            self._gathering.start()
+
+    @qt_slot
+    def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
+        if tuple(streams) != self._streams:
+            self._streams = tuple(streams)
+            self._tell_verdicts()
+
+    @qt_slot
+    def _tell_verdicts(self) -> None:
+        nodelets = self.snapshot.nodelets
+        self.decided.emit(port_verdicts(nodelets, self._verdicts, self._streams))
 
     def _log_unexpected(self, error: Exception) -> None:
         if not isinstance(error, DyKnowError):

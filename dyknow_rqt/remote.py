@@ -9,8 +9,9 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Callable, Tuple
+from typing import AbstractSet, Callable, Tuple
 
+from dyknow.formulas import Verdict
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
@@ -20,8 +21,8 @@ from dyknow_rqt.graph.snapshot import Side
 class Remote(ABC):
     """A DyKnow manager with its announcements, and the ROS master.
 
-    Every method but ``start`` and ``close`` may block and is called in worker threads. They raise
-    what the methods of the client raise.
+    Every method but ``start``, ``follow_verdicts`` and ``close`` may block and is called in worker
+    threads. They raise what the methods of the client raise.
 
     Attributes:
         client: speaks with the manager and the proxies of its nodelets.
@@ -41,8 +42,19 @@ class Remote(ABC):
         self,
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
+        on_verdict: Callable[[str, Verdict], None],
     ) -> None:
-        """Listen to the model and to the events of streams; each is handed on, in any thread."""
+        """Listen to the model and to the events of streams; each is handed on, in any thread.
+
+        Verdicts are handed on with their topic, each as the first of the equal ones.
+        """
+
+    @abstractmethod
+    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+        """Listen to the verdicts of these nodes on these topics, and to no others.
+
+        It returns at once, and is called after ``start`` in the thread of the window.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -3,19 +3,23 @@
 
 """The window's view on ROS: the manager's client, its topics, the master. No Qt here.
 
-``RosRemote`` owns two connections to topics of the manager. It registers nothing with the master,
-so it needs no node, outlives any master, and leaves nothing behind.
+``RosRemote`` owns two connections to topics of the manager, and one to each topic of verdicts. It
+registers nothing with the master, so it needs no node, outlives any master, and leaves nothing
+behind.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Callable, Optional, Tuple
+from functools import partial
+from typing import AbstractSet, Callable, Dict, Optional, Tuple
 
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
+from dyknow_msgs.msg import Verdict as VerdictMessage
 
 from dyknow import names
+from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
 from dyknow.ros.client import ManagerClient
@@ -41,6 +45,7 @@ class RosRemote(Remote):
         self.master = self._master.uri
         self._on_model: Callable[[Model], None] = lambda model: None
         self._on_event: Callable[[StreamEvent], None] = lambda event: None
+        self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
         self._service = names.join(self.manager, "list_streams")
         self._address = ""
         self._latest: Optional[Model] = None
@@ -52,19 +57,33 @@ class RosRemote(Remote):
         self._events = TopicFollower(
             master, self.manager, topic, StreamEventMessage, self._hear_event
         )
+        self._verdicts: Dict[Tuple[str, str], TopicFollower] = {}
 
     def start(
         self,
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
+        on_verdict: Callable[[str, Verdict], None],
     ) -> None:
-        self._on_model, self._on_event = on_model, on_event
+        self._on_model, self._on_event, self._on_verdict = on_model, on_event, on_verdict
         self._models.start()
         self._events.start()
+
+    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+        for source in self._verdicts.keys() - sources:
+            self._verdicts.pop(source).close()
+        for node, topic in sources - self._verdicts.keys():
+            hear = partial(self._hear_verdict, topic)
+            follower = TopicFollower(
+                self._master, node, topic, VerdictMessage, hear, last_only=True
+            )
+            self._verdicts[node, topic] = follower
+            follower.start()
 
     def close(self) -> None:
         self._models.close()
         self._events.close()
+        self.follow_verdicts(frozenset())
 
     def graph(self) -> Model:
         """Ask the manager, or take its last message while we are connected to it."""
@@ -98,3 +117,7 @@ class RosRemote(Remote):
 
     def _hear_event(self, message: StreamEventMessage) -> None:
         self._on_event(event_from(message))
+
+    def _hear_verdict(self, topic: str, message: VerdictMessage) -> None:
+        since = message.since.to_nsec()
+        self._on_verdict(topic, Verdict(since, Truth(message.value), since, message.why))

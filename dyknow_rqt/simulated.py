@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Tuple
+from typing import AbstractSet, Callable, Dict, Iterable, List, Tuple
 
 from dyknow.errors import PeerTimeout
+from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
 from dyknow.simulated import SimulatedManagerClient
@@ -23,6 +24,7 @@ class SimulatedRemote(Remote):
         address: that of the manager at the master; empty if the master does not know it.
         publishers: nodes that publish, by topic.
         subscribers: nodes that subscribe, by topic.
+        followed: nodes and topics whose verdicts are heard.
     """
 
     def __init__(self) -> None:
@@ -33,13 +35,27 @@ class SimulatedRemote(Remote):
         self.client: SimulatedManagerClient = SimulatedManagerClient()
         self.publishers: Dict[str, List[str]] = {}
         self.subscribers: Dict[str, List[str]] = {}
+        self.followed: AbstractSet[Tuple[str, str]] = frozenset()
+        self._verdicts: Dict[str, Verdict] = {}
+        self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
 
     def start(
         self,
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
+        on_verdict: Callable[[str, Verdict], None],
     ) -> None:
         self.client.on_model, self.client.on_event = on_model, on_event
+        self._on_verdict = on_verdict
+
+    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+        self.followed = sources
+        self._hand_on(self._verdicts)
+
+    def decide(self, topic: str, truth: Truth, since: int = 0, why: str = "") -> None:
+        """Let a verdict come, from ``since`` on; as from a nodelet, the last one is latched."""
+        self._verdicts[topic] = Verdict(since, truth, since, why)
+        self._hand_on([topic])
 
     def close(self) -> None:
         self.client.on_model = lambda model: None
@@ -56,6 +72,11 @@ class SimulatedRemote(Remote):
     def find_manager(self) -> str:
         self._ask_master()
         return self.address
+
+    def _hand_on(self, topics: Iterable[str]) -> None:
+        followed = {topic for _, topic in self.followed}
+        for topic in followed.intersection(topics):
+            self._on_verdict(topic, self._verdicts[topic])
 
     def _ask_master(self) -> None:
         if not self.has_master:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import html
 from typing import Iterable, List, Optional
 
 from python_qt_binding.QtCore import QPoint, QRect, QSize, QStringListModel, Qt, Signal
@@ -51,6 +52,11 @@ def text_of(name: str) -> QPlainTextEdit:
     text.setFont(fixed)
     text.setAccessibleName(name)
     return text
+
+
+def wrapped(text: str) -> str:
+    """The text of a tool tip whose lines are wrapped."""
+    return f"<p style='white-space: pre-wrap'>{html.escape(text)}</p>" if text else ""
 
 
 class FilterEdit(QLineEdit):

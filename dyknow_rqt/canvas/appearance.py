@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
+from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.verdicts import PortVerdict
 
 
 class Tone(enum.Enum):
@@ -46,6 +48,12 @@ class Colours(NamedTuple):
     in_: QColor
     out: QColor
     both: QColor
+    true: QColor
+    false: QColor
+
+    def of_truth(self, truth: Truth) -> QColor:
+        """The colour of a verdict."""
+        return {Truth.TRUE: self.true, Truth.FALSE: self.false}.get(truth, self.line)
 
     def of(self, tone: Tone) -> QColor:
         """The colour of a highlighted item."""
@@ -62,6 +70,8 @@ def colours_of(palette: QPalette) -> Colours:
     paper, text = palette.color(QPalette.Base), palette.color(QPalette.Text)
     dark = paper.lightness() < text.lightness()
     chosen = palette.color(QPalette.Highlight)
+    red = QColor("#e76129") if dark else QColor("#d52401")
+    green = QColor("#3cd380") if dark else QColor("#1a8060")
     return Colours(
         line=_mix(text, paper, 0.25),
         text=text,
@@ -74,10 +84,12 @@ def colours_of(palette: QPalette) -> Colours:
         chosen=chosen,
         paper=paper,
         # These differ for every kind of colour blindness, also from the line.
-        self_=QColor("#e76129") if dark else QColor("#d52401"),
+        self_=red,
         in_=QColor("#6d7ef7") if dark else QColor("#0018c8"),
-        out=QColor("#3cd380") if dark else QColor("#1a8060"),
+        out=green,
         both=QColor("#c983c8") if dark else QColor("#c906b3"),
+        true=green,
+        false=red,
     )
 
 
@@ -86,7 +98,14 @@ def greys_of(palette: QPalette) -> Colours:
     colours = colours_of(palette)
     muted, line, paper = colours.muted, colours.box_line, colours.paper
     return colours._replace(
-        line=line, text=muted, nodelet=paper, topic=paper, box=paper, alarm=muted
+        line=line,
+        text=muted,
+        nodelet=paper,
+        topic=paper,
+        box=paper,
+        alarm=muted,
+        true=muted,
+        false=muted,
     )
 
 
@@ -149,17 +168,23 @@ def appearance_of(nodelet: NodeletStatus) -> Appearance:
     return Appearance(nodelet.state, nodelet.is_protected, is_cpp)
 
 
-def vertex_tip(snapshot: Snapshot, vertex: Vertex) -> str:
+def vertex_tip(snapshot: Snapshot, vertex: Vertex, verdicts: Mapping[PortRef, PortVerdict]) -> str:
     nodelet, topic = snapshot.nodelet(vertex.name), snapshot.topics().get(vertex.name)
     if vertex.kind is VertexKind.TOPIC and topic is not None:
-        return _tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
+        said = [verdicts[ref].text for ref in topic.sources if ref in verdicts]
+        return _tip(vertex.name, topic.datatype or "type not known yet", *(said or topic.tags))
     if vertex.kind is VertexKind.NODELET and nodelet is not None:
         return _nodelet_tip(nodelet)
     what = "a collapsed box; double-click to open it"
     return _tip(vertex.name, what if vertex.kind is VertexKind.BOX else "ordinary ROS node")
 
 
-def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:
+def port_tip(
+    snapshot: Snapshot,
+    ref: PortRef,
+    traffic: Optional[PortRate],
+    verdict: Optional[PortVerdict],
+) -> str:
     port = snapshot.port(ref)
     if port is None:
         return ""
@@ -167,7 +192,7 @@ def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> s
         f"{'in' if port.direction == IN else 'out'}-port {port.name}",
         port.datatype or "type not known yet",
         port.topic or "not connected",
-        *port.tags,
+        *(port.tags if verdict is None else [verdict.text]),
     ]
     if traffic is not None:
         verb = "received" if port.direction == IN else "sent"
@@ -187,6 +212,11 @@ def edge_traffic(edge: Edge, traffic: Mapping[PortRef, PortRate]) -> Optional[Po
     if sink is not None and sink.drop_rate > 0:
         return sink
     return source or sink
+
+
+def edge_verdict(edge: Edge, verdicts: Mapping[PortRef, PortVerdict]) -> Optional[PortVerdict]:
+    """The last verdict that came along an arrow from an out-port; None if it carries none."""
+    return next((verdicts[ref] for ref in edge_refs(edge) if ref in verdicts), None)
 
 
 def edge_refs(edge: Edge) -> List[PortRef]:

@@ -22,24 +22,28 @@ from python_qt_binding.QtGui import (
 )
 from python_qt_binding.QtWidgets import QGraphicsItem
 
+from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.verdicts import PortVerdict
 
 _ARROW = 8.0
+_DASHES = {Truth.TRUE: Qt.SolidLine, Truth.FALSE: Qt.DashLine, Truth.UNKNOWN: Qt.DotLine}
 _NUMBER = re.compile(r"[\d.]+")
 
 
 class EdgeItem(Item):
-    """An arrow with its rate."""
+    """An arrow with its rate, and the last verdict that came along it."""
 
     def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.edge = edge
         self.traffic: Optional[PortRate] = None
+        self.verdict: Optional[PortVerdict] = None
         self.shows_name = False
         self._font = QFont(font)
         self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
@@ -80,6 +84,11 @@ class EdgeItem(Item):
             self.traffic = traffic
             self.look_again()
 
+    def set_verdict(self, verdict: Optional[PortVerdict]) -> None:
+        if verdict != self.verdict:
+            self.verdict = verdict
+            self.look_again()
+
     def place_label(self, area: Optional[Rectangle]) -> None:
         """Set the area of its label; None if there is no room for it."""
         found = QRectF() if area is None else rectangle_of(area)
@@ -92,7 +101,7 @@ class EdgeItem(Item):
         """Its label without the numbers, which determines its width."""
         name = [self.edge.topic] if self.shows_name else []
         rate = "00.0 Hz" if self.traffic is None else _NUMBER.sub("00.0", self.traffic.text)
-        return "\n".join([*name, rate])
+        return "\n".join([*name, rate, *(["FALSE"] if self.verdict is not None else [])])
 
     @property
     def label_size(self) -> Size:
@@ -109,6 +118,8 @@ class EdgeItem(Item):
         parts = [self.edge.topic] if self.shows_name else []
         if self.traffic is not None:
             parts.append(self.traffic.text)
+        if self.verdict is not None and self.verdict.truth is not Truth.UNKNOWN:
+            parts.append(self.verdict.truth.name)
         return "\n".join(parts)
 
     def shape(self) -> QPainterPath:
@@ -136,6 +147,9 @@ class EdgeItem(Item):
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
             return QPen(self.colours.of(self.tone), 2.0)
+        if self.verdict is not None:
+            truth = self.verdict.truth
+            return QPen(self.colours.of_truth(truth), 2.0, _DASHES[truth])
         return QPen(self.colours.alarm, 1.6) if self.is_dropping else QPen(self.colours.line, 1.1)
 
     @qt_slot

@@ -11,11 +11,13 @@ from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
 
+from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
+from dyknow_rqt.graph.verdicts import PortVerdict
 
 PORT_RADIUS = 4.0
 
@@ -102,6 +104,7 @@ class PortItem(Item):
         self.direction = direction
         self._font = font
         self.is_connected = False
+        self.verdict: Optional[PortVerdict] = None
         self.offered: Optional[bool] = None
         self.setCursor(Qt.CrossCursor)
         self.setAcceptHoverEvents(True)
@@ -112,6 +115,15 @@ class PortItem(Item):
         if is_connected != self.is_connected:
             self.is_connected = is_connected
             self.update()
+
+    def set_verdict(self, verdict: Optional[PortVerdict]) -> None:
+        if verdict != self.verdict:
+            self.verdict = verdict
+            self.update()
+
+    @property
+    def truth(self) -> Truth:
+        return Truth.UNKNOWN if self.verdict is None else self.verdict.truth
 
     def set_offered(self, offered: Optional[bool]) -> None:
         """Show whether the connection that is drawn could end here; None if none is drawn."""
@@ -127,13 +139,16 @@ class PortItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        """Draw a dot, filled when connected."""
+        """Draw a dot, filled when connected; a square for a formula that does not hold."""
         large = self._hovered or bool(self.offered)
         radius = PORT_RADIUS + (2 if large else 0)
-        colour = self.colours.chosen if large else self.colours.line
+        colour = self.colours.chosen if large else self.colours.of_truth(self.truth)
         painter.setPen(QPen(colour, 1.2))
         painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
-        painter.drawEllipse(QPointF(0, 0), radius, radius)
+        if self.truth is Truth.FALSE:
+            painter.drawRect(QRectF(-radius, -radius, 2 * radius, 2 * radius))
+        else:
+            painter.drawEllipse(QPointF(0, 0), radius, radius)
         if large:
             painter.fillRect(self._name_area(), self.colours.paper)
             painter.setFont(self._font)

@@ -117,7 +117,7 @@ def paint_titles(
 
 
 def _arrows(edges: Iterable[EdgeItem]) -> Iterable[_Stroke]:
-    found: Dict[Tuple[float, int], _Stroke] = {}
+    found: Dict[Tuple[float, int, int], _Stroke] = {}
     for edge in edges:
         pen = edge.stroke()
         stroke = found.setdefault(_look(pen), _Stroke(_thin(pen), QBrush(), QPainterPath()))
@@ -139,9 +139,9 @@ def _shapes(vertices: Iterable[VertexItem]) -> Iterable[_Stroke]:
     return [stroke for _, stroke in sorted(found.items())]
 
 
-def _look(pen: QPen) -> Tuple[float, int]:
+def _look(pen: QPen) -> Tuple[float, int, int]:
     """The attributes that pens of one look share; those that stand out come last."""
-    return pen.widthF(), pen.color().rgba()
+    return pen.widthF(), pen.color().rgba(), int(pen.style())
 
 
 def _thin(pen: QPen) -> QPen:

@@ -34,6 +34,7 @@ from dyknow_rqt.canvas.appearance import (
     colours_of,
     edge_refs,
     edge_traffic,
+    edge_verdict,
     greys_of,
     port_tip,
     vertex_tip,
@@ -46,6 +47,8 @@ from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.verdicts import PortVerdict
+from dyknow_rqt.widgets import wrapped
 
 Key = TypeVar("Key")
 #: Pixels that can be dragged beyond the drawing.
@@ -78,6 +81,7 @@ class GraphScene(QGraphicsScene):
         self._font = font
         self._snapshot = Snapshot()
         self._traffic: Mapping[PortRef, PortRate] = {}
+        self._verdicts: Mapping[PortRef, PortVerdict] = {}
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
         self.overview = Overview()
@@ -146,6 +150,7 @@ class GraphScene(QGraphicsScene):
             arrow.shows_name = not (edge.tail[0] == "t" or edge.head[0] == "t")
             arrow.set_curve(layout.curves[edge], start, end)
             arrow.set_traffic(edge_traffic(edge, self._traffic))
+            arrow.set_verdict(edge_verdict(edge, self._verdicts))
             self._add(self.edges, edge, arrow)
             yield
         for group in figure.groups():
@@ -178,28 +183,45 @@ class GraphScene(QGraphicsScene):
         connected = nodelet.connections
         for port in item.ports.values():
             port.set_connected(port.ref.port in connected)
+            port.set_verdict(self._verdicts.get(port.ref))
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         self._traffic = traffic
+        self._change_arrows(lambda edge, item: item.set_traffic(edge_traffic(edge, traffic)))
+
+    def set_verdicts(self, verdicts: Mapping[PortRef, PortVerdict]) -> None:
+        before, self._verdicts = self._verdicts, verdicts
+        for ref in {*before, *verdicts}:
+            port = self.port_item(ref)
+            if port is not None:
+                port.set_verdict(verdicts.get(ref))
+        self._change_arrows(lambda edge, item: item.set_verdict(edge_verdict(edge, verdicts)))
+
+    def _change_arrows(self, change: Callable[[Edge, EdgeItem], None]) -> None:
+        """Change all arrows, and place their labels again if these have other sizes then."""
         shapes = [item.label_shape for item in self.edges.values()]
         for edge, item in self.edges.items():
-            item.set_traffic(edge_traffic(edge, traffic))
+            change(edge, item)
         if shapes != [item.label_shape for item in self.edges.values()]:
             self._labelling.start()
 
     def tip_of(self, item: object) -> str:
         if isinstance(item, VertexItem):
-            return vertex_tip(self._snapshot, item.vertex)
+            return vertex_tip(self._snapshot, item.vertex, self._verdicts)
         refs = edge_refs(item.edge)[::-1] if isinstance(item, EdgeItem) else []
         refs = [item.ref] if isinstance(item, PortItem) else refs
-        tips = [port_tip(self._snapshot, ref, self._traffic.get(ref)) for ref in refs]
+        tips = [
+            port_tip(self._snapshot, ref, self._traffic.get(ref), self._verdicts.get(ref))
+            for ref in refs
+        ]
         return "\n\n".join(tip for tip in tips if tip)
 
     @qt_slot
     def helpEvent(self, event: Any) -> None:  # noqa: N802
         """Show a tool tip: there are too many to keep them up to date."""
         tips = map(self.tip_of, self.items(event.scenePos()))
-        QToolTip.showText(event.screenPos(), next(filter(None, tips), ""), event.widget())
+        tip = wrapped(next(filter(None, tips), ""))
+        QToolTip.showText(event.screenPos(), tip, event.widget())
 
     # Painting
 

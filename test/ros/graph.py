@@ -197,9 +197,9 @@ def battery(stamp: float, percentage: float) -> BatteryState:
 class Battery:
     """Publishes the battery's state 50 times a second, until it is closed."""
 
-    def __init__(self, percentage: float) -> None:
+    def __init__(self, percentage: float, topic: str = "/battery") -> None:
         self.percentage = percentage
-        self._publisher = rospy.Publisher("/battery", BatteryState, queue_size=10)
+        self._publisher = rospy.Publisher(topic, BatteryState, queue_size=10)
         self._timer = rospy.Timer(rospy.Duration(0.02), self._publish)
 
     def __enter__(self) -> Battery:

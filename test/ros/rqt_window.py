@@ -19,7 +19,7 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
 import rospy
 import rostest
-from graph import Heard
+from graph import Battery, Heard
 from manager_suite import LIBRARY, ManagerCase, MasterCase
 from processes import HELD_UP, eventually
 from python_qt_binding.QtCore import Qt
@@ -27,9 +27,10 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
 from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.model.streams import StreamStatus
 from dyknow.ros.wire.master import Master
 from dyknow_rqt import screenshots
-from dyknow_rqt.graph.changes import Change, remove_transformations, spawn
+from dyknow_rqt.graph.changes import Change, spawn
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
@@ -129,6 +130,7 @@ class WindowTest(Window, ManagerCase):
     def test_the_ball_is_asked_for_and_followed(self) -> None:
         manager = self.make(ontologies=[str(EXAMPLES / "ontologies" / "soccer.ttl")])
         manager.start()
+        battery = self.enter(Battery(0.5, "/nao/battery"))
         window = self.open()
         panel, scene = window.streams, self.scene
         soccer = str(EXAMPLES / "transformations" / "soccer.xml")
@@ -147,7 +149,16 @@ class WindowTest(Window, ManagerCase):
         self.assertEqual(self.monitor.snapshot.nodelets, ())
 
         def is_active() -> bool:
-            return [each.state.name for each in panel.watch.streams] == ["ACTIVE"]
+            states = {each.tag: each.state.name for each in panel.watch.streams}
+            return states == {"FieldPosition(ball)": "ACTIVE", "Holds(charged, nao)": "ACTIVE"}
+
+        def asked() -> StreamStatus:
+            return next(each for each in panel.watch.streams if each.tag == "FieldPosition(ball)")
+
+        def arrow(verdict: str) -> Any:
+            """The arrow of the formula, once it shows a verdict."""
+            arrows = [item for edge, item in scene.edges.items() if edge.tail == "n_/charged_1"]
+            return next((item for item in arrows if verdict in item.label), None)
 
         def traffic() -> list:
             return [item.traffic for item in scene.edges.values()]
@@ -157,9 +168,11 @@ class WindowTest(Window, ManagerCase):
             is_active,
             "the stream is there",
         )
-        (stream,) = panel.watch.streams
+        stream = asked()
         until(lambda: f"t_{stream.topic}" in scene.vertices, "it is drawn")
         until(lambda: all(each and each.rate > 1.0 for each in traffic()), "all of it flows")
+        until(lambda: arrow("TRUE"), "the battery is charged")
+        self.assertEqual(arrow("TRUE").stroke().color(), arrow("TRUE").colours.true)
 
         def is_selected() -> bool:
             panel.table.choose([stream.claim_id])
@@ -176,19 +189,19 @@ class WindowTest(Window, ManagerCase):
             QTest.qWait(1000)
             window.grab().save(os.path.join(PICTURES, "gui_streams.png"))
 
-        self.does(
-            lambda: self.monitor.do(remove_transformations(["bottom_camera"])),
-            lambda: any("ceiling_camera" in key for key in scene.vertices),
-            "the other camera",
-        )
+        battery.percentage = 0.19
+        until(lambda: arrow("FALSE"), "the battery is flat")
+        self.assertEqual(arrow("FALSE").stroke().color(), arrow("FALSE").colours.false)
+        flat = r"FALSE since \d+\.\d{3}\nbattery\.percentage = 0\.19 at \d"
+        self.assertRegex(scene.tip_of(arrow("FALSE")), rf"Holds\(charged, nao\): {flat}")
+        until(lambda: any("ceiling_camera" in key for key in scene.vertices), "the other camera")
         until(
-            lambda: is_active()
-            and not any("bottom_camera" in name for name in panel.watch.streams[0].nodelets),
+            lambda: is_active() and not any("bottom_camera" in name for name in asked().nodelets),
             "its stream has taken over",
         )
-        self.assertEqual(panel.watch.streams[0].topic, stream.topic)
-        removed = "bottom_camera was removed"
-        until(lambda: removed in panel.events.toPlainText(), "the event is shown")
+        self.assertEqual(asked().topic, stream.topic)
+        reason = "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE since"
+        until(lambda: reason in panel.events.toPlainText(), "the event is shown")
 
         def release() -> None:
             panel.table.choose([stream.claim_id])

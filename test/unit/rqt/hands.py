@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QMouseEvent
@@ -16,6 +17,7 @@ from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow_rqt.graph.changes import spawn
 from dyknow_rqt.window import DyKnowWidget
 
+FORMULAS = Path(__file__).resolve().parents[3] / "examples/transformations/formulas.xml"
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")
 HSV_IN = PortRef("/nao1/line_detector", "hsv")

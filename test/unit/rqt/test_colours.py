@@ -11,6 +11,7 @@ import pytest
 from python_qt_binding.QtGui import QPalette
 from unit.rqt.seeing import SIGHTS, contrast, difference
 
+from dyknow.formulas import Truth
 from dyknow_rqt.canvas.appearance import colours_of, greys_of
 from dyknow_rqt.screenshots import dark_palette
 
@@ -26,11 +27,14 @@ def test_highlights_differ_for_everybody(palette, sight):
     told_apart = [colours.self_, colours.in_, colours.out, colours.both, colours.line]
     for one, other in combinations(told_apart, 2):
         assert difference(one, other, sight) > 18, (one.name(), other.name())
+    verdicts = [colours.of_truth(truth) for truth in Truth]
+    for one, other in combinations(verdicts, 2):
+        assert difference(one, other, sight) > 18, (one.name(), other.name())
 
 
 def test_texts_stand_out_from_the_paper(palette):
     colours, greys = colours_of(palette), greys_of(palette)
-    texts = ("text", "muted", "alarm", "self_", "in_", "out", "both")
+    texts = ("text", "muted", "alarm", "self_", "in_", "out", "both", "true", "false")
     for drawn in (colours, greys):
         for name in texts:
             assert contrast(getattr(drawn, name), drawn.paper) >= 4.5, name
