@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import html
 from typing import Any, Callable, List, Optional
 
 from python_qt_binding.QtCore import QEvent, Qt, QTimer
@@ -24,6 +23,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.contact import Status
+from dyknow_rqt.widgets import wrapped
 
 _NOTE_TIME = 6000  # ms
 _KEPT = 50
@@ -148,7 +148,7 @@ class StatusLine(QWidget):
         more = f"  (and {len(lines) - 1} more lines: rest the pointer here)" if lines[1:] else ""
         self._text.setText(lines[0] + more)
         self._full = text
-        self._text.setToolTip(f"<p style='white-space: pre-wrap'>{html.escape(text)}</p>")
+        self._text.setToolTip(wrapped(text))
         palette = QPalette(self.palette())
         if alarm:
             palette.setColor(QPalette.WindowText, colours_of(self.palette()).alarm)

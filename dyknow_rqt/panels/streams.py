@@ -64,6 +64,12 @@ class StreamsPanel(Panel):
         for field, what in ((self.prefer, "is a choice"), (self.avoid, "is no other choice")):
             field.setPlaceholderText("concepts or labels")
             field.setToolTip(f"Concepts or labels, separated by ;: used where there {what}")
+        self.require = QLineEdit()
+        self.require.setPlaceholderText("it.pose.covariance[0] < 0.05")
+        self.require.setToolTip(
+            "A formula over 'it', the messages of the stream; the stream is repaired when it is "
+            "FALSE.\nExample: historically[0 s, 3 s] it.pose.covariance[0] < 0.05"
+        )
         self.prefer.setAccessibleName("Prefer")
         self.avoid.setAccessibleName("Avoid")
         self._tags, self._types = QStringListModel(self), QStringListModel(self)
@@ -108,6 +114,7 @@ class StreamsPanel(Panel):
             exclude=_names(self.exclude),
             prefer=_names(self.prefer),
             avoid=_names(self.avoid),
+            require=self.require.text().strip(),
         )
 
     @qt_slot
@@ -207,7 +214,8 @@ class StreamsPanel(Panel):
 
     def _listen(self) -> None:
         self.tag.textChanged.connect(self._follow)
-        for field in (self.tag, self.datatype, self.exclude, self.prefer, self.avoid):
+        fields = (self.tag, self.datatype, self.exclude, self.prefer, self.avoid, self.require)
+        for field in fields:
             field.returnPressed.connect(self._preview)
         self.preview.clicked.connect(self._preview)
         self.acquire.clicked.connect(self._acquire)
@@ -229,6 +237,7 @@ class StreamsPanel(Panel):
         form.addRow("Prefer, avoid:", row_of(self.prefer, self.avoid))
         form.addRow("Silent at &most:", self.silence)
         form.addRow("Rate, age:", row_of(self.rate, self.age))
+        form.addRow("Require:", self.require)
         form.addRow("", row_of(self.preview, self.acquire))
         having = row_of(self.ended, self.replan, self.release)
         having.insertStretch(1, 1)

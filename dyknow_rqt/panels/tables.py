@@ -29,6 +29,7 @@ from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import Change
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.widgets import wrapped
 
 
 class Panel(QWidget):
@@ -99,7 +100,9 @@ class _Rows(QAbstractTableModel):
             return None
         cells, more = self.shown[index.row()]
         text = cells[index.column()]
-        return text if role == Qt.DisplayRole else "\n".join(part for part in (text, more) if part)
+        if role == Qt.DisplayRole:
+            return text
+        return wrapped("\n".join(part for part in (text, more) if part))
 
     def headerData(  # noqa: N802
         self, section: int, orientation: int, role: int = Qt.DisplayRole

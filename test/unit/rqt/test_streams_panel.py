@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from python_qt_binding.QtCore import Qt
-from unit.rqt.hands import cells_of, click, no_boxes, until, vertex_keys
+from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_keys
+
+from dyknow.model.streams import StreamRequest
 
 
 def _ask_for(qtbot, window, tag):
@@ -102,3 +104,40 @@ def test_the_cheapest_way_is_taken_after_asking(qtbot, window, remote):
     until(qtbot, lambda: "Switch Track(ball) to this plan, at a cost of 0?" in window.line.text)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
+
+
+def test_a_formula_is_required_of_a_stream(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    qtbot.keyClicks(panel.require, "it.pose.x <")
+    assert panel.request().require == "it.pose.x <" and "'it'" in panel.require.toolTip()
+    qtbot.keyClick(panel.require, Qt.Key_Return)
+    until(qtbot, lambda: "line 1, column 12: expected a formula" in panel.plan.toPlainText())
+    click(qtbot, panel.acquire)
+    refusal = "acquire Track(ball): formula, line 1, column 12: expected a formula"
+    until(qtbot, lambda: window.line.text.startswith(refusal))
+    panel.require.setText(" it.pose.x < 2 ")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: panel.table.names())
+    assert panel.request().require == "it.pose.x < 2"
+
+
+def test_why_a_part_is_not_available_is_shown_in_full(qtbot, window, remote):
+    remote.client.add_transformation(FORMULAS.read_text())
+    remote.client.acquire_stream(StreamRequest("RawYUV(nao)", client_id="test"))
+    remote.client.settle()  # the verdicts are acquired
+    remote.client.settle()  # and heard
+    table = window.streams.table
+    until(qtbot, lambda: len(table.names()) == 2)
+    clients = {cells_of(table, row)[1]: cells_of(table, row)[5] for row in (0, 1)}
+    assert clients == {"RawYUV(nao)": "test", "Holds(charged, nao)": "dyknow_manager"}
+    remote.client.host.decide("/charged_1/holds", False, "battery.percentage = 0.19 at 12.2")
+    remote.client.settle()
+
+    def tip():
+        row = [cells_of(table, row)[1] for row in range(2)].index("RawYUV(nao)")
+        return table.model().index(row, 2).data(Qt.ToolTipRole)
+
+    until(qtbot, lambda: "is not available" in tip())
+    assert Qt.mightBeRichText(tip())  # such tips are wrapped
+    assert "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE since" in tip()
+    assert "(battery.percentage = 0.19 at 12.2)" in tip()
