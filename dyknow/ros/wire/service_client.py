@@ -290,7 +290,7 @@ class ServiceClient:
         raise ServiceFailed(text[len(_PREFIX) :] if text.startswith(_PREFIX) else text)
 
     def _connect(self, deadline: float) -> TcprosConnection:
-        self.address = self._find()
+        self.address = self._find(deadline)
         uri = self.address.replace("rosrpc://", "http://")
         host, port = rosgraph.network.parse_http_host_and_port(uri)
         seconds = max(_LEAST_WAIT, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
@@ -308,15 +308,18 @@ class ServiceClient:
             raise ServiceFailed(str(error)) from error
         return connection
 
-    def _find(self) -> str:
-        """Ask the master for the address; while that is away the last one serves."""
+    def _find(self, deadline: float) -> str:
+        """Ask the master for the address, again if it is slow; else the last one serves."""
         if self.address and not self._reconnects:
             raise ServiceLost(f"service {self.name}: the connection was lost")
-        try:
-            return str(self._master.ask("lookupService", self.name))
-        except LookupError as error:
-            raise ServiceLost(f"service {self.name} is not offered") from error
-        except PeerTimeout:
-            if not self.address:
-                raise
-            return self.address
+        while True:
+            try:
+                return str(self._master.ask("lookupService", self.name))
+            except LookupError as error:
+                raise ServiceLost(f"service {self.name} is not offered") from error
+            except PeerTimeout as error:
+                if self.address:
+                    return self.address
+                is_slow = isinstance(error.__cause__, socket.timeout)
+                if not is_slow or time.monotonic() >= deadline:
+                    raise

@@ -75,6 +75,33 @@ def test_calls_of_a_persistent_client_share_a_connection(manager, client):
     assert client.call(PATIENCE).nodelets == ["/b", "/a"]
 
 
+def test_a_slow_master_is_asked_again_within_the_time_of_the_call(manager, monkeypatch):
+    asked: List[float] = []
+    ask = Master.ask
+
+    def slow(self: Master, question: str, *args: Any) -> Any:
+        asked.append(time.monotonic())
+        if len(asked) % 3:
+            raise PeerTimeout("the ROS master", 3.0) from socket.timeout()
+        return ask(self, question, *args)
+
+    monkeypatch.setattr(Master, "ask", slow)
+    assert make_client().call(PATIENCE).nodelets == ["/b", "/a"]
+    assert len(asked) == 3
+    with pytest.raises(PeerTimeout):
+        make_client().call(0.0)
+    assert len(asked) == 4
+
+    def gone(self: Master, question: str, *args: Any) -> Any:
+        asked.append(time.monotonic())
+        raise PeerTimeout("the ROS master", 3.0) from ConnectionRefusedError()
+
+    monkeypatch.setattr(Master, "ask", gone)
+    with pytest.raises(PeerTimeout):
+        make_client().call(PATIENCE)
+    assert len(asked) == 5
+
+
 def test_a_hung_server_holds_up_the_first_call_alone(manager, client):
     client.call(PATIENCE)
     manager.goes_on.clear()
