@@ -54,7 +54,7 @@ class RequiresTest(StreamCase):
         self.assertRegex(
             reason,
             r"^mended: /camera_1 is not available: Holds\(charged, nao\) is FALSE since "
-            r"\d+\.\d{3} \(battery\.percentage = 0\.19 at \d+\.\d{3}\); /ceiling_1 is used now$",
+            r"\d+\.\d{3} \(battery\.percentage = 0\.19 at [\d.]+\); /ceiling_1 is used now$",
         )
         heard.flows()
         manager.is_gone("/camera_1")

@@ -22,7 +22,7 @@ from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatc
 from dyknow.manager.claim import STREAM, Claim
 from dyknow.manager.claims.claim_planner import STAMPED
 from dyknow.manager.claims.connector import ClaimContext, Transaction
-from dyknow.manager.claims.ends import VERDICTS, monitor, relay
+from dyknow.manager.claims.ends import VERDICTS, monitor, monitored, relay
 from dyknow.manager.host import Count
 from dyknow.manager.planning.problem import Instance, Live, New, Plan, PlanStep, Source
 from dyknow.manager.record import Record, ports_on
@@ -260,8 +260,8 @@ class Assembly(Transaction):
         """Let a new nodelet evaluate the formula of the request: it knows no earlier stream."""
         delivered = goal._replace(topic=claim.topic, datatype=claim.datatype)
         made = monitor(claim.topic, claim.datatype)
-        formula = Parameter("formula", "string", claim.request.require)
-        return self._spawn(made, {STREAM: delivered}, (VERDICTS,), (formula,))
+        given = monitored(claim.request.require, claim.datatype)
+        return self._spawn(made, {STREAM: delivered}, (VERDICTS,), given)
 
     def _separate(self, goal: _Supply, publisher: str, topic: str) -> None:
         """Disconnect the replaced publisher before the goal comes if it is of another individual.

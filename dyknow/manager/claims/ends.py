@@ -69,14 +69,17 @@ def is_relay(transformation: Transformation | None) -> bool:
 
 
 def monitor(topic: str, datatype: str) -> Transformation:
-    """Describe the nodelet that evaluates a formula, which it is given, about a topic."""
+    """Describe the nodelet that evaluates a formula about a topic; see ``monitored``."""
     if datatype in ANY:
         raise SpawnFailed(_MONITOR + topic, "the type of its messages is not known")
-    parameters = (Parameter("datatypes", "yaml", json.dumps({STREAM: datatype})),)
     ports = (Port(STREAM, IN, datatype), Port(VERDICTS, OUT, VERDICT))
-    return Transformation(
-        _MONITOR + topic, FORMULA_CLASS, cost=0, parameters=parameters, ports=ports
-    )
+    return Transformation(_MONITOR + topic, FORMULA_CLASS, cost=0, ports=ports)
+
+
+def monitored(formula: str, datatype: str) -> tuple[Parameter, ...]:
+    """Return the parameters that a monitor is given."""
+    datatypes = json.dumps({STREAM: datatype})
+    return Parameter("formula", "string", formula), Parameter("datatypes", "yaml", datatypes)
 
 
 def is_monitor(transformation: Transformation | None) -> bool:
