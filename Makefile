@@ -34,7 +34,7 @@ test-long: deps ## run what takes long: many random steps, repeated faults, meas
 benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")
 	@$(IN_WORKSPACE) rosrun dyknow benchmark $(ARGS)
 
-performance: build ## measure everything that doc/performance.md shows, and write it there (most of an hour; ARGS="chain" for one)
+performance: build venv ## measure everything that doc/performance.md shows, and write it there (most of an hour; ARGS="chain" for one)
 	@$(IN_WORKSPACE) $(ROS_PYTHON) tools/performance.py $(ARGS)
 
 screenshots: build ## take the pictures of the documentation again

@@ -17,14 +17,17 @@ from typing import Any, Callable, Iterator, Sequence, Tuple
 
 import rospy
 from dyknow_msgs.msg import Verdict
+from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Header
 
+import dyknow
 from dyknow.formulas import Monitor, parse
 from dyknow.formulas.compiler import Evaluator
 from dyknow.formulas.tree import SECOND, Binary, Node, Unary, children
+from dyknow.ros.client import ManagerClient
 from dyknow_benchmark.options import measurement
 from dyknow_benchmark.results import Results, Row, Summary, spread
-from dyknow_benchmark.session import Session, say, steps, wait_until
+from dyknow_benchmark.session import MANAGER, Session, say, steps, wait_until
 
 #: Properties in the style of Ulus' *timescales*: patterns of p, q and r with one bound, in states.
 PROPERTIES = {
@@ -45,21 +48,48 @@ BOUNDS = (10, 100, 1000)
 _FASTER, _SLOWER = 1.5, 1.2
 _MANY, _SHARE, _BYTES = 1000, 0.15, 4096.0
 _LATENCY = 0.15  # ms
+_REACTION = 1.0  # s
+_SPARE = "/spare_1"
+#: A source that requires a verdict, another one, and the battery that the verdict is about.
+_GUARDED = """
+<transformations>
+  <transformation type="topic"><label>battery</label><source>/battery</source>
+    <ports><port type="out" datatype="sensor_msgs/BatteryState">out</port></ports>
+    <tags><tag port="out">Battery(robot)</tag></tags></transformation>
+  <transformation type="formula"><label>charged</label>
+    <formula>battery.percentage &gt; 0.2</formula>
+    <ports><port type="in" datatype="sensor_msgs/BatteryState">battery</port>
+      <port type="out">holds</port></ports>
+    <tags><tag port="battery">Battery(?robot)</tag>
+      <tag port="holds">Holds(charged, ?robot)</tag></tags></transformation>
+  <transformation><label>guarded</label><source>dyknow/Source</source>
+    <params><param name="rate" type="double">50</param></params>
+    <ports><port type="out" datatype="std_msgs/Header">out</port></ports>
+    <tags><tag port="out">Beat(robot)</tag></tags>
+    <requires>Holds(charged, robot)</requires></transformation>
+  <transformation cost="2"><label>spare</label><source>dyknow/Source</source>
+    <params><param name="rate" type="double">50</param></params>
+    <ports><port type="out" datatype="std_msgs/Header">out</port></ports>
+    <tags><tag port="out">Beat(robot)</tag></tags></transformation>
+</transformations>
+"""
 
 State = Tuple[bool, bool, bool]
 Step = Callable[[Sequence[State]], float]
 """Monitors some states; returns the seconds of processor time that it takes."""
 
 
-@measurement(states=100_000, messages=500)
+@measurement(states=100_000, messages=500, violations=20)
 def formulas(arguments: argparse.Namespace, results: Results) -> None:
-    """Evaluate formulas beside other monitors, a thousand at once, and in a nodelet.
+    """Evaluate formulas beside other monitors, a thousand at once, in a nodelet, and re-wire.
 
     The other monitors are reelay and sentil, as far as they are installed.
     """
     _throughput(arguments.states, results)
     _many(results)
-    _latency(arguments.messages, results)
+    with Session() as session:
+        _latency(session, arguments.messages, results)
+        _reaction(session, arguments.violations, results)
 
 
 def _throughput(count: int, results: Results) -> None:
@@ -89,6 +119,10 @@ def _throughput(count: int, results: Results) -> None:
         slower.append(found[BOUNDS[0]] / found[BOUNDS[-1]])
     header = ("property", "bound", "dyknow", "reelay", "sentil", "to_fastest")
     results.table("throughput", "million states a second", header, rows)
+    of_bound = [[row[2:] for row in rows if row[1] == bound] for bound in BOUNDS]
+    medians = [tuple(map(median, zip(*some))) for some in of_bound]
+    typical: list[Row] = [(bound, *each) for bound, each in zip(BOUNDS, medians)]
+    results.table("bounds", "million states a second, median", header[1:], typical)
     if ratios:
         what = "states a second, to the fastest other monitor, median"
         results.verdict(what, median(ratios), _FASTER, at_least=True)
@@ -186,36 +220,81 @@ def _many(results: Results) -> None:
     results.verdict("memory of a formula, bytes", size, _BYTES)
 
 
-def _latency(count: int, results: Results) -> None:
+def _latency(session: Session, count: int, results: Results) -> None:
     """Compare a message that decides and its verdict with a message and its relayed self."""
     times: dict[str, list[float]] = {"relay": [], "formula": []}
     period = 0.02
-    with Session() as session:
-        manager = session.nodelet_manager()
-        manager.load("/relay", "dyknow/Relay", {"/in": "/beats", "/out": "/relayed"})
-        given = {"formula": "rate(beat, 1 s) > 0", "datatypes": {"beat": "std_msgs/Header"}}
-        for name, value in {**given, "period": period, "delay": 10.0}.items():
-            rospy.set_param(f"/formula/{name}", value)
-        manager.load(
-            "/formula",
-            "dyknow/Formula",
-            {"/beat": "/beats", "/holds": "/verdicts"},
-        )
-        sent = 0.0
+    manager = session.nodelet_manager()
+    manager.load("/relay", "dyknow/Relay", {"/in": "/beats", "/out": "/relayed"})
+    given = {"formula": "rate(beat, 1 s) > 0", "datatypes": {"beat": "std_msgs/Header"}}
+    for name, value in {**given, "period": period, "delay": 10.0}.items():
+        rospy.set_param(f"/formula/{name}", value)
+    manager.load(
+        "/formula",
+        "dyknow/Formula",
+        {"/beat": "/beats", "/holds": "/verdicts"},
+    )
+    sent = 0.0
 
-        def hear(message: object, what: str) -> None:
-            times[what].append(1e3 * (time.monotonic() - sent))
+    def hear(message: object, what: str) -> None:
+        times[what].append(1e3 * (time.monotonic() - sent))
 
-        publisher = rospy.Publisher("/beats", Header, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("/relayed", Header, hear, "relay", tcp_nodelay=True)
-        rospy.Subscriber("/verdicts", Verdict, hear, "formula", tcp_nodelay=True)
-        wait_until(lambda: publisher.get_num_connections() > 0, "the nodelets")
-        for _ in steps(range(count), "deciding", "message"):
-            sent = time.monotonic()
-            publisher.publish(Header())
-            time.sleep(period)
+    publisher = rospy.Publisher("/beats", Header, queue_size=1, tcp_nodelay=True)
+    rospy.Subscriber("/relayed", Header, hear, "relay", tcp_nodelay=True)
+    rospy.Subscriber("/verdicts", Verdict, hear, "formula", tcp_nodelay=True)
+    wait_until(lambda: publisher.get_num_connections() > 0, "the nodelets")
+    for _ in steps(range(count), "deciding", "message"):
+        sent = time.monotonic()
+        publisher.publish(Header())
+        time.sleep(period)
     rows: list[Row] = [(what, len(some), *Summary.of(some).spread) for what, some in times.items()]
     title = "from a message to the relayed one, and to the verdict that it decides"
     results.table("verdicts", title, ("what", "count", *spread("ms")), rows)
     more = median(times["formula"]) - median(times["relay"])
     results.verdict("verdict after a relayed message, median in ms", more, _LATENCY)
+
+
+def _reaction(session: Session, count: int, results: Results) -> None:
+    """Drain a battery again and again; count from the message to the replacement's first one."""
+    times: list[float] = []
+    rospy.set_param(f"{MANAGER}/recover", 0.1)
+    client = session.dyknow_manager()
+    client.add_transformation(_GUARDED)
+    level = [0.5]
+    heard: list[tuple[float, int]] = []  # when, and the number in the message
+    publisher = rospy.Publisher("/battery", BatteryState, queue_size=1, tcp_nodelay=True)
+    timer = rospy.Timer(
+        rospy.Duration(0.02), lambda _: publisher.publish(BatteryState(percentage=level[0]))
+    )
+    with dyknow.acquire("Beat(robot)", Header) as stream:
+
+        def hear(message: Header) -> None:
+            heard.append((time.monotonic(), int(message.frame_id)))
+
+        rospy.Subscriber(stream.topic, Header, hear, tcp_nodelay=True)
+
+        def is_guarded() -> bool:
+            """Whether the guarded source has been used for some time."""
+            is_used = any(name.startswith("/guarded") for name in stream.nodelets)
+            return is_used and bool(heard) and heard[-1][1] > 50
+
+        for _ in steps(range(count), "violations", "violation"):
+            wait_until(is_guarded, "the guarded source")
+            heard.clear()
+            began, level[0] = time.monotonic(), 0.1
+            wait_until(lambda: any(number < 20 for _, number in heard), "the replacement")
+            times.append(next(when for when, number in heard if number < 20) - began)
+            level[0] = 0.5
+            wait_until(lambda: _replanned(client, stream.claim_id), "the way back")
+            wait_until(lambda: not client.get_model().nodelet(_SPARE), "the end of the spare one")
+    timer.shutdown()
+    row = (len(times), *Summary.of(times).spread)
+    title = "from a message that violates a formula to the first one of the replacement"
+    results.table("reaction", title, ("violations", *spread("s")), [row])
+    what = "violation to the first message of the replacement, median in s"
+    results.verdict(what, median(times), _REACTION)
+
+
+def _replanned(client: ManagerClient, claim_id: str) -> bool:
+    """Replan a stream; whether that changed it."""
+    return bool(client.replan_stream(claim_id).spawned)
