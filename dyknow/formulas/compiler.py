@@ -6,7 +6,7 @@
 The function is generated from the tree: names of fields are its only words, numbers and texts are
 its variables, so that formulas of one shape share their code. An operator that looks back needs
 the number of the last state in which its operand was TRUE, and in which it was not FALSE; only a
-lower bound needs a queue. What is below an operator that looks ahead goes to ``LookAhead``.
+lower bound needs a queue. Formulas below an operator that looks ahead go to ``LookAhead``.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class _Writer:
         return "\n".join(lines)
 
     def formula(self, formula: Node) -> str:
-        """Write what computes a formula's truth; returns the expression that has it."""
+        """Write the code of a formula's truth; returns the expression that has it."""
         self._uses.update(walk(formula))
         if looks_ahead(formula):
             self.look_ahead = LookAhead(formula, self._period, self._leaf)
@@ -281,7 +281,7 @@ class _Writer:
                 f"        {name} = {compared}",
                 f"    except ERRORS: {name} = rare{number}({given})",
             ]
-            # Times and durations, which cannot be compared with numbers, and what has no value.
+            # Times and durations, which cannot be compared with numbers, and missing ones.
             left, right = (self._expression(each, "seconds") for each in operands(atom))
             self._rare += [
                 f"def rare{number}({given}):",
@@ -410,7 +410,7 @@ def _greatest(*values: float) -> float:
     return math.nan if any(value != value for value in values) else max(values)
 
 
-#: What the function uses often: its own variables are found faster than those of its module.
+#: Values that the function uses often: it finds its own variables faster than those of its module.
 _LOCALS = "negated, truth, decided = NEGATED, TRUTH, DECIDED"
 _GLOBALS = {
     "ERRORS": _ERRORS,

@@ -5,8 +5,8 @@
 
 Kleene's tables forget which atom is unknown, so ``p or not p`` is UNKNOWN where ``p`` is. Here a
 truth is a *decision diagram* over the unknown atoms of the states that were seen: a formula that
-asks one of them after the other, and shares what is equal. It is progressed state by state. Where
-there are too many diagrams, further unknown atoms are what they are for Kleene.
+asks one of them after the other, and shares equal ones. It is progressed state by state. Where
+there are too many diagrams, Kleene decides about further unknown atoms.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class ExactEvaluator:
     def _passed(
         self, formula: Unary | Binary, state: int, later: int, farther: _Diagram
     ) -> _Diagram:
-        """Add a state to what an operator has found in the states that are farther."""
+        """Add a state to the finding of an operator about the states that are farther."""
         if isinstance(formula, Binary):
             farther = self._diagrams.least(farther, self._value(formula.left, state, later))
             return self._or(farther, self._value(formula.right, state, later))

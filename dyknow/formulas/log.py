@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Why a verdict is what it is: the atoms that decided it, with their values and times.
+"""The reasons of verdicts: the atoms that decided them, with their values and times.
 
 A log of an atom has an entry for each change of its truth, as far back as a verdict can depend on
 it. From the logs the truth of any part of a formula can be computed again, so it is asked of each
@@ -55,7 +55,7 @@ class Log:
         """Begin a log without entries.
 
         Args:
-            formula: what is explained.
+            formula: the formula to explain.
             period: nanoseconds between states.
             atoms: the atoms, by their numbers.
             individuals: returns name, log and number of the state for each individual.

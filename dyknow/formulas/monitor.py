@@ -32,7 +32,7 @@ _TRUTHS = {FALSE: Truth.FALSE, TRUE: Truth.TRUE, UNKNOWN: Truth.UNKNOWN}
 
 
 class Verdict(NamedTuple):
-    """What a formula says about one state.
+    """The verdict of a formula about one state.
 
     Attributes:
         stamp: time of the state, in nanoseconds.
@@ -55,8 +55,8 @@ class Formula:
     """A formula of metric temporal logic over the messages of ports.
 
     Attributes:
-        text: what was read.
-        tree: what it means; see ``dyknow.formulas.tree``.
+        text: as it was written.
+        tree: its meaning; see ``dyknow.formulas.tree``.
         ports: the ports that it reads, in the order written.
         of_individuals: those of them that belong to the individuals of a quantifier.
     """
@@ -303,7 +303,7 @@ def parse(text: str) -> Formula:
     """Read a formula.
 
     Raises:
-        FormulaError: it is not a formula; the error has line and column, and what was expected.
+        FormulaError: it is not a formula; the error has line and column, and the expected words.
     """
     return Formula(text)
 

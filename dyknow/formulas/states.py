@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""States: what a formula sees of the messages of its ports, once every period.
+"""States: the view that a formula has of the messages of its ports, once every period.
 
 Times are integers in nanoseconds of ROS time. State ``k`` is at ``k * period``, so monitors that
 receive the same messages have the same states, whenever they began.
@@ -94,7 +94,7 @@ class PortValues:
             self.latest = stamp
 
     def close(self, state: int) -> None:
-        """Take what the state is the first to see."""
+        """Take the messages that the state is the first to see."""
         count = 0
         if self._coming and self._coming[0][0] == state:
             _, self.stamp, self.message, count = self._coming.pop(0)
@@ -135,10 +135,10 @@ class States:
         """Begin a sequence.
 
         Args:
-            formula: what is evaluated in each state.
+            formula: to evaluate in each state.
             settings: how states are made.
             first: number of the first state.
-            shared: ports that others close; for an individual, those outside the quantifier.
+            shared: ports that another one closes; for an individual, those outside the quantifier.
             name: the individual.
         """
         self.name = name
@@ -311,7 +311,7 @@ class Individuals:
         return ready if self._looks_ahead else ready[0]
 
     def end(self) -> Any:
-        """Decide what is open, and return it with the truth of one state to come."""
+        """Decide the open states, and return them with the truth of one state to come."""
         for name in sorted(self.present):
             self._leave(name)
         return [*self._ready(), UNKNOWN] if self._looks_ahead else UNKNOWN
@@ -322,7 +322,7 @@ class Individuals:
 
     def _decide(self, states: States, decided: Iterable[Tuple[int, int]]) -> None:
         for state, truth in decided:
-            # What was decided without it is not open any more.
+            # States decided without it are not open any more.
             if self._next is not None and state >= self._next:
                 self._open[state - self._next][states] = truth
 

@@ -96,13 +96,13 @@ def parse(text: str) -> Node:
     """Read a formula.
 
     Raises:
-        FormulaError: it is not a formula; the error has line and column, and what was expected.
+        FormulaError: it is not a formula; the error has line and column, and the expected words.
     """
     return _Parser(text).formula()
 
 
 class _Parser:
-    """Reads one text; each method reads what its name says and returns it."""
+    """Reads one text; each method reads the part that bears its name, and returns it."""
 
     def __init__(self, text: str) -> None:
         self._text = text

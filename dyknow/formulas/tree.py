@@ -236,7 +236,7 @@ def outermost(formula: Node) -> Iterator[Union[Atom, Quantified]]:
 
 
 def readings(atom: Atom) -> Tuple[Union[Field, Call], ...]:
-    """Return what an atom reads: fields, ports, and ``age`` and its like, in the order written."""
+    """Return the readings of an atom, in order: fields, ports, ``age`` and the like."""
     return tuple(dict.fromkeys(each for one in operands(atom) for each in _readings(one)))
 
 

@@ -21,7 +21,7 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 #: Seconds that the improvement of one plan may take: meanwhile no other request is served.
 MOST_BUDGET = 60.0
-#: What formulas of requests call the delivered stream.
+#: Name of the delivered stream in formulas of requests.
 STREAM = "it"
 
 
@@ -30,7 +30,7 @@ def check_request(request: StreamRequest) -> None:
 
     Raises:
         BadParameter: a value is out of bounds, or contradicts another one.
-        FormulaError: ``require`` is no formula.
+        FormulaError: ``require`` is not a formula.
     """
     infinity = float("inf")
     for name, value, most, expected in (

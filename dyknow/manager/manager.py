@@ -38,7 +38,7 @@ class ManagerOptions:
     Attributes:
         namespace: where relative names resolve.
         spawn_timeout: seconds that a nodelet may take to come up.
-        recover: seconds for which a verdict has to be TRUE again before what requires it is used.
+        recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
     """
 
     namespace: str = "/"

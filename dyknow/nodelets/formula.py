@@ -20,7 +20,7 @@ from dyknow.ros.parameters import get_datatype
 
 
 class FormulaNodelet(dyknow.Nodelet):
-    """Publishes what a formula says about each state of its in-ports.
+    """Publishes the verdict of a formula about each state of its in-ports.
 
     Ports:
         each port that the formula reads: any type.
@@ -76,7 +76,7 @@ class FormulaNodelet(dyknow.Nodelet):
         return self.node_handle.Subscriber(topic, message_class, callback, queue_size=100)
 
     def on_message(self, port: str, individual: str, message: Any) -> None:
-        """Publish what the message decides."""
+        """Publish the verdicts that the message decides."""
         self.publish(self.monitor.feed(port, message, self.nh.Time.now(), individual))
 
     def on_timer(self, event: Any) -> None:

@@ -139,7 +139,7 @@ class FakeHost(Host):
         self.details: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
-        #: Topics of verdicts that are followed, and what was heard there.
+        #: Topics of verdicts that are followed, and the last verdict on each.
         self.followed: frozenset[str] = frozenset()
         self._heard: dict[str, HeardVerdict] = {}
         #: Called before each operation with its name and argument; may raise.

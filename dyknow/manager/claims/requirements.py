@@ -6,7 +6,7 @@
 A transformation may *require* verdicts, by their tags. While one is FALSE it is not available: no
 plan uses it, and its nodelets count as lost. It is available again when the verdict has been TRUE
 for some time, so nothing flaps. The verdicts come from claims of the manager's own: on those that
-transformations require which could have a part in the stream of a claim, and on no others.
+transformations require which could have a part in the stream of a claim, and on no other verdict.
 
 A request may require a formula about its own stream, which a nodelet evaluates on the client's
 topic.
@@ -41,7 +41,7 @@ def is_own(claim: Claim) -> bool:
 
 
 class Requirements:
-    """The verdicts that were heard, and what follows from them; read once a round."""
+    """The verdicts that were heard, and their consequences; read once a round."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Requirements:
     # The manager's own claims
 
     def hold(self, wanted: Iterable[Term]) -> None:
-        """Hold claims on these verdicts, and on no others."""
+        """Hold claims on these verdicts, and on no other verdict."""
         tags = {str(tag) for tag in wanted}
         held = {each.request.tag: each for each in self._table.living if is_own(each)}
         for tag in sorted(tags - held.keys()):

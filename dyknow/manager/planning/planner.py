@@ -185,7 +185,7 @@ class Planner:
         exclude: AbstractSet[str] = NO_LABELS,
         budget: float = BUDGET,
     ) -> set[tuple[str, Bindings]]:
-        """Find all that can have a part in any plan, whatever the verdicts are.
+        """Find every possible part of a plan, under any verdicts.
 
         Args:
             demand: tags and type of the stream.

@@ -73,7 +73,7 @@ class Request:
         charges: charges of actions besides their costs.
         live: the actions of live streams.
         is_strict: whether private variables count as one where an action has fast inputs or not.
-        is_whole: whether more is looked at than what can be in a cheapest plan.
+        is_whole: whether parts of dearer plans are looked at as well.
     """
 
     is_strict = False

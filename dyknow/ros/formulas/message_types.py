@@ -14,7 +14,7 @@ from dyknow.formulas.types import type_of
 
 def message_class(datatype: str) -> Any:
     """Return the class of a message type; None if it is not built here."""
-    import roslib.message  # only what reads a formula needs it
+    import roslib.message  # formulas alone need it
 
     try:
         return roslib.message.get_message_class(datatype)

@@ -33,7 +33,7 @@ class VerdictTopics:
         self._registrations = Workers("subscribing to verdicts", 1)
 
     def follow(self, topics: Collection[str]) -> dict[str, HeardVerdict]:
-        """Listen to these topics and to no others; returns what was heard there by now."""
+        """Listen to these topics alone; returns the verdicts that were heard there by now."""
         wanted = frozenset(topics)
         with self._state_lock:
             is_new, self._wanted = wanted != self._wanted, wanted
@@ -48,7 +48,7 @@ class VerdictTopics:
         self._registrations.close(_END_PATIENCE)
 
     def _register(self) -> None:
-        """Follow what is wanted by now; called by one thread."""
+        """Follow the topics that are wanted by now; called by one thread."""
         wanted = self._wanted
         for topic in self._subscribers.keys() - wanted:
             self._subscribers.pop(topic).unregister()

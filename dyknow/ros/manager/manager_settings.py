@@ -56,7 +56,7 @@ class ManagerSettings:
         transformations: files of specifications to add at the start.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
-        recover: seconds for which a verdict has to be TRUE again before what requires it is used.
+        recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
         guards: restrictions.
         limits: sizes of specifications.
     """
