@@ -18,12 +18,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dyknow import formulas
     from dyknow.nodelet.handle import Nodelet
     from dyknow.proxy.handle import NodeHandle
     from dyknow.ros.acquiring import acquire
     from dyknow.ros.client import ManagerClient
 
-__all__ = ["ManagerClient", "NodeHandle", "Nodelet", "acquire"]
+__all__ = ["ManagerClient", "NodeHandle", "Nodelet", "acquire", "formulas"]
 
 __version__ = "0.2.0"
 
@@ -32,12 +33,15 @@ _HOMES = {
     "Nodelet": "dyknow.nodelet",
     "NodeHandle": "dyknow.proxy",
     "acquire": "dyknow.ros.acquiring",
+    "formulas": "dyknow",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if _HOMES[name] == __name__:
+        return importlib.import_module(f"{__name__}.{name}")
     value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value
     return value

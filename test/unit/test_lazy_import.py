@@ -30,7 +30,7 @@ def test_the_package_alone_loads_nothing() -> None:
     assert [name for name in modules if name.startswith("dyknow.")] == []
 
 
-@pytest.mark.parametrize("name", ["Nodelet", "NodeHandle"])
+@pytest.mark.parametrize("name", ["Nodelet", "NodeHandle", "formulas.parse"])
 def test_a_name_of_the_author_loads_no_ros(name: str) -> None:
     modules = modules_after(f"import dyknow; dyknow.{name}")
     assert modules.isdisjoint({"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"})
@@ -47,6 +47,6 @@ def test_a_script_of_its_own_waits_for_no_parser() -> None:
 
 
 def test_names_are_listed_and_others_refused() -> None:
-    assert {"ManagerClient", "Nodelet", "NodeHandle", "acquire"} <= set(dir(dyknow))
+    assert {"ManagerClient", "Nodelet", "NodeHandle", "acquire", "formulas"} <= set(dir(dyknow))
     with pytest.raises(AttributeError, match="nonesuch"):
         dyknow.nonesuch  # noqa: B018
