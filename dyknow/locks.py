@@ -41,7 +41,6 @@ TURNS: dict[str, str] = {
     "bonds of claims": "changes of claims are followed one after the other",
     "grants to processes": "guards and producers of claims: older ones never replace newer",
     "reconfiguration": "one change of a nodelet's ports at a time: declared, connected elsewhere",
-    "listening to nodelet managers": "subscriptions to the changes that nodelet managers announce",
     "messages of bonds": "what is sent on a bond's topic, until it is withdrawn",
     "output of a child": "how far a file was read that a process prints into",
     "service client": "the one connection of a persistent service client",

@@ -82,7 +82,6 @@ Private parameters (default):
 
 Services:
   ~load_nodelet, ~unload_nodelet, ~list            as the C++ nodelet manager has them
-  ~get_counts                                      messages of all ports in one call
   /NODELET/get_config, set_config, get_statistics  the ports of each nodelet
 
 {_ROS_ARGUMENTS}

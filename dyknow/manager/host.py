@@ -81,6 +81,21 @@ class Crash:
 
 
 @dataclass(frozen=True)
+class Reported:
+    """What a process reports of a nodelet with live ports.
+
+    Attributes:
+        ports: in the order of their declaration, without tags.
+        detail: its problem; empty for none.
+        sequence: number of the last change of its process that this contains.
+    """
+
+    ports: tuple[PortState, ...] = ()
+    detail: str = ""
+    sequence: int = 0
+
+
+@dataclass(frozen=True)
 class HostReport:
     """The outcome of polling a host.
 
@@ -224,12 +239,16 @@ class Host(ABC):
         """Return the names of the nodelets that a nodelet manager runs."""
 
     @abstractmethod
-    def ports(self, name: str) -> tuple[PortState, ...]:
-        """Return the ports of a nodelet that has a proxy."""
+    def reported(self, manager: str, name: str) -> Reported | None:
+        """Return what a process has reported last of a nodelet; it is not asked.
 
-    def detail(self, name: str) -> str:
-        """Return the problem of a nodelet as its process announced it; empty for none."""
-        return ""
+        It contains every connection that `connect` made before. None for a nodelet that the
+        process does not run, or whose ports it does not know.
+        """
+
+    @abstractmethod
+    def ports(self, name: str) -> tuple[PortState, ...]:
+        """Ask for the ports of a nodelet that has a proxy."""
 
     @abstractmethod
     def connect(self, name: str, config: Mapping[str, str]) -> None:

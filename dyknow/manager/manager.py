@@ -76,10 +76,10 @@ class Manager:
         """Take over the running nodelets of an earlier life, and bring back the dead ones."""
         self.observer.adopt(self.store.read("nodelets", Record.from_body).values())
 
-    def look(self, changed: Iterable[str] = ()) -> float:
+    def look(self) -> float:
         """Compare the picture with reality; returns the seconds until the next look."""
         self.store.write_pending()
-        return self.observer.look(changed)
+        return self.observer.look()
 
     def end(self) -> None:
         """End on purpose: the nodelets that this manager made are destroyed and forgotten."""

@@ -20,14 +20,15 @@ from typing import AbstractSet, Iterable
 from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import Busy, HostError, NameTaken
-from dyknow.locks import state_lock, turn_lock
-from dyknow.manager.host import Crash, HostReport, ProcessState
+from dyknow.locks import turn_lock
+from dyknow.manager.host import Crash, HostReport, ProcessState, Reported
 from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
     declared_ports,
     missing_connections,
+    seen_ports,
     with_present_ports,
 )
 from dyknow.model.graph import PortState, State
@@ -74,9 +75,9 @@ class Observer:
         self._keeper = context.keeper
         self._turn = turn_lock("look at nodelet managers")
         self._backoff = Backoff(context.clock.now, _FIRST_PAUSE)
-        self._state_lock = state_lock("nodelets to query")
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
-        self._to_ask: set[str] = set()  # nodelets whose ports the next look queries
+        #: Records, each with the report that it showed when they were compared last.
+        self._shown: dict[str, tuple[Record, Reported]] = {}
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -93,24 +94,18 @@ class Observer:
         for state in self._host.states().values():  # whose spawn never returned
             if state.own and state.isolated_for and not self._graph.find(state.isolated_for):
                 self._host.retire(state.name)
-        self.look(record.name for record in self._graph.all())
+        self.look()
 
-    def note(self, names: Iterable[str]) -> None:
-        """Have the next look query the ports of these nodelets."""
-        with self._state_lock:
-            self._to_ask.update(names)
-
-    def look(self, changed: Iterable[str] = ()) -> float:
-        """Compare the picture with a report of the host; query the ports of ``changed`` nodelets.
+    def look(self) -> float:
+        """Compare the picture with a report of the host.
 
         Returns the seconds until the next look, which comes soon if operations held up this one.
         """
         with self._turn:
-            with self._state_lock:
-                changed, self._to_ask = self._to_ask.union(changed), set()
-            busy = {name for name in changed if self._graph.is_busy(name)}
-            self.note(busy)
             records = self._graph.all()  # before the processes: none of them is newer
+            self._shown = {
+                each.name: self._shown[each.name] for each in records if each.name in self._shown
+            }
             report = self._host.poll()
             for incarnation, crash in report.crashes.items():
                 if incarnation not in self._accused:
@@ -119,19 +114,18 @@ class Observer:
             doubtful = [
                 (record, fate)
                 for record, fate in ((each, _fate(each, report)) for each in records)
-                if record.name in changed
-                or self._description(record) != record.transformation
+                if self._description(record) != record.transformation
                 or (fate, record.state) != (Fate.RUNS, State.RUNNING)
                 or record.incarnation != report.processes[record.manager].incarnation
+                or not self._is_shown(record)
             ]
+            is_held_up = any(
+                record.state is State.RUNNING and self._graph.is_busy(record.name)
+                for record, _ in doubtful
+            )
             self._lose(doubtful, report)
-            dead = [
-                record.name
-                for record, fate in doubtful
-                if self._follow(record, fate, report, changed)
-            ]
+            dead = [record.name for record, fate in doubtful if self._follow(record, fate, report)]
             known = {record.name for record in self._graph.all()}
-            self.note(changed & known - {record.name for record in records})
             for manager in sorted(report.nodelets):
                 for name in sorted(report.nodelets[manager] - known):
                     if not self._graph.is_busy(name):
@@ -139,7 +133,7 @@ class Observer:
         for name in dead:
             if self._backoff.allows(name):
                 self._run(f"bringing back {name}", partial(self._bring_back, name))
-        return PAUSE if busy else PERIOD
+        return PAUSE if is_held_up else PERIOD
 
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
@@ -203,18 +197,28 @@ class Observer:
         cure = report.processes[record.manager].cure
         return f"{what} does not answer{f': {cure}' if cure else ''}"
 
-    def _follow(
-        self, record: Record, fate: Fate, report: HostReport, changed: AbstractSet[str]
-    ) -> bool:
+    def _is_shown(self, record: Record) -> bool:
+        """Whether a record shows what the process has reported of its nodelet."""
+        reported = self._host.reported(record.manager, record.name)
+        if reported is None:
+            return _with_some_ports(record) == record
+        known = self._shown.get(record.name, ())
+        if not (known and known[0] is record and known[1] is reported):
+            detail = "; ".join(filter(None, (reported.detail, record.suspicion)))
+            if (seen_ports(record, reported.ports), detail) != (record.ports, record.detail):
+                return False
+            self._shown[record.name] = record, reported
+        return True
+
+    def _follow(self, record: Record, fate: Fate, report: HostReport) -> bool:
         """Update a record to match; returns whether work on the nodelet is left."""
         with contextlib.ExitStack() as held:
             current = self._reserve(record, held)
             if current is None:
-                self.note({record.name} & changed)
                 return False
             state = report.processes.get(record.manager)
             if fate is Fate.RUNS and state is not None and not current.unwanted:
-                self._update(current, state, record.name in changed)
+                self._update(current, state)
             elif fate is Fate.UNSEEN:
                 return False
             elif current.transformation is None or (
@@ -235,14 +239,8 @@ class Observer:
                 return current.state is not State.RUNNING
             return False
 
-    def _update(self, record: Record, state: ProcessState, closely: bool) -> None:
-        """Update the record of a nodelet that runs; its ports are queried if it is new."""
-        description = self._description(record)
-        is_known = (
-            description == record.transformation
-            and record.state is State.RUNNING
-            and record.incarnation == state.incarnation
-        )
+    def _update(self, record: Record, state: ProcessState) -> None:
+        """Update the record of a nodelet that runs."""
         if record.state is State.STARTING:
             trouble = self._complete(record)
             if trouble:
@@ -250,40 +248,38 @@ class Observer:
                 return
         record = replace(
             record,
-            transformation=description,
+            transformation=self._description(record),
             state=State.RUNNING,
             detail=record.detail if record.state is State.RUNNING else record.suspicion,
             incarnation=state.incarnation,
             heard=record.heard if record.incarnation == state.incarnation else NOTHING_HEARD,
             host=state.host,
         )
-        if (closely or not is_known) and not record.is_fixed:
-            try:
-                record = with_present_ports(record, self._ports(record))
-            except HostError as error:
-                _log.debug("%s: %s", record.name, error)
-                if closely or record.transformation is not None:  # it has a proxy
-                    self.note([record.name])
-            else:
-                details = (self._host.detail(record.name), record.suspicion)
-                record = replace(record, detail="; ".join(filter(None, details)))
-        if not record.ports and not record.is_described:  # without a proxy: as it should be
-            record = replace(record, ports=declared_ports(record))
-        self._graph.put(record)
+        reported = self._host.reported(record.manager, record.name)
+        if reported is not None:
+            ports = self._with_late_ports(record, reported.ports)
+            detail = "; ".join(filter(None, (reported.detail, record.suspicion)))
+            record = replace(with_present_ports(record, ports), detail=detail)
+        self._graph.put(_with_some_ports(record))
 
-    def _ports(self, record: Record) -> tuple[PortState, ...]:
-        """Query the ports of a nodelet; new ports of a claim's nodelet are connected as planned.
+    def _with_late_ports(
+        self, record: Record, ports: tuple[PortState, ...]
+    ) -> tuple[PortState, ...]:
+        """Connect new ports of a claim's nodelet as planned; return all of its ports.
 
         A lazy nodelet makes declared ports when a subscriber comes, some at topics of its choice.
         Without a claim, these cannot be distinguished from recent connections by users.
         """
-        ports = self._host.ports(record.name)
         if not (record.claimed and record.awaited):
             return ports
         wanted = missing_connections(record, [port for port in ports if port.datatype])
         late = {port: topic for port, topic in wanted.items() if port in record.awaited}
         if late:
-            self._host.connect(record.name, late)
+            try:
+                self._host.connect(record.name, late)
+            except HostError as error:
+                _log.debug("%s: %s", record.name, error)
+                return record.ports
         return tuple(replace(port, topic=late.get(port.name, port.topic)) for port in ports)
 
     def _complete(self, record: Record) -> str:
@@ -324,7 +320,7 @@ class Observer:
             if name in self._host.list(state.name):  # and not gone since the look began
                 is_fixed, kind = not state.rewirable, state.kind
                 record = Record(name, None, state.name, is_fixed=is_fixed, kind=kind)
-                self._update(replace(record, state=State.RUNNING), state, False)
+                self._update(replace(record, state=State.RUNNING), state)
 
     def _description(self, record: Record) -> Transformation | None:
         """Return the blueprint of a spawned nodelet, or the description of an external node."""
@@ -344,6 +340,13 @@ class Observer:
             return False
         state = self._host.states().get(record.manager)
         return state is not None and state.incarnation == record.incarnation
+
+
+def _with_some_ports(record: Record) -> Record:
+    """Let a nodelet without a proxy have the ports that it should have."""
+    if record.ports or record.is_described:
+        return record
+    return replace(record, ports=declared_ports(record))
 
 
 def _fate(record: Record, report: HostReport) -> Fate:

@@ -149,7 +149,8 @@ class StuckCallbacks:
 
     def detail(self, nodelet: str) -> str:
         """Describe a nodelet's callback that does not return; empty if it has none."""
-        age = self._ages().get(nodelet, 0.0)
+        context = self._loader.find(nodelet)
+        age = context.callback_age() if context is not None else 0.0
         return f"a callback has been running for {age:.0f} s" if age >= self._after else ""
 
     def remains(self) -> list[str]:

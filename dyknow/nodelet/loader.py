@@ -135,6 +135,13 @@ class Loader:
             running = [each for each in self._entries.values() if each.state is _State.RUNNING]
         return sorted((each.context for each in running), key=lambda context: context.name)
 
+    def find(self, name: str) -> Context | None:
+        """Return the context of a running nodelet; None if none has the name."""
+        with self._changed:
+            entry = self._entries.get(name)
+        is_running = entry is not None and entry.state is _State.RUNNING
+        return entry.context if entry is not None and is_running else None
+
     def get(self, name: str) -> Nodelet:
         """Return the running nodelet of that name, or raise UnknownNodelet."""
         with self._changed:

@@ -234,7 +234,7 @@ class SimulatedManagerClient(BaseManagerClient):
             }
             self._check_runs(nodelet)
             self.host.connect(nodelet, topics)
-            self.core.look({nodelet})
+            self.core.look()
 
     def get_statistics(self, nodelet: str) -> NodeletStatistics:
         with self._request("get_statistics", nodelet):

@@ -33,6 +33,7 @@ from dyknow.manager.host import (
     Listening,
     LoadRequest,
     ProcessState,
+    Reported,
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
@@ -448,12 +449,17 @@ class FakeHost(Host):
     def list(self, manager: str) -> builtins.list[str]:
         return sorted(self._alive(manager).nodelets)
 
-    def detail(self, name: str) -> str:
-        return self.details.get(name, "")
+    def reported(self, manager: str, name: str) -> Reported | None:
+        process = self.processes.get(manager)
+        if process is None or name not in process.nodelets or not process.state.rewirable:
+            return None
+        return Reported(self._present_ports(process.nodelets[name]), self.details.get(name, ""))
 
     def ports(self, name: str) -> tuple[PortState, ...]:
         self._step("ports", name)
-        nodelet = self._process_of(name).nodelets[name]
+        return self._present_ports(self._process_of(name).nodelets[name])
+
+    def _present_ports(self, nodelet: FakeNodelet) -> tuple[PortState, ...]:
         lazy = self.lazy.get(nodelet.request.source, ())
         return tuple(
             replace(port, datatype="") if port.name in lazy else port

@@ -164,6 +164,14 @@ bool master::execute(const std::string& method, const XmlRpc::XmlRpcValue& reque
                      XmlRpc::XmlRpcValue& response, XmlRpc::XmlRpcValue& payload, bool wait_for_master)
 {
   static const auto next = dyknow::behind(static_cast<dyknow::ExecuteFunction>(&master::execute));
+  if (method == "registerService" || method == "unregisterService")
+  {
+    XmlRpc::XmlRpcValue arguments = request;
+    if (dyknow::isOwnService(arguments[1]))
+    {
+      return true;
+    }
+  }
   const bool is_answered = next(method, request, response, payload, wait_for_master);
   if (is_answered)
   {

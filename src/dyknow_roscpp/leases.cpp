@@ -31,14 +31,6 @@ constexpr std::chrono::milliseconds PERIOD(200);
 /// For a connection to a manager's host, and for an answer.
 constexpr int PATIENCE_MS = 400;
 
-/// Runs on while this process is stopped, and while the machine is suspended.
-double now()
-{
-  timespec time{};
-  clock_gettime(CLOCK_BOOTTIME, &time);
-  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
-}
-
 /// Nodelets that publish on a topic, each with the topic.
 void addPublishing(const std::string& topic, std::set<std::pair<std::string, std::string>>& found)
 {
@@ -142,10 +134,17 @@ Leases& Leases::instance()
   return leases;
 }
 
-double Leases::renew(const std::string& manager, const std::string& uri, double confirmed, double duration,
-                     const Producers& producers)
+double Leases::clock()
 {
-  const double moment = now();
+  timespec time{};
+  clock_gettime(CLOCK_BOOTTIME, &time);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+void Leases::renew(const std::string& manager, const std::string& uri, double confirmed, double duration,
+                   const Producers& producers)
+{
+  const double moment = clock();
   std::set<std::pair<std::string, std::string>> present;
   for (const auto& each : producers)
   {
@@ -181,7 +180,6 @@ double Leases::renew(const std::string& manager, const std::string& uri, double 
     }
   }
   has_any_ = !leases_.empty();
-  return now();
 }
 
 bool Leases::mayPublishThere(const std::string& nodelet, const std::string& topic) const
@@ -192,7 +190,7 @@ bool Leases::mayPublishThere(const std::string& nodelet, const std::string& topi
                       {
                         const Lease& lease = each.second;
                         return lease.producers.count(topic) > 0 &&
-                               (now() > lease.until || lease.fenced.count({nodelet, topic}) > 0);
+                               (clock() > lease.until || lease.fenced.count({nodelet, topic}) > 0);
                       });
 }
 
@@ -202,7 +200,7 @@ void Leases::watch()
   {
     std::this_thread::sleep_for(PERIOD);
     std::map<std::string, std::string> due;
-    const double moment = now();
+    const double moment = clock();
     {
       std::lock_guard<std::mutex> lock(state_lock_);
       for (const auto& each : leases_)
@@ -221,7 +219,7 @@ void Leases::watch()
       }
       std::lock_guard<std::mutex> lock(state_lock_);
       const auto lease = leases_.find(each.first);
-      if (lease != leases_.end() && now() < lease->second.until)
+      if (lease != leases_.end() && clock() < lease->second.until)
       {
         lease->second.until = std::max(lease->second.until, moment + shared::LEASE_EXTENSION);
       }

@@ -23,9 +23,12 @@ public:
 
   static Leases& instance();
 
-  /// Takes a renewal; see RenewLease.srv. Returns the time of our clock.
-  double renew(const std::string& manager, const std::string& uri, double confirmed, double duration,
-               const Producers& producers);
+  /// Our clock (s), which runs on while the process is stopped, and while the machine is suspended.
+  static double clock();
+
+  /// Takes a renewal; see Poll.srv.
+  void renew(const std::string& manager, const std::string& uri, double confirmed, double duration,
+             const Producers& producers);
 
   /// Whether a nodelet may publish on a topic now.
   bool mayPublish(const std::string& nodelet, const std::string& topic) const

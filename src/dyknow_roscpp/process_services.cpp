@@ -4,19 +4,21 @@
 #include "process_services.h"
 
 #include <dyknow_msgs/GetConfig.h>
-#include <dyknow_msgs/GetCounts.h>
 #include <dyknow_msgs/GetStatistics.h>
 #include <dyknow_msgs/NodeletChanges.h>
-#include <dyknow_msgs/RenewLease.h>
+#include <dyknow_msgs/Poll.h>
 #include <dyknow_msgs/SetConfig.h>
 #include <ros/advertise_service_options.h>
 #include <ros/callback_queue.h>
 #include <ros/service_manager.h>
 #include <ros/single_subscriber_publisher.h>
 #include <ros/this_node.h>
+#include <ros/xmlrpc_manager.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <mutex>
 #include <set>
 #include <thread>
@@ -73,11 +75,11 @@ using GetConfigEvent = ros::ServiceEvent<dyknow_msgs::GetConfig::Request, dyknow
 using SetConfigEvent = ros::ServiceEvent<dyknow_msgs::SetConfig::Request, dyknow_msgs::SetConfig::Response>;
 using GetStatisticsEvent =
     ros::ServiceEvent<dyknow_msgs::GetStatistics::Request, dyknow_msgs::GetStatistics::Response>;
-using GetCountsEvent = ros::ServiceEvent<dyknow_msgs::GetCounts::Request, dyknow_msgs::GetCounts::Response>;
-using RenewLeaseEvent = ros::ServiceEvent<dyknow_msgs::RenewLease::Request, dyknow_msgs::RenewLease::Response>;
+using PollEvent = ros::ServiceEvent<dyknow_msgs::Poll::Request, dyknow_msgs::Poll::Response>;
 
-bool getConfig(const NodeletProxy& proxy, GetConfigEvent& event)
+std::vector<dyknow_msgs::Port> portsOf(const NodeletProxy& proxy)
 {
+  std::vector<dyknow_msgs::Port> ports;
   for (const auto& each : proxy.ports())
   {
     dyknow_msgs::Port port;
@@ -85,8 +87,14 @@ bool getConfig(const NodeletProxy& proxy, GetConfigEvent& event)
     port.direction = directionOf(*each.port);
     port.datatype = each.port->datatype();
     port.topic = each.port->topic();
-    event.getResponse().ports.push_back(port);
+    ports.push_back(port);
   }
+  return ports;
+}
+
+bool getConfig(const NodeletProxy& proxy, GetConfigEvent& event)
+{
+  event.getResponse().ports = portsOf(proxy);
   return true;
 }
 
@@ -140,52 +148,38 @@ bool getStatistics(const NodeletProxy& proxy, GetStatisticsEvent& event)
   return true;
 }
 
-bool renewLease(RenewLeaseEvent& event)
+dyknow_msgs::NodeletCounts countsOf(const NodeletProxy& proxy)
 {
-  const auto& request = event.getRequest();
-  if (request.topics.size() != request.nodelets.size())
+  dyknow_msgs::NodeletCounts nodelet;
+  nodelet.nodelet = proxy.name;
+  nodelet.uptime = toRos(Clock::now() - proxy.started);
+  for (const auto& each : sortedPorts(proxy))
   {
-    return false;
+    dyknow_msgs::PortCount port;
+    port.port = each.name;
+    port.direction = directionOf(*each.port);
+    port.messages = each.port->statistics().messages;
+    port.latched = each.port->latched;
+    port.age = std::numeric_limits<double>::quiet_NaN();  // not measured here
+    nodelet.ports.push_back(port);
   }
+  return nodelet;
+}
+
+void renewLease(const dyknow_msgs::Poll::Request& request, const std::string& caller)
+{
   Leases::Producers producers;
   for (std::size_t i = 0; i < request.topics.size(); ++i)
   {
     producers[request.topics[i]] = request.nodelets[i];
   }
-  event.getResponse().clock = Leases::instance().renew(event.getCallerName(), request.uri, request.confirmed,
-                                                       request.duration, producers);
-  return true;
+  Leases::instance().renew(caller, request.uri, request.confirmed, request.duration, producers);
 }
 
-bool getCounts(GetCountsEvent& event)
+bool isNodeletManager()
 {
-  const auto& wanted = event.getRequest().nodelets;
-  const std::set<std::string> names(wanted.begin(), wanted.end());
-  for (const auto& proxy : Registry::instance().owners())
-  {
-    if (!names.empty() && names.count(proxy->name) == 0)
-    {
-      continue;
-    }
-    dyknow_msgs::NodeletCounts nodelet;
-    nodelet.nodelet = proxy->name;
-    nodelet.uptime = toRos(Clock::now() - proxy->started);
-    for (const auto& each : sortedPorts(*proxy))
-    {
-      dyknow_msgs::PortCount port;
-      port.port = each.name;
-      port.direction = directionOf(*each.port);
-      port.messages = each.port->statistics().messages;
-      port.latched = each.port->latched;
-      port.age = std::numeric_limits<double>::quiet_NaN();  // not measured here
-      nodelet.ports.push_back(port);
-    }
-    event.getResponse().nodelets.push_back(nodelet);
-  }
   const std::string loader = names::join(ros::this_node::getName(), "load_nodelet");
-  const bool is_manager = ros::ServiceManager::instance()->lookupServicePublication(loader) != nullptr;
-  event.getResponse().kind = is_manager ? "cpp_nodelet" : "cpp_node";
-  return true;
+  return ros::ServiceManager::instance()->lookupServicePublication(loader) != nullptr;
 }
 
 /// The topic on which a nodelet manager announces changes.
@@ -194,13 +188,20 @@ std::string changesTopic()
   return names::join(ros::this_node::getName(), "changes");
 }
 
+/// The service that DyKnow managers poll.
+std::string pollService()
+{
+  return names::join(ros::this_node::getName(), "poll");
+}
+
 /// The services of this process; leaked on purpose, see later.cpp.
 ///
 /// Without any ros::NodeHandle: a node ends with its last one, which must not be ours. The next one may start
 /// roscpp again, and nothing is offered then that was before.
 ///
 /// Locks: `turn_lock_` is held over everything that is offered or withdrawn, which asks the ROS master;
-/// `state_lock_` guards the changes to announce.
+/// `state_lock_` guards the numbers of changes. A nodelet is described after the number of its last change was
+/// taken, so the description contains that change.
 class Services
 {
 public:
@@ -220,7 +221,7 @@ public:
   {
     const std::lock_guard<std::mutex> turn(turn_lock_);
     offerProcessInTurn();
-    advertise(changesTopic(), &Services::tellEverything);
+    advertise(changesTopic());
   }
 
   void offerEverything()
@@ -251,11 +252,11 @@ public:
   void announce(const std::string& nodelet)
   {
     std::lock_guard<std::mutex> lock(state_lock_);
-    if (changed_.empty())
+    if (sequence_ == announced_)
     {
       later([this] { tell(); }, std::max(Clock::now(), told_ + WINDOW));
     }
-    changed_.insert(nodelet);
+    changed_[nodelet] = ++sequence_;
   }
 
 private:
@@ -270,8 +271,7 @@ private:
 
   void offerProcessInTurn()
   {
-    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
-    advertise<RenewLeaseEvent>(names::join(ros::this_node::getName(), "renew_lease"), renewLease);
+    advertise<PollEvent>(pollService(), [this](PollEvent& event) { return poll(event); });
   }
 
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
@@ -285,7 +285,7 @@ private:
                                   { return getStatistics(*proxy, event); });
     if (proxy->name == ros::this_node::getName())
     {
-      advertise(NODES, &Services::tellName);  // last: subscribers query immediately
+      advertise(NODES);  // last: managers poll a node that they hear of
     }
   }
 
@@ -297,13 +297,53 @@ private:
     }
   }
 
-  /// Publishes a topic unless it is; `greet` is called with every new subscriber.
-  void advertise(const std::string& topic, const ros::SubscriberStatusCallback& greet)
+  bool poll(PollEvent& event) const
+  {
+    const auto& request = event.getRequest();
+    auto& answer = event.getResponse();
+    if (request.topics.size() != request.nodelets.size())
+    {
+      return false;
+    }
+    if (request.duration > 0)
+    {
+      renewLease(request, event.getCallerName());
+    }
+    const bool is_manager = isNodeletManager();
+    const std::set<std::string> counted(request.counted.begin(), request.counted.end());
+    answer.kind = is_manager ? "cpp_nodelet" : "cpp_node";
+    answer.changes = since(request.seen);
+    for (const auto& [name, proxy] : offered())
+    {
+      if (is_manager && name == ros::this_node::getName())
+      {
+        continue;  // topics of its own
+      }
+      answer.nodelets.push_back(name);
+      if (counted.count(name) > 0)
+      {
+        answer.counts.push_back(countsOf(*proxy));
+      }
+    }
+    answer.clock = Leases::clock();
+    return true;
+  }
+
+  /// Publishes a topic unless it is; every new subscriber gets a message with all nodelets.
+  void advertise(const std::string& topic)
   {
     if (!topics::isUp() || topics::publication(topic))
     {
       return;
     }
+    const auto greet = [this, topic](const ros::SingleSubscriberPublisher& newcomer)
+    {
+      const auto changes = partFor(topic, since(0));
+      if (!changes.nodelets.empty())
+      {
+        newcomer.publish(changes);
+      }
+    };
     const ros::SubscriberStatusCallback none;
     const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
         topic, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
@@ -327,70 +367,109 @@ private:
     ros::ServiceManager::instance()->advertiseService(options);
   }
 
-  /// A newcomer may have missed changes.
-  static void tellEverything(const ros::SingleSubscriberPublisher& newcomer)
+  static std::map<std::string, std::shared_ptr<NodeletProxy>> offered()
   {
-    std::set<std::string> nodelets;
+    std::map<std::string, std::shared_ptr<NodeletProxy>> found;
     for (const auto& each : Registry::instance().owners())
     {
-      nodelets.insert(each->name);
+      if (each->is_offered)
+      {
+        found[each->name] = each;
+      }
     }
-    if (!nodelets.empty())
-    {
-      newcomer.publish(messageOf(nodelets));
-    }
+    return found;
   }
 
-  static void tellName(const ros::SingleSubscriberPublisher& newcomer)
+  /// All changes after one; those after 0 describe every nodelet.
+  dyknow_msgs::NodeletChanges since(std::uint64_t sequence) const
   {
-    newcomer.publish(messageOf({ros::this_node::getName()}));
-  }
-
-  static dyknow_msgs::NodeletChanges messageOf(const std::set<std::string>& nodelets)
-  {
-    dyknow_msgs::NodeletChanges message;
-    for (const auto& each : nodelets)
+    dyknow_msgs::NodeletChanges changes;
+    changes.process = ros::XMLRPCManager::instance()->getServerURI() + "@" + std::to_string(getpid());
     {
-      message.nodelets.push_back(each);
-      message.details.push_back(stuckCallback(each));
+      std::lock_guard<std::mutex> lock(state_lock_);
+      changes.sequence = sequence_;
+      for (const auto& [name, number] : changed_)
+      {
+        if (number > sequence)
+        {
+          changes.nodelets.emplace_back();
+          changes.nodelets.back().nodelet = name;
+        }
+      }
     }
-    return message;
+    const auto present = offered();
+    for (auto& each : changes.nodelets)
+    {
+      const auto found = present.find(each.nodelet);
+      each.is_loaded = found != present.end();
+      each.ports = each.is_loaded ? portsOf(*found->second) : each.ports;
+      each.detail = stuckCallback(each.nodelet);
+    }
+    return changes;
   }
 
-  static void publish(const std::string& topic, const std::set<std::string>& nodelets)
+  /// What is announced on a topic: on that of nodes this process alone, which may run nodelets as well.
+  static dyknow_msgs::NodeletChanges partFor(const std::string& topic, dyknow_msgs::NodeletChanges changes)
   {
-    if (const auto publication = topics::publication(topic))
+    auto& nodelets = changes.nodelets;
+    const auto is_other = [](const auto& each) { return each.nodelet != ros::this_node::getName(); };
+    if (topic == NODES)
     {
-      const auto message = messageOf(nodelets);
+      nodelets.erase(std::remove_if(nodelets.begin(), nodelets.end(), is_other), nodelets.end());
+    }
+    return changes;
+  }
+
+  static void publish(const std::string& topic, const dyknow_msgs::NodeletChanges& changes)
+  {
+    const auto publication = topics::publication(topic);
+    const auto part = partFor(topic, changes);
+    if (publication && !part.nodelets.empty())
+    {
       ros::SerializedMessage serialised;
       topics::publish(
-          *publication, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
+          *publication, [&part] { return ros::serialization::serializeMessage(part); }, serialised);
     }
   }
 
   void tell()
   {
-    std::set<std::string> changed;
+    if (!topics::isUp())
+    {
+      return;  // after the next start, see offerEverything
+    }
+    std::uint64_t announced;
     {
       std::lock_guard<std::mutex> lock(state_lock_);
-      changed.swap(changed_);
+      announced = announced_;
+    }
+    const auto changes = since(announced);
+    {
+      std::lock_guard<std::mutex> lock(state_lock_);
+      announced_ = changes.sequence;
       told_ = Clock::now();
+      for (const auto& each : changes.nodelets)
+      {
+        if (!each.is_loaded && changed_[each.nodelet] <= announced_)
+        {
+          changed_.erase(each.nodelet);
+        }
+      }
+      if (sequence_ > announced_)
+      {
+        later([this] { tell(); }, told_ + WINDOW);
+      }
     }
-    if (!topics::isUp() || changed.empty())
-    {
-      return;
-    }
-    publish(changesTopic(), changed);
-    if (changed.count(ros::this_node::getName()) > 0)
-    {
-      publish(NODES, {ros::this_node::getName()});
-    }
+    publish(changesTopic(), changes);
+    publish(NODES, changes);
   }
 
   ros::CallbackQueue queue_;
   std::mutex turn_lock_;
-  std::mutex state_lock_;
-  std::set<std::string> changed_;
+  mutable std::mutex state_lock_;
+  std::map<std::string, std::uint64_t> changed_;  ///< number of the last change of each nodelet
+  std::uint64_t sequence_ = 0;
+  std::uint64_t announced_ = 0;  ///< last change that was announced
   Clock::time_point told_;
 };
 
@@ -419,6 +498,11 @@ void offerManagerServices()
 void offerServicesAgain()
 {
   Services::instance().offerEverything();
+}
+
+bool isOwnService(const std::string& service)
+{
+  return service == pollService();
 }
 
 bool isOwnTopic(const std::string& topic)

@@ -16,19 +16,22 @@
 namespace dyknow
 {
 
-/// Offers get_config, set_config and get_statistics in the name of a nodelet, and `~get_counts` and
-/// `~renew_lease`, and announces it; once is enough, however often roscpp is shut down and started again.
+/// Offers get_config, set_config and get_statistics in the name of a nodelet, and `~poll`, and announces it; once
+/// is enough, however often roscpp is shut down and started again.
 void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 
 /// Withdraws them, and announces it.
 void withdrawServices(NodeletProxy& proxy);
 
-/// Offers what a nodelet manager offers of its own: `~get_counts`, `~renew_lease` and the topic `~changes`.
+/// Offers what a nodelet manager offers of its own: `~poll` and the topic `~changes`.
 void offerManagerServices();
 
 /// Offers again what `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after
 /// each start.
 void offerServicesAgain();
+
+/// Whether a service is `~poll`, which is not registered: DyKnow managers look up another one of the process.
+bool isOwnService(const std::string& service);
 
 /// Whether a topic is one of those that the process offers.
 bool isOwnTopic(const std::string& topic);

@@ -35,6 +35,9 @@ from processes import NODELET, Ended, TellingCase, becomes, eventually, forget  
 from sensor_msgs.msg import BatteryState  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 
+from dyknow.ros.wire.master import Master  # noqa: E402
+from dyknow.ros.wire.poll_client import PollClient  # noqa: E402
+
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 _number = itertools.count(1)
 
@@ -364,6 +367,17 @@ def registrations(node: str) -> dict[str, list[str]]:
 def registered(node: str) -> set[str]:
     """What a node has registered, each as a kind and a name."""
     return {f"{kind} {name}" for kind, names in registrations(node).items() for name in names}
+
+
+def poll(name: str, *counted: str, is_node: bool = False) -> Any:
+    """Poll a process as a DyKnow manager does, and have messages of nodelets counted."""
+    with contextlib.closing(PollClient(Master(rospy.get_name()), name, is_node)) as client:
+        return client.ask(5.0, counted=counted)
+
+
+def named(changes: Any) -> list[str]:
+    """The nodelets that an announcement describes."""
+    return [each.nodelet for each in changes.nodelets]
 
 
 def services_of(node: str) -> list[str]:

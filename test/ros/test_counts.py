@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 
 import rospy
 from dyknow_msgs.msg import NodeletCounts, Port, PortCount
-from dyknow_msgs.srv import GetCounts, GetCountsResponse
-from graph import NodeletManagerCase, call
+from dyknow_msgs.srv import Poll, PollResponse
+from graph import NodeletManagerCase, call, poll
+from nodelet.srv import NodeletList
 from processes import TellingCase, becomes, eventually, run, suspended
 from std_msgs.msg import Header
 
-from dyknow.periodic import ControlLoop
-from dyknow.ros.hosting.counts import CountClient, MessageCounter, counts_of
+from dyknow.manager.host import ProcessState
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, Presence
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.poll_client import PollClient
+from dyknow.ros.wire.service_client import ServiceFailed
 
 
 class ServiceTest(NodeletManagerCase):
@@ -28,10 +34,9 @@ class ServiceTest(NodeletManagerCase):
     @staticmethod
     def ask(*nodelets):
         """Counts by nodelet and port, as messages and whether one is latched."""
-        answer = rospy.ServiceProxy("/robot/counted/get_counts", GetCounts)(nodelets)
         return {
             each.nodelet: {port.port: (port.messages, port.latched) for port in each.ports}
-            for each in answer.nodelets
+            for each in poll("/robot/counted", *nodelets).counts
         }
 
     def test_all_nodelets_in_one_call(self):
@@ -41,47 +46,69 @@ class ServiceTest(NodeletManagerCase):
         self.manager.load("Introspector", "/no_ports")
         none = (0, False)
         expected = {"/a": {"out": none}, "/b": {"out": none}, "/c": {"in": none, "out": none}}
-        self.assertEqual(self.ask(), {**expected, "/no_ports": {}})
+        self.assertEqual(self.ask("/a", "/b", "/c", "/no_ports"), {**expected, "/no_ports": {}})
         call("/a", "publish", 0, 3)
         call("/b", "publish", 0, 2)
         becomes(lambda: self.ask("/c")["/c"]["in"], (5, False))
         expected = {"/a": {"out": (3, False)}, "/b": {"out": (2, True)}}
         self.assertEqual(self.ask("/b", "/a", "/nobody"), expected)
-        (counts,) = rospy.ServiceProxy("/robot/counted/get_counts", GetCounts)(["/c"]).nodelets
+        self.assertEqual(self.ask(), {})
+        (counts,) = poll("/robot/counted", "/c").counts
         self.assertGreater(counts.uptime.to_sec(), 0)
         self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
         self.manager.unload("/a")
         self.assertEqual(self.ask("/a"), {})
-        with self.assertRaisesRegex(rospy.ServiceException, "4096"):
+        with self.assertRaisesRegex(ServiceFailed, "4096"):
             self.ask("/a" * 4096)
+
+
+class Named(Peer):
+    """Whichever process offers services of a name."""
+
+    def __init__(self, context, name):
+        super().__init__(context, name, False, Presence(ProcessState(name), "not found yet"))
+
+    def _find(self):
+        client = PollClient(self.context.master, self.name, False)
+        state = ProcessState(self.name, incarnation="1")
+        self._found(state, client, client.ask(POLL_TIMEOUT))
+
+    def _missed(self, client, error):
+        """The connection is kept for the answer that is late."""
 
 
 class CountingTest(TellingCase):
     """Nodelet managers of all kinds; this process provides their services."""
 
     def setUp(self):
-        self.clients = {}
+        self.peers = {}
         self.awake, self.asked = threading.Event(), []
         self.addCleanup(self.awake.set)
 
-    def offer(self, name, service_class, answer):
-        self.addCleanup(rospy.Service(name, service_class, answer).shutdown)
+    def offer(self, name, answer):
+        for service, service_class in (("list", NodeletList), ("poll", Poll)):
+            offered = rospy.Service(f"/{name}/{service}", service_class, answer)
+            self.addCleanup(offered.shutdown)
+
+    def counts(self, **wanted):
+        """Counts by nodelet, as a host returns them."""
+        context = PeerContext(Master(rospy.get_name()))
+        numbers, found = {}, {}
+        for name, nodelet in wanted.items():
+            if name not in self.peers:
+                self.peers[name] = Named(context, f"/{name}")
+                self.addCleanup(self.peers[name].close)
+            numbers[name] = self.peers[name].ask_counts([f"/{nodelet}"])
+        deadline = time.monotonic() + 0.5
+        for name, number in numbers.items():
+            found.update(self.peers[name].counts(number, [f"/{wanted[name]}"], deadline))
+        return found
 
     def messages(self, **wanted):
-        """Messages on the port out, by nodelet, as a host returns them."""
-        for name in wanted:
-            if name not in self.clients:
-                loop = ControlLoop()
-                loop.start()
-                self.addCleanup(loop.close)
-                self.clients[name] = CountClient(Master(rospy.get_name()), f"/{name}", loop)
-                self.addCleanup(self.clients[name].close)
-        found = counts_of(
-            (self.clients[name], [f"/{nodelet}"]) for name, nodelet in wanted.items()
-        )
+        """Messages on the port out, by nodelet."""
         return {
             name[1:]: None if counts is None else counts["out"].messages
-            for name, counts in found.items()
+            for name, counts in self.counts(**wanted).items()
         }
 
     def counted(self, manager, nodelet, messages):
@@ -93,32 +120,32 @@ class CountingTest(TellingCase):
             PortCount("in", Port.IN, 1, False, math.nan),
             PortCount("out", Port.OUT, 7, True, 0.5),
         ]
-        return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/there", ports=ports)])
+        return PollResponse(counts=[NodeletCounts(nodelet="/there", ports=ports)])
 
     def hung(self, request):
         """Answers only when the event is set."""
-        self.asked.append(request.nodelets)
-        self.awake.wait()
+        if request.counted:
+            self.asked.append(request.counted)
+            self.awake.wait()
         ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
-        return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/late", ports=ports)])
+        return PollResponse(counts=[NodeletCounts(nodelet="/late", ports=ports)])
 
     def test_who_is_there_and_who_is_not(self):
-        self.offer("/good/get_counts", GetCounts, self.good)
+        self.offer("good", self.good)
         for manager, nodelet, messages in (
             ("good", "there", 7),
             ("good", "gone", None),
-            ("absent", "lost", None),
         ):
             self.counted(manager, nodelet, messages)
-        client, found = self.clients["good"], {}
-        eventually(lambda: found.update(counts_of([(client, ["/there"])])) or found, 5.0, "it is")
-        (count,) = found["/there"].values()
+        found = {}
+        eventually(lambda: found.update(self.counts(good="there")) or found, 5.0, "it is")
+        count = found["/there"]["out"]
         self.assertTrue(count.latched)
         self.assertLessEqual(count.asked, count.answered)
 
     def test_who_hangs_costs_nobody_else_his_answer(self):
-        self.offer("/good/get_counts", GetCounts, self.good)
-        self.offer("/hung/get_counts", GetCounts, self.hung)
+        self.offer("good", self.good)
+        self.offer("hung", self.hung)
         for _ in range(5):
             becomes(lambda: self.messages(good="there", hung="late"), {"there": 7})
         becomes(lambda: self.asked, [["/late"]])  # while an answer is due, nothing more is asked

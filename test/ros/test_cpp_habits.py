@@ -16,7 +16,7 @@ from unittest import mock
 import graph
 from cpp_suite import RUN
 from dyknow_msgs.msg import NodeletChanges, PortConfig
-from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
+from dyknow_msgs.srv import GetConfig, SetConfig
 from graph import Heard, WordsCase, hears
 from processes import BUSY, becomes, eventually, run
 from rosgraph_msgs.msg import Log, TopicStatistics
@@ -68,8 +68,7 @@ class CyclesTest(HabitsCase):
             with self.subTest(cycle=cycle, pause=pause):
                 node.wait_for(f"relay {cycle}\n", 20.0)
                 hears("/out", heard, is_whole=True)
-                counts = self.call("/habits/get_counts", GetCounts, [])
-                self.assertEqual([each.nodelet for each in counts.nodelets], ["/habits"])
+                self.assertEqual(graph.poll("/habits", is_node=True).nodelets, ["/habits"])
                 told.has(lambda message: message.nodelets)
                 del told[:]
                 topic = next(topics)

@@ -27,7 +27,7 @@ from cpp_suite import (
     start,
 )
 from dyknow_msgs.msg import NodeletChanges, Port, PortConfig
-from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
+from dyknow_msgs.srv import GetConfig, SetConfig
 from dynamic_reconfigure.msg import Config, DoubleParameter
 from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Vector3
@@ -40,6 +40,7 @@ from std_msgs.msg import Float64, Header, String
 from dyknow import errors
 from dyknow.errors import HostError
 from dyknow.guards import Guards
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
@@ -151,8 +152,8 @@ class MoveTest(CppCase):
         self.sends(1)
         self.mover("/source", "out")("/b")  # a publisher and a listener of the process are there
         becomes(lambda: report("/sink")["received"], 1)
-        counts = rospy.ServiceProxy(f"{MANAGER}/get_counts", GetCounts)(["/source"])
-        self.assertTrue(counts.nodelets[0].ports[0].latched)
+        (counts,) = graph.poll(MANAGER, "/source").counts
+        self.assertTrue(counts.ports[0].latched)
 
     def test_outside_subscribers_miss_nothing(self):
         """Unless they connect later than a move waits for, as they may on a busy machine."""
@@ -263,7 +264,7 @@ class PortTest(CppCase):
         self.assertEqual(set(topics_of_ports("/robot/names")), before)
 
     def test_changes_are_announced_and_counted(self):
-        told = self.enter(Heard(f"{MANAGER}/changes", NodeletChanges, lambda each: each.nodelets))
+        told = self.enter(Heard(f"{MANAGER}/changes", NodeletChanges, graph.named))
 
         def is_told(change) -> None:
             del told[:]
@@ -272,12 +273,24 @@ class PortTest(CppCase):
 
         is_told(lambda: self.load("Source", "out", "/a", count=7, rate=RATE))
         is_told(lambda: connect("/source", out="/b"))
-        ask = rospy.ServiceProxy(f"{MANAGER}/get_counts", GetCounts)
         start("/source")
-        becomes(lambda: ask(["/source"]).nodelets[0].ports[0].messages, 7)
+        becomes(lambda: graph.poll(MANAGER, "/source").counts[0].ports[0].messages, 7)
         is_told(lambda: self.manager.unload("/source"))
-        becomes(lambda: ask(["/source"]).nodelets, [])
+        becomes(lambda: graph.poll(MANAGER, "/source").counts, [])
         becomes(lambda: [each for each in graph.services_of(MANAGER) if "/source" in each], [])
+
+    def test_a_nodelet_manager_with_ports_announces_itself_among_the_nodes(self):
+        """And none of its nodelets, also to newcomers."""
+        manager = self.enter(CppManager("/early"))
+        told = self.enter(Heard(f"{manager.name}/changes", NodeletChanges, graph.named))
+        among = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
+        manager.load("Eager", "/eager")
+        told.has(lambda nodelets: "/eager" in nodelets)
+        connect(manager.name, **{"~early": "/earlier"})
+        told.has(lambda nodelets: nodelets == [manager.name])
+        with Heard(NODES_TOPIC, NodeletChanges, graph.named) as newcomer:
+            newcomer.has(lambda nodelets: nodelets == [manager.name])
+        self.assertEqual({*map(tuple, among.copy())}, {(manager.name,)})
 
     def test_a_lazy_nodelet(self):
         for name, width in (("/cam", 8), ("/cam2", 16)):
@@ -479,8 +492,8 @@ class StuckTest(TellingCase):
         details: dict[str, list[str]] = {"/sink": [], "/source": []}
 
         def note(message: NodeletChanges) -> None:
-            for nodelet, detail in zip(message.nodelets, message.details):
-                details[nodelet].append(detail)
+            for each in message.nodelets:
+                details[each.nodelet].append(each.detail)
 
         subscriber = rospy.Subscriber("/stuck/changes", NodeletChanges, note)
         self.addCleanup(subscriber.unregister)

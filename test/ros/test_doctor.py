@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 import rospy
 from manager_suite import CHILD, MANAGER, ManagerCase, specification
+from nodelet.srv import NodeletList, NodeletLoad
 from processes import Running, becomes, eventually, run, suspended
 from roslib.packages import find_node
 from std_msgs.msg import String
@@ -119,6 +120,15 @@ class DoctorTest(ManagerCase):
         becomes(lambda: manager.nodelet("/moody").detail, "")
         rospy.set_param("/let_go", True)
         self.nothing_found("remains of nodelets")
+
+    def test_a_process_of_another_version(self):
+        self.started()
+        self.nothing_found("versions")
+        for name, service_class in (("list", NodeletList), ("load_nodelet", NodeletLoad)):
+            service = rospy.Service(f"~{name}", service_class, lambda request: None)
+            self.addCleanup(service.shutdown)
+        node = rospy.get_name()
+        self.found("versions", node, "was started with another version", "restart it")
 
     def test_a_manager_that_does_not_run(self):
         self.end_idle()

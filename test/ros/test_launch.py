@@ -28,9 +28,7 @@ FILES = Path(__file__).resolve().parent.parent / "launch"
 LAUNCH = (*DYKNOW, "launch")
 PLAIN = ("roslaunch",)
 #: Additional names of a re-wirable node and, the last one, of a nodelet manager.
-OURS = re.compile(
-    "^/dyknow/|/(get_config|set_config|get_statistics|get_counts|renew_lease|changes)$"
-)
+OURS = re.compile("^/dyknow/|/(get_config|set_config|get_statistics|changes)$")
 
 
 class Launched(graph.Ended):

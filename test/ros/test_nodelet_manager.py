@@ -108,7 +108,7 @@ class ServiceTest(RobotCase):
 
     def test_changes_and_newcomers_are_announced(self):
         def listen():
-            return Heard("/robot/manager/changes", NodeletChanges, lambda each: each.nodelets)
+            return Heard("/robot/manager/changes", NodeletChanges, graph.named)
 
         with listen() as heard:
             for change in (

@@ -17,7 +17,6 @@ import graph  # first: it makes the test package known
 import psutil
 import rospy
 from dyknow_msgs.msg import NodeletChanges, Port
-from dyknow_msgs.srv import GetCounts
 from graph import (
     Heard,
     NodeletManagerCase,
@@ -294,15 +293,22 @@ class CommandTest(graph.TellingCase):
         hears("/here", "alone")
         (name,) = graph.nodes_on("/here")[0]
         self.assertRegex(name, r"^/talker_\d+_\d+$")  # as anonymous nodes are called
-        rospy.wait_for_service(f"{name}/get_counts", 5.0 * BUSY)  # its last
+        rospy.wait_for_service(f"{name}/get_statistics", 5.0 * BUSY)  # its last
         self.assertEqual(topics_of_ports(name), {"words": "/here"})
         self.assertEqual(rospy.get_param(f"{name}/rate"), 100)
-        counts = rospy.ServiceProxy(f"{name}/get_counts", GetCounts)([])
-        self.assertEqual(counts.kind, "node")
+        becomes(lambda: graph.poll(name, is_node=True).kind, "node")
+        services = [
+            "get_config",
+            "get_loggers",
+            "get_statistics",
+            "set_config",
+            "set_logger_level",
+        ]
+        self.assertEqual(graph.services_of(name), [f"{name}/{each}" for each in services])
         self.assertIn("did you mean words?", set_config(name, wrods="/there").message)
         publishers = [NODES_TOPIC, "/here", "/rosout"]
         becomes(lambda: graph.registrations(name)["publishers"], publishers)
-        with Heard(NODES_TOPIC, NodeletChanges, lambda message: message.nodelets) as told:
+        with Heard(NODES_TOPIC, NodeletChanges, graph.named) as told:
             told.has(lambda names: names == [name])
             del told[:]
             connect(name, words="/there")
@@ -315,7 +321,7 @@ class CommandTest(graph.TellingCase):
 
     def test_last_words_are_sent_alone(self):
         node = self.run_script("habits.py", "spin", "__name:=habits")
-        rospy.wait_for_service("/habits/get_counts", 40.0 * BUSY)
+        rospy.wait_for_service("/habits/get_statistics", 40.0 * BUSY)
         with words_on("/habits/words") as heard:
             node.stop(signal.SIGTERM)
             self.assertEqual(node.exit_code(20.0), 0)

@@ -11,7 +11,6 @@ import threading
 import graph
 import rospy
 import rostest
-from dyknow_msgs.srv import GetCounts
 from graph import NodeletManagerCase, call
 from processes import BUSY, becomes, eventually
 from rosgraph_msgs.msg import Clock
@@ -65,12 +64,11 @@ class SimTimeTest(NodeletManagerCase):
 
     def test_ages_follow_the_clock(self):
         self.manager.load("dyknow_manager_test/Stamped", "/stamped", {"/out": "/points"})
-        proxy = rospy.ServiceProxy("/manager/get_counts", GetCounts)
         ages = []
 
         def measure():
             self.run_clock(100.0, 1.0)
-            (counts,) = proxy(["/stamped"]).nodelets
+            (counts,) = graph.poll("/manager", "/stamped").counts
             ages.extend(port.age for port in counts.ports if port.age == port.age)
             return len(ages) >= 3
 

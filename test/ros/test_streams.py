@@ -12,9 +12,8 @@ from __future__ import annotations
 import time
 
 import rospy
-from dyknow_msgs.srv import GetCounts
 from geometry_msgs.msg import PointStamped
-from graph import Heard
+from graph import Heard, poll
 from manager_suite import CHILD, library, specification
 from nodelet.srv import NodeletUnload
 from processes import eventually, run
@@ -128,11 +127,10 @@ class AcquireTest(StreamCase):
         manager.client.spawn("eye", "/eye", {"out": "/seen"})
         manager.client.spawn("lagging", "/lagging", {"in": "/seen", "out": "/smooth"})
         manager.client.spawn("camera", "/camera", {"out": "/number"})
-        proxy = rospy.ServiceProxy(f"{CHILD}/get_counts", GetCounts)
 
         def age(nodelet, port):
-            counts = {each.nodelet: each.ports for each in proxy([]).nodelets}
-            return next(each.age for each in counts[nodelet] if each.port == port)
+            (counts,) = poll(CHILD, nodelet).counts
+            return next(each.age for each in counts.ports if each.port == port)
 
         first = age("/eye", "out")
         self.assertNotEqual(first, first, "NaN until the first question")

@@ -5,29 +5,40 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
 from dataclasses import replace
+from typing import Callable
 
 import rosgraph.network
 
-from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import ProcessState
+from dyknow.periodic import Work
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.peer import ListClient, Peer, Presence
+from dyknow.ros.hosting.peer import FIND_TIMEOUT, POLL_TIMEOUT, Peer, Presence
 from dyknow.ros.process.os_process import LogTail, ProcessId, boot
+from dyknow.ros.wire.poll_client import PollClient
+from dyknow.ros.wire.service_client import OTHER_VERSION
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
 #: Seconds that a child has to end after a signal.
 PATIENCE = 3.0
+#: Seconds between two looks at a process that starts.
+STEP = 0.02
 NOT_UP = "it is not up"
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class Child(Peer):
-    """One nodelet manager or node that we start; its loop (in `Children`) alone writes.
+    """One nodelet manager or node that we start.
+
+    A second key of its loop is the life of its process (in `Children`).
 
     Attributes:
         record: its record on disk.
@@ -38,6 +49,7 @@ class Child(Peer):
         log: its output.
         command: program and arguments of a node; empty for a nodelet manager.
         start_timeout: seconds that it may take to offer its services.
+        on_up: called when it offers them.
     """
 
     def __init__(
@@ -62,26 +74,29 @@ class Child(Peer):
         self.log: LogTail | None = None
         self.command = command
         self.start_timeout = start_timeout
+        self.on_up: Callable[[], object] = lambda: None
 
     @property
     def up(self) -> bool:
         """Whether it offers its services."""
         return self.state.alive
 
-    def came_up(self, process: ProcessId, rewirable: bool) -> None:
-        """Note that a process of its own offers its services."""
-        again = "" if self.is_node else ", and it is started again with its nodelets"
-        cure = (
-            f"if its process is stopped, kill -CONT {process.pid}; if it hangs, "
-            f"kill -9 {process.pid}{again}"
-        )
-        self._down = replace(self._down, rewirable=rewirable)
-        up = replace(self._down, incarnation=incarnation_of(process), cure=cure)
-        self._found(Presence(up))
+    def live(self, work: Work) -> None:
+        """Do the work that starts its process, and waits for its end, in rounds from now on."""
+        self._life = f"life of {self.name}"
+        self.loop.add(self._life, work, 0.0, pause=0.0)
+
+    def end_soon(self) -> None:
+        """Start it no more, and let the work of its life see that."""
+        self.wanted = False
+        self.loop.wake(self._life)
+        self.went_down()
 
     def went_down(self, trouble: str = "") -> None:
         """Note that it offers no services, as it has ended or is to end."""
-        self._found(Presence(self._down, trouble or self.presence.trouble or NOT_UP))
+        self._let_go(None)
+        with self._state_lock:
+            self.presence = Presence(self._down, trouble or self.presence.trouble or NOT_UP)
 
     def echo(self) -> None:
         """Print its output since the last call."""
@@ -94,13 +109,72 @@ class Child(Peer):
         if self.record.process is not None:
             self.record.process.end(PATIENCE, signals)
 
-    def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
-        is_late = isinstance(error, PeerTimeout)
+    # Its polls
+
+    def _find(self) -> None:
+        """Connect to its process once that has registered, in the place of a dead predecessor."""
+        process = self.record.process
+        if process is None or not self.wanted or not self._is_registered():
+            return
+        again = "" if self.is_node else ", and it is started again with its nodelets"
+        cure = (
+            f"if its process is stopped, kill -CONT {process.pid}; if it hangs, "
+            f"kill -9 {process.pid}{again}"
+        )
+        state = replace(self._down, incarnation=incarnation_of(process), cure=cure)
+        client = PollClient(self.context.master, self.name, self.is_node)
+        try:
+            answer = client.ask(POLL_TIMEOUT if self.adopted else FIND_TIMEOUT)
+        except (HostError, PeerTimeout) as error:
+            client.close()
+            self._not_found(state, error)
+            return
+        if client.is_stock and not self.up:
+            _log.warning(
+                "nodelets in %s cannot be connected while they run: their topics are fixed; its "
+                "log says why, or it was built without roscpp",
+                self.name,
+            )
+        self._down = replace(self._down, rewirable=not client.is_stock)
+        self._found(replace(state, rewirable=not client.is_stock), client, answer)
+        if self.record.process != process or not self.wanted:  # it has ended meanwhile
+            self.went_down()
+        self.on_up()
+
+    def _is_registered(self) -> bool:
+        try:
+            return self.context.master.node(self.name) not in ("", self.stale)
+        except PeerTimeout:
+            return False
+
+    def _not_found(self, state: ProcessState, error: HostError | PeerTimeout) -> None:
+        if self.adopted and isinstance(error, PeerTimeout):  # it is there, and perhaps stopped
+            with self._state_lock:
+                trouble = str(error)
+                self.presence = replace(
+                    self.presence, state=replace(state, responsive=False), trouble=trouble
+                )
+            self.on_up()
+        elif OTHER_VERSION in str(error):
+            self.went_down(str(error))
+
+    def _missed(self, client: PollClient, error: HostError | PeerTimeout) -> None:
+        if not isinstance(error, PeerTimeout):  # of a late answer the connection waits
+            self._let_go(None)
         with self._state_lock:
-            if client is self._client and is_late:
-                state = replace(self.presence.state, responsive=False)
-                self.presence = replace(self.presence, state=state)
-        raise (HostTimeout if is_late else HostError)(f"{self.name}: {error}") from error
+            known = self.presence
+            if known.state.alive:
+                state = replace(known.state, responsive=False)
+                self.presence = replace(known, state=state, trouble=str(error))
+
+    def _report(self, before: Presence) -> None:
+        if self.state.alive and self.presence.trouble and not before.trouble:
+            _log.warning("%s: %s", self.title, self.presence.trouble)
+        super()._report(before)
+
+    def _pause(self, began: float) -> float | None:
+        is_starting = self.record.process is not None and not self.up and self.wanted
+        return STEP if is_starting else super()._pause(began)
 
 
 def incarnation_of(process: ProcessId) -> str:

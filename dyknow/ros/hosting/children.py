@@ -28,7 +28,14 @@ from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
-from dyknow.ros.hosting.child import NOT_UP, PATIENCE, START_TIMEOUT, Child, incarnation_of
+from dyknow.ros.hosting.child import (
+    NOT_UP,
+    PATIENCE,
+    START_TIMEOUT,
+    STEP,
+    Child,
+    incarnation_of,
+)
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher
@@ -40,7 +47,6 @@ _CRASHES = 100
 _ADOPTION_TIMEOUT = 5.0
 #: Seconds before a nodelet manager that died twice is started again.
 _FIRST_PAUSE = 0.25
-_STEP = 0.02
 _TAKEN = "another node has that name"
 _BASES = {
     NodeletKind.PYTHON: "dyknow_nodelet_manager",
@@ -208,7 +214,8 @@ class Children:
             if present is not None:
                 return present
             self._children[name] = child
-        child.follow(partial(self._run, child))
+        child.on_up = self._notify
+        child.live(partial(self._run, child))
         return child
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
@@ -235,13 +242,9 @@ class Children:
         raise HostError(f"{child.title}: {child.presence.trouble}")
 
     def _end(self, children: list[Child]) -> None:
-        with self._changed:
-            for child in children:
-                child.wanted = False
-                child.wake()
-            self._changed.notify_all()
         for child in children:
-            child.went_down()
+            child.end_soon()
+        self._notify()
         enders = [in_background(f"ending {each.name}", each.end) for each in children]
         for ender in enders:
             ender.join(2 * PATIENCE)
@@ -312,20 +315,19 @@ class Children:
                     with self._changed:
                         self._crashes.append(replace(crash, incarnation=incarnation_of(found)))
         finally:
-            child.went_down()
             with self._changed:
                 child.adopted = False
                 child.wanted &= not child.record.isolated_for  # that one is not started again
                 child.record = replace(child.record, process=None)
-                self._changed.notify_all()
+            child.went_down()
+            self._notify()
         child.echo()
         self._context.on_change()
 
     def _launch(self, child: Child) -> None:
         is_taken = self._launcher.living(child.name) is not None
         child.went_down(_TAKEN if is_taken else NOT_UP)
-        with self._changed:
-            self._changed.notify_all()
+        self._notify()
         if is_taken:
             raise HostError(_TAKEN)
         child.stale = self._launcher.registered(child.name)
@@ -340,23 +342,23 @@ class Children:
         if child.adopted:
             child.log = self._launcher.follow(child.name)
         deadline = time.monotonic() + child.start_timeout
-        kind = child.record.kind
-        while not self._launcher.is_up(kind, child.name, child.stale):
+        child.wake()
+        while not child.up:
             if not found.alive or not child.wanted:
                 child.went_down("it ended at its start")
                 return
             if time.monotonic() > deadline and self._is_lost(child):
                 child.end()
-                what = "offered no ports" if kind.is_node else "not come up"
+                what = "offered no ports" if child.is_node else "not come up"
                 raise HostError(f"it has {what} within {child.start_timeout:g} s")
-            time.sleep(_STEP)
-        rewirable = self._launcher.is_rewirable(kind, child.name)
-        child.came_up(found, rewirable)
-        if not child.wanted:  # it was ended meanwhile
-            child.went_down()
+            with self._changed:
+                self._changed.wait_for(lambda: child.up or not child.wanted, STEP)
+        self._notify()
+        self._context.on_change()
+
+    def _notify(self) -> None:
         with self._changed:
             self._changed.notify_all()
-        self._context.on_change()
 
     def _is_lost(self, child: Child) -> bool:
         """Whether a process that is late will never come up.

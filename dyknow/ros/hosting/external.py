@@ -6,14 +6,9 @@
 Nodelet managers are named by the settings. Each re-wirable node announces its name to each new
 subscriber of one topic, so either side can start first.
 
-Ownership: an ``External`` owns the presence of one process, which a key of its loop updates.
-While the process answers, each caller asks it directly over a kept connection. The first caller
-without an answer marks it as unresponsive; from then on every call fails at once and only the
-loop goes on asking, so no call waits for a host that is away.
-
 The ROS master decides which process bears a name. When another process registers under the name
-while the host of the first is away, the master cannot end the first. The loop does so as
-soon as it can be reached.
+while the host of the first is away, the master cannot end the first. Another key of the peer's
+loop does so as soon as it can be reached.
 """
 
 from __future__ import annotations
@@ -21,32 +16,26 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
-from typing import Callable, Iterable
+from typing import Any, Callable, Iterable
 
-import rospy
 from dyknow_msgs.msg import NodeletChanges
-from dyknow_msgs.srv import GetCounts
 
-from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
-from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.peer import LIST_TIMEOUT, ListClient, Peer, Presence
-from dyknow.ros.nodelets.announcements import NODES_TOPIC, changes_in
+from dyknow.ros.hosting.peer import FIND_TIMEOUT, POLL_TIMEOUT, Peer, Presence
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
 from dyknow.ros.wire.addresses import host_of
-from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.wire.poll_client import PollClient
 
-#: Seconds for a new connection and the first answer over it, on a slow link.
-FIND_TIMEOUT = 3.0
 #: Seconds between two attempts to find a process, doubling up to the longest.
 _FIRST_PAUSE = 0.25
 _LONGEST_PAUSE = 2.0
-#: Poll period for a responsive nodelet manager (detects that another process took its name).
-_PERIOD = 1.0
+#: Seconds between two checks that no other process took the name of a nodelet manager.
+_NAME_PERIOD = 1.0
 #: Seconds for which a node is looked for that has ended, or whose name was announced. Should it
 #: come back later, rospy connects again and it announces itself again.
 _NODE_PATIENCE = 10.0
@@ -68,7 +57,7 @@ class External(Peer):
         is_node: bool = False,
         on_gone: Callable[[External], None] = lambda gone: None,
     ) -> None:
-        """Prepare; ``start`` begins to look for a nodelet manager, or a re-wirable node.
+        """Prepare; a ``wake`` begins to look for a nodelet manager, or a re-wirable node.
 
         ``on_gone`` is called when a node has been gone for so long that it is not looked for.
         """
@@ -77,10 +66,10 @@ class External(Peer):
         super().__init__(context, name, is_node, Presence(unseen, "it has not answered yet"))
         self._on_gone = on_gone
         self._master = context.master
-        #: What was known when it was logged last.
-        self._reported = self.presence
         #: Incarnations that bore the name before and do not know yet that they lost it.
         self.displaced: list[str] = []
+        self._ending = f"ending nodes that lost the name {name}"
+        self._named = 0.0
         self._expected_until = time.monotonic() + _NODE_PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
 
@@ -90,60 +79,100 @@ class External(Peer):
         state = self.state
         return (state.responsive or state.away) and super().may_publish
 
-    def start(self) -> None:
-        """Look for it from now on."""
-        self.follow(self._round)
-
     def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
         """Probe it once more if it was not found the last time, and wait for the outcome."""
         state = self.state
         if state.unseen or not (state.responsive or state.away):
-            self.start()
             self.loop.wait_for(self._key, self.wake(), timeout)
 
     def expect(self) -> None:
         """Look for a node for some more time: its name was announced."""
         self._expected_until = time.monotonic() + _NODE_PATIENCE
-        self.start()
         self.wake()
-
-    def forget(self, nodelet: str) -> None:
-        """Note that a nodelet which it ran is loaded elsewhere now."""
-        with self._state_lock:
-            nodelets = self.presence.nodelets - {nodelet}
-            self.presence = replace(self.presence, nodelets=nodelets)
-
-    def look(self) -> None:
-        """Find out whether it is there, and which process it is."""
-        if self.presence.trouble or not self.is_node:
-            self._find()
-        if not self.presence.trouble:
-            self.displaced = [each for each in self.displaced if not self._end(each)]
 
     # Inside
 
-    def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
-        # A lost connection does not prove that it has ended: the next look finds out.
-        self._miss(client, error, away=self.is_node or may_be_there(error))
+    def _pause(self, began: float) -> float | None:
+        if self.presence.trouble:
+            return self._backoff.remaining(self.name)
+        pause = super()._pause(began)
+        return _NAME_PERIOD if pause is None and not self.is_node else pause
+
+    @property
+    def _is_doubtful(self) -> bool:
+        return not self.is_node and time.monotonic() - self._named >= _NAME_PERIOD
+
+    def _find(self) -> None:
+        known = self.presence
+        try:
+            uri = self._master.node(self.name)
+        except PeerTimeout as error:
+            if known.trouble:
+                self._miss(error, away=True)
+            return  # a master that is away says nothing of the process
+        self._named = time.monotonic()
+        if uri and not known.trouble and _address_of(known.state) == uri:
+            return
+        client = PollClient(self._master, self.name, self.is_node)
+        try:
+            if not uri:
+                raise NotRunning("it is not running")
+            pid = self._master.pid(self.name, uri, POLL_TIMEOUT)
+            answer = client.ask(FIND_TIMEOUT)
+            kind = NodeletKind(answer.kind)
+            if kind.is_node is not self.is_node:
+                raise NotRunning(f"it is no {'re-wirable node' if self.is_node else 'manager'}")
+        except (HostError, PeerTimeout, LookupError) as error:
+            client.close()
+            self._miss(error, may_be_there(error))
+            return
+        self._found(
+            ProcessState(
+                self.name,
+                kind,
+                f"{uri}@{pid}",
+                own=False,
+                rewirable=not client.is_stock,
+                host=host_of(uri),
+            ),
+            client,
+            answer,
+        )
+        if known.state.alive and _address_of(known.state) != uri:
+            self.displaced.append(known.state.incarnation)
+            self.loop.add(self._ending, self._end_displaced, pause=0.0)
+            self.loop.wake(self._ending)
+
+    def _missed(self, client: PollClient, error: HostError | PeerTimeout) -> None:
+        # A lost connection does not prove that it has ended: the next round finds out.
+        self._miss(error, away=self.is_node or may_be_there(error))
         self.wake()
 
-    def _round(self) -> float | None:
-        self.look()
-        self._report()
-        known = self.presence
-        if self.is_node and not known.state.alive and time.monotonic() > self._expected_until:
-            self._on_gone(self)
-        if known.trouble or self.displaced:
-            self._backoff.failed(self.name)
-            return self._backoff.remaining(self.name)
-        self._backoff.forgive(self.name)
-        return None if self.is_node else _PERIOD
+    def _miss(self, trouble: Exception, away: bool) -> None:
+        """Note that it cannot be queried."""
+        self._let_go(None)
+        with self._state_lock:
+            known = self.presence
+            if not known.trouble:
+                self._expected_until = time.monotonic() + _NODE_PATIENCE
+            state = replace(
+                known.state if away else self._gone, responsive=False, away=away, unseen=False
+            )
+            self.presence = replace(known, state=state, trouble=str(trouble))
 
-    def _report(self) -> None:
+    def _report(self, before: Presence) -> None:
+        if self.presence.trouble:
+            self._backoff.failed(self.name)
+        else:
+            self._backoff.forgive(self.name)
+        self._log(before.state)
+        if self.is_node and not self.state.alive and time.monotonic() > self._expected_until:
+            self._on_gone(self)
+
+    def _log(self, old: ProcessState) -> None:
         """Log a change, and report it."""
-        before, self._reported = self._reported.state, self.presence
-        now, trouble = self._reported.state, self._reported.trouble
-        if (before.incarnation, before.responsive, before.away) == (
+        now = self.state
+        if (old.incarnation, old.responsive, old.away) == (
             now.incarnation,
             now.responsive,
             now.away,
@@ -152,72 +181,25 @@ class External(Peer):
         if now.responsive:
             _log.info("%s is there (%s)", self.title, now.incarnation)
         elif not self.is_node or now.alive:
-            _log.warning("%s cannot be asked: %s", self.title, trouble)
-        elif before.alive:
+            _log.warning("%s cannot be asked: %s", self.title, self.presence.trouble)
+        elif old.alive:
             _log.info("%s is gone", self.title)
             self.guarding.withdraw()
         self.context.on_change()
 
-    def _miss(self, client: ListClient, trouble: Exception, away: bool) -> None:
-        """Note that it cannot be queried, unless it was found again meanwhile."""
-        with self._state_lock:
-            if client is not self._client:
-                return
-            known = self.presence
-            if not known.trouble:
-                self._expected_until = time.monotonic() + _NODE_PATIENCE
-            state = replace(
-                known.state if away else self._gone, responsive=False, away=away, unseen=False
-            )
-            self.presence = Presence(state, str(trouble), known.nodelets)
-
-    def _find(self) -> None:
-        known = self.presence
-        try:
-            uri = self._master.node(self.name)
-        except PeerTimeout as error:
-            if known.trouble:
-                self._miss(self._client, error, away=True)
-            return  # a master that is away says nothing of the process
-        if uri and not known.trouble and _address_of(known.state) == uri:
-            return
-        client = ListClient(self._master, self.name, self.is_node, reconnects=False)
-        try:
-            if not uri:
-                raise NotRunning("it is not running")
-            pid = self._master.pid(self.name, uri, LIST_TIMEOUT)
-            nodelets = frozenset(client.list(FIND_TIMEOUT))
-            found = replace(self._kind(), incarnation=f"{uri}@{pid}", host=host_of(uri))
-        except (HostError, PeerTimeout, LookupError) as error:
-            client.close()
-            self._miss(self._client, error, may_be_there(error))
-            return
-        before = self.presence.state
-        self._found(Presence(found, nodelets=nodelets), client)
-        if before.alive and _address_of(before) != uri:
-            self.displaced.append(before.incarnation)
-
-    def _kind(self) -> ProcessState:
-        """Ask what it is; a stock C++ nodelet manager has no counts, and its nodelets no ports."""
-        client = ServiceClient(self._master, names.join(self.name, COUNTS), GetCounts)
-        try:
-            kind = client.call(LIST_TIMEOUT, [self.name]).kind
-        except (ServiceFailed, ServiceLost):
-            return ProcessState(self.name, NodeletKind.CPP, own=False, rewirable=False)
-        if not self.is_node:
-            is_python = kind == NodeletKind.PYTHON.value
-            kind = NodeletKind.PYTHON if is_python else NodeletKind.CPP
-        elif kind not in [each.value for each in NodeletKind if each.is_node]:
-            raise NotRunning("it is no re-wirable node")
-        return ProcessState(self.name, NodeletKind(kind), own=False)
+    def _end_displaced(self) -> float | None:
+        for each in list(self.displaced):
+            if self._end(each):
+                self.displaced.remove(each)
+        return _FIRST_PAUSE if self.displaced else None
 
     def _end(self, displaced: str) -> bool:
         """End a process whose name another one bears now; returns whether it needs no more."""
         uri, _, pid = displaced.rpartition("@")
         reason = f"another node bears the name {self.name}"
         try:
-            if self._master.pid(self.name, uri, LIST_TIMEOUT) == int(pid):
-                self._master.shut_down(self.name, uri, reason, LIST_TIMEOUT)
+            if self._master.pid(self.name, uri, POLL_TIMEOUT) == int(pid):
+                self._master.shut_down(self.name, uri, reason, POLL_TIMEOUT)
         except PeerTimeout as error:
             return not may_be_there(error)
         except LookupError:
@@ -249,25 +231,26 @@ class Externals:
         self._is_child = is_child
         self._state_lock = state_lock("external processes")
         self._externals = {name: External(context, name) for name in sorted(set(managers))}
-        self._subscriber: rospy.Subscriber | None = None
+        self._subscriber: Any = None
 
     def start(self) -> None:
         """Look for the nodelet managers from now on, side by side."""
         for each in list(self._externals.values()):
-            each.start()
+            each.wake()
 
-    def listen(self, changed: Callable[[str, str, str], None]) -> None:
+    def listen(self, hear: Callable[[str, NodeletChanges], None]) -> None:
         """Listen for re-wirable nodes from now on, and to them.
 
-        ``changed`` is that of ``Listener``, for which a node is its own nodelet manager.
+        ``hear`` is called with each of them and what it announced.
         """
 
         def receive(message: NodeletChanges) -> None:
-            self._expect(message.nodelets)
-            for name, detail in changes_in(message):
-                changed(name, name, detail)
+            names = [each.nodelet for each in message.nodelets]
+            self._expect(names)
+            for name in names:
+                hear(name, message)
 
-        self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, receive)
+        self._subscriber = self._context.subscribe(NODES_TOPIC, receive)
 
     def look_for(self, nodes: Iterable[str]) -> None:
         """Find nodes that may run, before they announce their names; waits for the outcome."""
@@ -286,10 +269,6 @@ class Externals:
         is_gone = found is not None and found.is_node and not found.state.alive
         return None if is_gone else found
 
-    def hosting(self, nodelet: str) -> External | None:
-        """Return the one that ran a nodelet the last time, if there is one."""
-        return next((each for each in self.all() if nodelet in each.presence.nodelets), None)
-
     def close(self) -> None:
         """Look for none of them any more."""
         if self._subscriber is not None:
@@ -302,11 +281,16 @@ class Externals:
         found = []
         for name in nodes:
             if not self._is_child(name):
-                made = External(self._context, name, is_node=True, on_gone=self._drop)
+                made = self._externals.get(name) or self._new_node(name)
                 with self._state_lock:
                     found.append(self._externals.setdefault(name, made))
+                if found[-1] is not made:
+                    made.close()
                 found[-1].expect()
         return found
+
+    def _new_node(self, name: str) -> External:
+        return External(self._context, name, is_node=True, on_gone=self._drop)
 
     def _drop(self, gone: External) -> None:
         with self._state_lock:

@@ -1,11 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Grants to a process: the lease to publish on topics of claims, and the guards.
-
-Ownership: a ``Lease`` owns a kept connection, which a key of its peer's loop alone uses from the
-first grant on.
-"""
+"""Grants to a process: the lease to publish on topics of claims, and the guards."""
 
 from __future__ import annotations
 
@@ -13,27 +9,17 @@ import contextlib
 import logging
 import time
 from dataclasses import dataclass, field
-from typing import Callable, Mapping, Sequence
-
-from dyknow_msgs.srv import RenewLease
+from typing import Any, Callable, Mapping, Sequence
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import ProcessState
-from dyknow.periodic import ControlLoop
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
-from dyknow.ros.nodelets.lease_service import SERVICE
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.service_client import ServiceClient, ServiceLost
 
 #: Seconds that a lease holds.
 DURATION = 2.0
-#: Seconds between the beginnings of two renewals; on a slow link one begins when the last ended.
-_PERIOD = 0.25
-#: The same for a process that has not answered yet, or knows no leases.
-_UNCONFIRMED_PERIOD = 1.0
-_TIMEOUT = 1.0
 #: Seconds between two checks that the guards are still there.
 GUARDS_PERIOD = 1.0
 
@@ -48,9 +34,11 @@ class PeerContext:
         master: the ROS master; its caller is the manager's node.
         guards: restrictions of nodelets.
         uri: address of the manager's node.
-        on_change: called when a process is up or has ended, or a lease has run out.
+        on_change: called when a process is up or has ended, its nodelets have changed, or a lease
+            has run out.
         running: time for which this process has run (s): a manager that was stopped asks again
             before it judges.
+        subscribe: has a function called with the announcements on a topic.
         producers: by topic of a claim, the nodelet that publishes there; empty for none.
         protected: by process, the nodelets that only this manager may unload.
     """
@@ -60,6 +48,7 @@ class PeerContext:
     uri: str = ""
     on_change: Callable[[], object] = lambda: None
     running: Callable[[], float] = time.monotonic
+    subscribe: Callable[[str, Callable[[Any], None]], Any] = lambda topic, hear: None
     producers: Mapping[str, str] = field(default_factory=dict)
     protected: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -79,21 +68,13 @@ class Lease:
     it supplies is replaced, although it does not answer: it has not certainly stopped publishing.
     """
 
-    def __init__(
-        self, context: PeerContext, name: str, loop: ControlLoop, answers: Callable[[], bool]
-    ) -> None:
-        """Grant none yet; nothing is renewed while the process does not answer otherwise."""
+    def __init__(self, context: PeerContext) -> None:
+        """Grant none yet."""
         self._context = context
-        self._loop = loop
-        self._name = name
-        self._answers = answers
         #: When it was answered last, or granted: an earlier life may have done that just before.
         self._answered: float | None = None
+        self._clock = 0.0
         self._is_out = False
-        #: Asks one process; another one that has the name later has another clock.
-        self._client = self._new_client()
-        self._confirmed = 0.0
-        self._key = f"renewing the lease of {name}"
 
     @property
     def is_granted(self) -> bool:
@@ -107,62 +88,43 @@ class Lease:
             return self._context.is_young
         return self._context.running() - self._answered < DURATION
 
+    def has_just_run_out(self) -> bool:
+        """Whether it runs no more, and did at the last call."""
+        was_out, self._is_out = self._is_out, not self.may_be_held
+        return self._is_out and not was_out
+
     def grant(self) -> None:
-        """Renew it now, and periodically from then on."""
+        """Renew it with each poll from now on."""
         if self._answered is None:
             self._answered = self._context.running()
-            self._loop.add(self._key, self._renew, pause=0.0)
-        self._loop.wake(self._key)
 
-    def release(self) -> None:
-        """Take it back, so that publishing goes on without it; it must not be renewed any more."""
-        if not self._answers():
-            return
-        try:
-            self._client.call(_TIMEOUT, **self._request(0.0, {}))
-        except (HostError, PeerTimeout) as error:
-            _log.debug("the lease of %s is not taken back: %s", self._name, error)
+    def renewal(self) -> dict[str, object]:
+        """Return the fields of a poll that renew it; empty if it is not granted."""
+        return self._request(self._context.producers) if self.is_granted else {}
 
-    def close(self) -> None:
-        self._client.close()
+    def release(self) -> dict[str, object]:
+        """Return the fields of a poll that take it back."""
+        return self._request({})
 
-    def _renew(self) -> float:
-        began = time.monotonic()
-        try:
-            if self._answers():
-                is_first = not self._confirmed
-                self._call()
-                if is_first:  # it only queried the clock
-                    self._call()
-        except ServiceLost:
-            self._client.close()
-            self._client, self._confirmed = self._new_client(), 0.0
-        except (HostError, PeerTimeout) as error:
-            _log.debug("the lease of %s is not renewed: %s", self._name, error)
-        was_out, self._is_out = self._is_out, not self.may_be_held
-        if self._is_out and not was_out:
-            self._context.on_change()
-        period = _PERIOD if self._confirmed else _UNCONFIRMED_PERIOD
-        return max(0.0, began + period - time.monotonic())
+    def answered(self, clock: float) -> None:
+        """Note an answer, with the clock of the process."""
+        self._clock = clock
+        if self._answered is not None:
+            self._answered = self._context.running()
 
-    def _call(self) -> None:
-        request = self._request(self._confirmed, self._context.producers)
-        answer = self._client.call(_TIMEOUT, **request)
-        self._answered, self._confirmed = self._context.running(), answer.clock
+    def forget_clock(self) -> None:
+        """Let it begin anew with another process, which has another clock."""
+        self._clock = 0.0
 
-    def _request(self, confirmed: float, producers: Mapping[str, str]) -> dict[str, object]:
+    def _request(self, producers: Mapping[str, str]) -> dict[str, object]:
         topics = sorted(producers)
         return {
             "uri": self._context.uri,
-            "confirmed": confirmed,
+            "confirmed": self._clock,
             "duration": DURATION,
             "topics": topics,
             "nodelets": [producers[topic] for topic in topics],
         }
-
-    def _new_client(self) -> ServiceClient:
-        service = names.join(self._name, SERVICE)
-        return ServiceClient(self._context.master, service, RenewLease, True, reconnects=False)
 
 
 class Guarding:

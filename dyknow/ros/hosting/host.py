@@ -11,17 +11,10 @@ from __future__ import annotations
 
 import builtins
 import contextlib
-import logging
-from concurrent.futures import ThreadPoolExecutor
-from typing import (
-    Callable,
-    Collection,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+import time
+from typing import Callable, Collection, Iterable, Mapping, Sequence
 
+from dyknow_msgs.msg import NodeletChanges
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
@@ -35,35 +28,34 @@ from dyknow.manager.host import (
     Listening,
     LoadRequest,
     ProcessState,
+    Reported,
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.children import Children
-from dyknow.ros.hosting.counts import MessageCounter, counts_of
 from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
-from dyknow.ros.hosting.peer import LoadFailure, Peer, host_errors
+from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.peer import Peer, host_errors
 from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
-_log = logging.getLogger("rosout.dyknow")
-
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
 _UNLOAD_TIMEOUT = 4.0
+#: Seconds for a nodelet that is up to be reported.
+_REPORT_TIMEOUT = 3.0
 #: Seconds for the end of a process to be noticed.
 _DEATH_TIMEOUT = 2.0
 #: Seconds for a proxy to connect ports, which waits up to 0.5 s for outside peers.
 _CONNECT_TIMEOUT = 4.0
-#: Seconds for a proxy to list its ports.
-_PORTS_TIMEOUT = 2.0
-#: Processes that are queried at the same time.
-_ASKERS = 16
+#: Seconds that a caller waits for the counts of all processes together.
+_COUNTS_PATIENCE = 0.5
 
 
 class RosHost(Host):
@@ -89,7 +81,6 @@ class RosHost(Host):
         self._external = Externals(context, external, lambda name: children.find(name) is not None)
         #: Look for the external nodelet managers, and listen to re-wirable nodes, from now on.
         self.start = self._external.start
-        self.listen_for_nodes = self._external.listen
         #: Find re-wirable nodes of these names that run already.
         self.look_for_nodes = self._external.look_for
         self._types = NodeletTypes()
@@ -97,15 +88,15 @@ class RosHost(Host):
         self._grants_turn = turn_lock("grants to processes")
         self._counter = MessageCounter(registrar)
         self._verdicts = VerdictTopics(on_verdict)
-        self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
 
-    def note_detail(self, manager: str, nodelet: str, detail: str) -> None:
-        """Note the problem of a nodelet, as its process announced it; empty for none."""
-        peer = self._peer(manager)
+    def listen_for_nodes(self) -> None:
+        """Listen for re-wirable nodes from now on, and to them."""
+        self._external.listen(self._hear)
+
+    def _hear(self, node: str, changes: NodeletChanges) -> None:
+        peer = self._peer(node)
         if peer is not None:
-            peer.details.pop(nodelet, None)
-            if detail:
-                peer.details[nodelet] = detail
+            peer.hear(changes)
 
     # Processes
 
@@ -119,12 +110,18 @@ class RosHost(Host):
 
     def poll(self) -> HostReport:
         """Ask each process for its nodelets; how external ones end is not seen."""
-        states = self.states()
+        peers = [(peer, peer.state) for peer in self._peers()]
         crashes = {crash.incarnation: crash for crash in self._children.crashes()}
-        alive = [state for state in states.values() if state.alive]
-        answers = zip(alive, self._askers.map(self._nodelets_of, alive))
-        nodelets = {state.name: frozenset(each) for state, each in answers if each is not None}
-        return HostReport(states, nodelets, crashes)
+        asked = [
+            (peer, state, peer.wake())
+            for peer, state in peers
+            if state.alive and not peer.presence.trouble
+        ]
+        nodelets = {}
+        for peer, state, number in asked:
+            with contextlib.suppress(HostError):
+                nodelets[peer.name] = frozenset(self._list(peer, number, state.incarnation))
+        return HostReport({peer.name: state for peer, state in peers}, nodelets, crashes)
 
     def look_for(self, manager: str) -> None:
         external = self._external.find(manager)
@@ -164,6 +161,7 @@ class RosHost(Host):
                 is_granted = peer.lease.is_granted
                 if (is_granted and is_new) or (not is_granted and peer.name in managers):
                     peer.lease.grant()
+                    peer.wake()
 
     def may_publish(self, manager: str) -> bool:
         peer = self._peer(manager)
@@ -184,10 +182,9 @@ class RosHost(Host):
         # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
             raise NameTaken(request.name)
-        for external in self._external.all():
-            external.forget(request.name)
         self._set_parameters(request.name, request.parameters)
-        peer.failures.pop(request.name, None)
+        peer.late.discard(request.name)
+        peer.refused.discard(request.name)
         sources = sorted(request.remappings)
         type_, arguments = request.source, []
         if request.kind is NodeletKind.SCRIPT:
@@ -203,13 +200,15 @@ class RosHost(Host):
                 my_argv=arguments,
             )
         except PeerTimeout as error:
-            peer.failures[request.name] = LoadFailure.LATE
-            peer.list()  # a timeout of the nodelet manager, if that hangs
+            peer.late.add(request.name)
+            peer.nodelets()  # a timeout of the nodelet manager, if that hangs
             raise HostError(f"'{request.source}' was not up within {timeout:g} s") from error
         except ServiceFailed as error:
-            peer.failures[request.name] = LoadFailure.REFUSED
+            peer.refused.add(request.name)
             text = str(error) or "its nodelet manager gives no reason; its log may have one"
             raise HostError(text) from error
+        if peer.state.rewirable:
+            peer.await_report(request.name, _REPORT_TIMEOUT)
 
     def unload(self, manager: str, name: str) -> None:
         """Unload, unless the load was refused; a node is ended if it is ours."""
@@ -222,8 +221,8 @@ class RosHost(Host):
                 )
             self.retire(manager)
             return
-        if peer.failures.get(name) is LoadFailure.REFUSED:
-            del peer.failures[name]
+        if name in peer.refused:
+            peer.refused.discard(name)
             raise HostError(f"nodelet '{name}' was not loaded")
         if not state.responsive:
             self._list(peer)  # fails at once while it hangs
@@ -245,17 +244,26 @@ class RosHost(Host):
                 if self._master.ask("getParam", name) == {}:
                     self._delete_parameter(name)
 
-    def ports(self, name: str) -> tuple[PortState, ...]:
-        with self._asking(name):
-            return self._proxies.get_config(name, _PORTS_TIMEOUT)
+    def reported(self, manager: str, name: str) -> Reported | None:
+        peer = self._peer(manager)
+        return peer.presence.nodelets.get(name) if peer is not None else None
 
-    def detail(self, name: str) -> str:
-        details = (peer.details.get(name) for peer in self._peers())
-        return "; ".join(filter(None, details))
+    def ports(self, name: str) -> tuple[PortState, ...]:
+        reported = self._hosting(name).nodelets().get(name)
+        if reported is None:
+            raise HostError(f"nodelet '{name}' is not loaded, or has no ports")
+        return reported.ports
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
-        with self._asking(name):
-            self._proxies.set_config(name, config, _CONNECT_TIMEOUT)
+        peer = self._hosting(name)
+        peer.presence.check(peer.title)
+        try:
+            with host_errors(name):
+                self._proxies.set_config(name, config, _CONNECT_TIMEOUT)
+        except Refused as error:
+            raise HostError(str(error)) from error
+        with contextlib.suppress(HostError):
+            peer.nodelets()  # from now on it is reported
 
     def published(self, topics: Iterable[str]) -> frozenset[str]:
         wanted = frozenset(topics)
@@ -268,10 +276,20 @@ class RosHost(Host):
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> dict[str, Mapping[str, Count] | None]:
+        deadline = time.monotonic() + _COUNTS_PATIENCE
         peers = {manager: self._peer(manager) for manager in wanted}
-        gone = [name for each in wanted if peers[each] is None for name in wanted[each]]
-        there = ((peer.counts, wanted[each]) for each, peer in peers.items() if peer is not None)
-        return {**dict.fromkeys(gone), **counts_of(there)}
+        numbers = {
+            manager: peer.ask_counts(wanted[manager])
+            for manager, peer in peers.items()
+            if peer is not None
+        }
+        found: dict[str, Mapping[str, Count] | None] = {}
+        for manager, peer in peers.items():
+            if peer is None:
+                found.update(dict.fromkeys(wanted[manager]))
+            else:
+                found.update(peer.counts(numbers[manager], wanted[manager], deadline))
+        return found
 
     def is_stamped(self, datatype: str) -> bool | None:
         return ages.is_stamped(datatype)
@@ -289,7 +307,6 @@ class RosHost(Host):
         for peer in self._peers():
             peer.close()
         self._external.close()
-        self._askers.shutdown(wait=False)
 
     def release(self) -> None:
         """Remove our guards and leases from the processes that outlive us."""
@@ -321,38 +338,24 @@ class RosHost(Host):
             peer.guarding.hand_over(peer.state)
         peer.guarding.check()
 
-    def _nodelets_of(self, state: ProcessState) -> builtins.list[str] | None:
-        try:
-            return self._list(self._known(state.name), state.incarnation)
-        except HostError as error:
-            if state.own and state.responsive:  # of an external one `External` logs it
-                _log.warning("nodelet manager %s: %s", state.name, error)
-            return None
+    def _hosting(self, nodelet: str) -> Peer:
+        """Return the process that runs a nodelet, or did when it answered last."""
+        hosting = [each for each in self._peers() if nodelet in each.presence.nodelets]
+        answering = [each for each in hosting if not each.presence.trouble]
+        for each in (*answering, *hosting):
+            return each
+        raise HostError(f"no process runs nodelet '{nodelet}'")
 
-    def _list(self, peer: Peer, incarnation: str = "") -> builtins.list[str]:
+    def _list(
+        self, peer: Peer, number: int | None = None, incarnation: str = ""
+    ) -> builtins.list[str]:
         """List the nodelets of a process; unload those whose load had been given up."""
-        found = peer.list(incarnation)
-        late = [
-            name
-            for name in found
-            if peer.failures.get(name) is LoadFailure.LATE
-            and peer.failures.pop(name, LoadFailure.REFUSED) is LoadFailure.LATE
-        ]
+        found = peer.nodelets(number, incarnation)
+        late = peer.late.intersection(found)
+        peer.late -= late
         for name in late:
             self.unload(peer.name, name)
-        return [each for each in found if each not in late]
-
-    @contextlib.contextmanager
-    def _asking(self, nodelet: str) -> Iterator[None]:
-        """Ask the proxy of a nodelet, unless its nodelet manager is known not to answer."""
-        external = self._external.hosting(nodelet)
-        if external is not None:
-            external.check()
-        try:
-            with host_errors(nodelet):
-                yield
-        except Refused as error:
-            raise HostError(str(error)) from error
+        return sorted(found.keys() - late)
 
     def _start_node(self, request: LoadRequest, timeout: float) -> None:
         self._children.check_free(request.name)

@@ -28,7 +28,6 @@ from dyknow.nodelet import crash_record
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.hosting.counts import SERVICE as COUNTS
 from dyknow.ros.hosting.external import may_be_there
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -194,37 +193,6 @@ class Launcher:
     def registered(self, name: str) -> str:
         """Return the address that the master has of a node, dead or alive; else empty."""
         return self._master.node(name)
-
-    def is_up(self, kind: NodeletKind, name: str, stale: str) -> bool:
-        """Whether one offers its services, and not at the address of a dead predecessor."""
-        try:
-            if self._master.node(name) in ("", stale):
-                return False
-            for service in ("get_config", COUNTS) if kind.is_node else ("list",):
-                self._master.ask("lookupService", names.join(name, service))
-            return True
-        except (LookupError, PeerTimeout):
-            return False
-
-    def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
-        """Whether the running manager supports live rewiring.
-
-        A stock C++ one, and one whose self-check failed, does not offer counts.
-        """
-        if kind is NodeletKind.PYTHON or kind.is_node:
-            return True
-        try:
-            self._master.ask("lookupService", names.join(name, COUNTS))
-        except PeerTimeout:
-            return True  # as it is wherever roscpp was there to build with
-        except LookupError:
-            _log.warning(
-                "nodelets in %s cannot be connected while they run: their topics are fixed; its "
-                "log says why, or it was built without roscpp",
-                name,
-            )
-            return False
-        return True
 
     def _watch(self, found: ProcessId, output: str) -> None:
         """Start a watchdog that ends a process without such a thread when it is orphaned."""

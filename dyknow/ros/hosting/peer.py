@@ -1,44 +1,54 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A process that runs nodelets, as the manager's node knows it and asks it.
+"""A process that runs nodelets, as the manager's node knows it and polls it.
 
 There are three sorts: children of ours (``child``), external nodelet managers and re-wirable nodes
 (both ``external``).
+
+One key of a peer's loop alone asks its process, over one connection. A poll renews the lease,
+counts messages, and returns the nodelets with the ports that have changed. A caller that needs to
+know the present state asks for a round that begins from now on, and waits for its end. A process
+that did not answer is polled again by that key alone: until it answers, callers fail at once.
 """
 
 from __future__ import annotations
 
-import builtins
 import contextlib
-import enum
+import math
+import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Collection, Dict, Iterator, Mapping, Optional
 
-from dyknow_msgs.srv import GetCounts
-from nodelet.srv import NodeletList
+import rospy
+from dyknow_msgs.msg import NodeletChanges, Port
+from dyknow_msgs.srv import PollResponse
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.locks import state_lock
-from dyknow.manager.host import ProcessState
-from dyknow.periodic import ControlLoop, Work
-from dyknow.ros.hosting.counts import SERVICE as COUNTS
-from dyknow.ros.hosting.counts import CountClient
+from dyknow.manager.host import Count, ProcessState, Reported
+from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.grants import Guarding, Lease, PeerContext
-from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.service_client import ServiceClient
+from dyknow.ros.nodelets.announcements import TOPIC
+from dyknow.ros.wire.messages import port_from
+from dyknow.ros.wire.poll_client import PollClient
 
-#: Seconds for the list of a process, over a connection that is there.
-LIST_TIMEOUT = 1.0
+#: Seconds for a poll, over a connection that is there.
+POLL_TIMEOUT = 1.0
+#: Seconds for a new connection and the first answer over it, on a slow link.
+FIND_TIMEOUT = 3.0
+#: Seconds that a caller waits for a poll, which may have to wait for the one before.
+_PATIENCE = 1.2
+#: Seconds between the beginnings of two polls that renew a lease, and of a process that did not
+#: answer; on a slow link one begins when the last ended.
+_PERIOD = 0.25
+#: Seconds between two polls for a nodelet that is not reported yet.
+_STEP = 0.02
 
-
-class LoadFailure(enum.Enum):
-    """How the last load of a nodelet failed."""
-
-    LATE = "not up in time; it may still come up"
-    REFUSED = "refused; there is nothing to unload"
+Counts = Dict[str, Optional[Mapping[str, Count]]]
+"""By nodelet, the counts of its out-ports; None for one that is not there."""
 
 
 @dataclass(frozen=True)
@@ -48,30 +58,36 @@ class Presence:
     Attributes:
         state: its state; without an incarnation while none is known to run.
         trouble: why it cannot be queried; empty if it can.
-        nodelets: its last list of nodelets.
+        nodelets: those that it runs, with their reports; None for one without live ports.
+        process: text by which its announcements are known.
     """
 
     state: ProcessState
     trouble: str = ""
-    nodelets: frozenset[str] = frozenset()
+    nodelets: Mapping[str, Reported | None] = field(default_factory=dict)
+    process: str = ""
+
+    def check(self, title: str) -> None:
+        """Raise ``HostTimeout`` if it did not answer the last time, ``HostError`` if it ended."""
+        if self.trouble:
+            is_late = self.state.away or (self.state.alive and not self.state.responsive)
+            raise (HostTimeout if is_late else HostError)(f"{title}: {self.trouble}")
 
 
 class Peer(ABC):
     """One process that runs nodelets, or its successors of the same name; thread-safe.
 
-    It has a control loop, so one that hangs delays no other. Keys are following the process, and
-    once they are needed, renewing its lease and counting its messages.
+    It has a control loop, so one that hangs delays no other.
 
     Attributes:
         name: its global node name.
         title: its sort and name, for texts.
         presence: present knowledge of its process.
         loop: its loop, with a thread for each key.
-        counts: how many messages its nodelets have sent.
         lease: lets it publish on topics of claims.
         guarding: its guards.
-        failures: loads that failed, by nodelet.
-        details: problems of its nodelets, as it announced them.
+        late: nodelets whose load was given up, and which may still come up.
+        refused: nodelets whose load was refused: there is nothing to unload.
     """
 
     def __init__(self, context: PeerContext, name: str, is_node: bool, presence: Presence) -> None:
@@ -81,130 +97,223 @@ class Peer(ABC):
         self.is_node = is_node
         self.context = context
         self.presence = presence
-        self._state_lock = state_lock("peer")
-        self._client = ListClient(context.master, name, is_node)
-        self.loop = ControlLoop(name=f"peer {name}")
-        self.loop.start()
-        self._key = f"following {name}"
-        self.counts = CountClient(context.master, name, self.loop)
-        self.lease = Lease(context, name, self.loop, lambda: self.answers)
+        self.lease = Lease(context)
         self.guarding = Guarding(context, name)
-        self.failures: dict[str, LoadFailure] = {}
-        self.details: dict[str, str] = {}
+        self.late: set[str] = set()
+        self.refused: set[str] = set()
+        self._state_lock = state_lock("peer")
+        self._client: PollClient | None = None
+        self._counted: set[str] = set()
+        self._counts: Counts = {}
+        self._is_prompt = True
+        self._subscriber: rospy.Subscriber | None = None
+        self._key = f"polling {name}"
+        self.loop = ControlLoop(name=f"peer {name}")
+        self.loop.add(self._key, self._round, pause=0.0)
+        self.loop.start()
 
     @property
     def state(self) -> ProcessState:
         """Its last known state, without a request."""
         return self.presence.state
 
-    def list(self, incarnation: str = "") -> builtins.list[str]:
-        """Return the names of its nodelets, sorted.
-
-        Raises ``HostTimeout`` if it does not answer, or did not the last time, and ``HostError``
-        if it is not there, or is not the ``incarnation`` that is meant (empty for any).
-        """
-        while True:
-            with self._state_lock:
-                client, known = self._client, self.presence
-            self.check(known)
-            if incarnation not in ("", known.state.incarnation):
-                raise HostError(f"{self.title} is another process by now")
-            try:
-                nodelets = client.list()
-            except (HostError, PeerTimeout) as error:
-                self._missed(client, error)
-                continue  # now there is a new connection, or trouble
-            with self._state_lock:
-                if client is self._client and not self.presence.trouble:
-                    state = replace(self.presence.state, responsive=True)
-                    self.presence = replace(
-                        self.presence, state=state, nodelets=frozenset(nodelets)
-                    )
-            return nodelets
-
-    def check(self, known: Presence | None = None) -> None:
-        """Raise ``HostTimeout`` if it did not answer the last time, ``HostError`` if it ended."""
-        known = known or self.presence
-        if known.trouble:
-            text = f"{self.title}: {known.trouble}"
-            raise HostTimeout(text) if known.state.away else HostError(text)
-
-    @abstractmethod
-    def _missed(self, client: ListClient, error: HostError | PeerTimeout) -> None:
-        """Note that a list failed; raises an error if it is not to be requested again now."""
-
-    def _found(self, presence: Presence, client: ListClient | None = None) -> None:
-        """Note which process it is now, or that there is none; another one gets new connections.
-
-        The old ones may be to a process that hangs, and that bears the name no more.
-        """
-        new = client or ListClient(self.context.master, self.name, self.is_node)
-        with self._state_lock:
-            old, self._client = self._client, new
-            before, self.presence = self.presence, presence
-        old.close()
-        if before.state.incarnation != presence.state.incarnation:
-            self.counts.close()
-            self.lease.close()
-
-    @property
-    def answers(self) -> bool:
-        """Whether it is there, and answered the last time."""
-        state = self.state
-        return state.alive and state.responsive
-
     @property
     def may_publish(self) -> bool:
         """Whether it may hold a lease; while it may, it must not be taken for lost."""
         return self.lease.may_be_held
 
-    def follow(self, work: Work) -> None:
-        """Do the work that keeps up with its process in rounds from now on."""
-        self.loop.add(self._key, work, 0.0, pause=0.0)
+    # What it runs
 
     def wake(self) -> int:
-        """Ask for a round of that work, and return its number."""
+        """Ask for a poll that begins from now on, and return its number."""
         return self.loop.wake(self._key)
 
+    def nodelets(
+        self, number: int | None = None, incarnation: str = ""
+    ) -> Mapping[str, Reported | None]:
+        """Return its nodelets after a poll: one from now on, or that of a ``number``.
+
+        Raises ``HostTimeout`` if it does not answer, or did not the last time, and ``HostError``
+        if it is not there, or is not the ``incarnation`` that is meant (empty for any).
+        """
+        self.presence.check(self.title)
+        number = self.wake() if number is None else number
+        if not self.loop.wait_for(self._key, number, _PATIENCE):
+            raise HostTimeout(f"{self.title} does not answer")
+        known = self.presence
+        known.check(self.title)
+        if incarnation not in ("", known.state.incarnation):
+            raise HostError(f"{self.title} is another process by now")
+        return known.nodelets
+
+    def await_report(self, nodelet: str, timeout: float) -> None:
+        """Wait until it reports a nodelet that it has loaded, also one that was late before."""
+        deadline = time.monotonic() + timeout
+        while True:
+            self.loop.wait_for(self._key, self.wake(), max(0.0, deadline - time.monotonic()))
+            if nodelet in self.presence.nodelets or time.monotonic() >= deadline:
+                return
+            time.sleep(_STEP)
+
+    def hear(self, changes: NodeletChanges) -> None:
+        """Take an announcement of its process; others of its name are ignored."""
+        with self._state_lock:
+            known = self.presence
+            if changes.process == known.process:
+                self.presence = replace(known, nodelets=_merged(known.nodelets, changes))
+        self.context.on_change()
+
+    # Counts
+
+    def ask_counts(self, nodelets: Collection[str]) -> int:
+        """Have the messages of nodelets counted by the next poll; returns its number."""
+        with self._state_lock:
+            self._counted.update(nodelets)
+        return self.wake()
+
+    def counts(self, number: int, nodelets: Collection[str], deadline: float) -> Counts:
+        """Return new counts, after waiting for a poll unless that may take long."""
+        if self._is_prompt:
+            left = max(0.0, deadline - time.monotonic())
+            self._is_prompt = self.loop.wait_for(self._key, number, left)
+        with self._state_lock:
+            return {name: self._counts.pop(name) for name in nodelets if name in self._counts}
+
+    # The end
+
     def release(self) -> None:
-        """Take its lease back, and follow it no more."""
+        """Take its lease back, so that publishing goes on without it, and follow it no more."""
         self.loop.close()
-        if self.lease.is_granted:
-            self.lease.release()
+        client, known = self._client, self.presence
+        if client is not None and self.lease.is_granted and not known.trouble:
+            with contextlib.suppress(HostError, PeerTimeout):
+                client.ask(POLL_TIMEOUT, **self.lease.release())
 
     def close(self) -> None:
         """Close the loop and the connections; the process goes on."""
         self.loop.close()
-        self.counts.close()
-        self.lease.close()
-        self._client.close()
+        self._let_go(None)
+        if self._subscriber is not None:
+            self._subscriber.unregister()
+
+    # Rounds
+
+    def _round(self) -> float | None:
+        began, before = time.monotonic(), self.presence
+        if self._client is None or self._is_doubtful:
+            self._find()
+        with self._state_lock:
+            client = self._client
+            counted, self._counted = sorted(self._counted), set()
+        if client is not None:
+            self._poll(client, counted)
+        elif not (self.state.alive or self.state.away):
+            self._note_counts(dict.fromkeys(counted))
+        self._report(before)
+        if self.lease.has_just_run_out():
+            self.context.on_change()
+        return self._pause(began)
+
+    def _pause(self, began: float) -> float | None:
+        """Seconds until the poll after one that ``began`` then; None for the next request."""
+        is_pressing = self.lease.is_granted or (self.state.alive and self.presence.trouble)
+        return max(0.0, began + _PERIOD - time.monotonic()) if is_pressing else None
+
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether another process may bear the name by now."""
+        return False
+
+    @abstractmethod
+    def _find(self) -> None:
+        """Connect to the process that bears the name now, and call ``_found`` if there is one."""
+
+    @abstractmethod
+    def _missed(self, client: PollClient, error: HostError | PeerTimeout) -> None:
+        """Note that a poll failed."""
+
+    def _report(self, before: Presence) -> None:
+        """Report a change of the presence."""
+        if bool(before.trouble) != bool(self.presence.trouble):
+            self.context.on_change()
+
+    def _found(self, state: ProcessState, client: PollClient, answer: PollResponse) -> None:
+        """Note which process it is now, and how it answered."""
+        self._let_go(client)
+        with self._state_lock:
+            is_new = self.presence.state.incarnation != state.incarnation
+            self.presence = Presence(state)
+        if is_new:
+            self.lease.forget_clock()
+        self._take(client, answer)
+        if self._subscriber is None and state.rewirable and not self.is_node:
+            self._subscriber = self.context.subscribe(names.join(self.name, TOPIC), self.hear)
+
+    def _let_go(self, client: PollClient | None) -> None:
+        """Replace the connection, which may be to a process that bears the name no more."""
+        with self._state_lock:
+            old, self._client = self._client, client
+        if old is not None and old is not client:
+            old.close()
+
+    def _poll(self, client: PollClient, counted: list[str]) -> None:
+        asked = time.monotonic()
+        try:
+            answer = client.ask(POLL_TIMEOUT, counted=counted, **self.lease.renewal())
+        except (HostError, PeerTimeout) as error:
+            if isinstance(error, HostError):
+                self._note_counts(dict.fromkeys(counted))
+            self._missed(client, error)
+            return
+        self._take(client, answer)
+        found: Counts = dict.fromkeys(counted)
+        answered = time.monotonic()
+        for each in answer.counts:
+            out_ports = (port for port in each.ports if port.direction == Port.OUT)
+            found[each.nodelet] = {port.port: _count(port, asked, answered) for port in out_ports}
+        self._note_counts(found)
+        self._is_prompt = True
+
+    def _take(self, client: PollClient, answer: PollResponse) -> None:
+        if not client.is_stock:
+            self.lease.answered(answer.clock)
+        with self._state_lock:
+            if client is not self._client:
+                return
+            known = self.presence
+            is_same = answer.changes.process == known.process
+            before = known.nodelets if is_same else {}
+            nodelets = {name: before.get(name) for name in answer.nodelets}
+            self.presence = replace(
+                known,
+                state=replace(known.state, responsive=True, away=False),
+                trouble="",
+                nodelets=_merged(nodelets, answer.changes),
+                process=answer.changes.process,
+            )
+
+    def _note_counts(self, found: Counts) -> None:
+        with self._state_lock:
+            self._counts.update(found)
 
 
-class ListClient:
-    """Asks one process for its nodelets, over a connection that is kept.
+def _merged(
+    nodelets: Mapping[str, Reported | None], changes: NodeletChanges
+) -> Mapping[str, Reported | None]:
+    """Return nodelets with those changes that are newer."""
+    newer = {}
+    for each in changes.nodelets:
+        known = nodelets.get(each.nodelet)
+        is_newer = known is None or known.sequence < changes.sequence
+        if each.nodelet in nodelets and each.is_loaded and is_newer:
+            ports = tuple(map(port_from, each.ports))
+            newer[each.nodelet] = Reported(ports, each.detail, changes.sequence)
+    return {**nodelets, **newer} if newer else nodelets
 
-    When the connection breaks another process may have the name by now. Its list says nothing of
-    the nodelets of this one, so it is not taken for an answer.
-    """
 
-    def __init__(self, master: Master, name: str, is_node: bool, reconnects: bool = True) -> None:
-        """Prepare; a node answers for as long as it runs itself, by its counts."""
-        service, question = (COUNTS, GetCounts) if is_node else ("list", NodeletList)
-        self._client = ServiceClient(
-            master, names.join(name, service), question, persistent=True, reconnects=reconnects
-        )
-        self.close = self._client.close
-        self._node = name if is_node else ""
-        self._address = ""
-
-    def list(self, timeout: float = LIST_TIMEOUT) -> builtins.list[str]:
-        """Return the names of its nodelets, sorted; raises `PeerTimeout` or ``HostError``."""
-        answer = self._client.call(timeout, *([[self._node]] if self._node else ()))
-        self._address = self._address or self._client.address
-        if self._client.address != self._address:
-            self.close()
-            raise HostError("another process has that name now")
-        return [self._node] if self._node else sorted(answer.nodelets)
+def _count(port: Any, asked: float, answered: float) -> Count:
+    age = None if math.isnan(port.age) else port.age
+    return Count(port.messages, asked, answered, port.latched, age)
 
 
 @contextlib.contextmanager

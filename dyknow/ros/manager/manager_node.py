@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Collection, Mapping, Sequence
 
 import rosgraph.names
 import rospy
+from dyknow_msgs.msg import NodeletChanges
 
 import dyknow
 from dyknow import names
@@ -48,7 +49,6 @@ from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
-from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.process.node_process import NodeProcess
@@ -104,6 +104,7 @@ class ManagerNode(Closable):
             rospy.get_node_uri() or "",
             lambda: loop.wake(_OBSERVE),
             running,
+            lambda topic, hear: rospy.Subscriber(topic, NodeletChanges, hear),
         )
         launcher = Launcher(
             self._master,
@@ -141,7 +142,6 @@ class ManagerNode(Closable):
         known = {claim.claim_id for claim in self._reconciler.claims()}
         self._events = EventTopic(self._answers, known)
         self._fixed = FixedNodelets(self.manager)
-        self._listener = Listener(self._hear)
         self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
         #: Whether another manager goes on in this name: then the end is not on purpose.
         self.leaves = False
@@ -173,7 +173,7 @@ class ManagerNode(Closable):
         self._loop.add(_OBSERVE, self._observe, PERIOD)
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
-        self._host.listen_for_nodes(self._hear)
+        self._host.listen_for_nodes()
 
     def close(self) -> None:
         """End on purpose, with all nodelets, claims and nodelet managers.
@@ -196,7 +196,6 @@ class ManagerNode(Closable):
         if not self.leaves:
             in_background("ending the claims", self._reconciler.end).join(_PATIENCE)
         self._bonds.close()
-        self._listener.close()
         self._model.close()
         self._fixed.close()
         self._children.end_all()
@@ -231,16 +230,10 @@ class ManagerNode(Closable):
         self._bonds.follow()
         self._loop.wake(_RECONCILE)
 
-    def _hear(self, manager: str, nodelet: str, detail: str) -> None:
-        self._host.note_detail(manager, nodelet, detail)
-        self.manager.observer.note([nodelet])
-        self._loop.wake(_OBSERVE)
-
     def _after_change(self) -> None:
         self._fixed.follow()
         self._host.grant(self._granted)
         self._host.hand_over(self._protected)
-        self._listener.follow(self._announcers)
 
     # Inside
 
@@ -282,13 +275,6 @@ class ManagerNode(Closable):
             self._master.ask("deleteParam", names.join(self._master.caller, "transformations"))
         except (LookupError, PeerTimeout):
             return  # it was not set, or the ROS master is gone
-
-    def _announcers(self) -> Sequence[str]:
-        return [
-            state.name
-            for state in self._host.states().values()
-            if state.rewirable and (state.own or state.alive) and not state.kind.is_node
-        ]
 
     def _protected(self) -> dict[str, list[str]]:
         protected: dict[str, list[str]] = {}

@@ -1,26 +1,25 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers announce changes on the topic ``~changes``: the names of nodelets, no more.
+"""Numbers the changes of a process's nodelets, and announces them with the nodelets' ports.
 
-A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
-it does not say how they are now. Names that come in quick succession are announced once, in one
-message.
+Nodelet managers announce on the topic ``~changes``. A node with ports that is not a nodelet
+manager announces itself, on one topic that all of them share. So it is found without a question to
+the ROS master, and listened to without a further subscription.
 
-A node with ports that is not a nodelet manager announces its own name, on one topic that all of
-them share. So it is found without a question to the ROS master, and listened to without a further
-subscription.
+A description of a nodelet is made after the number of its last change was taken, so it contains
+that change, and one with a smaller number never replaces it (``dyknow.ros.hosting.peer``).
 """
 
 from __future__ import annotations
 
-import itertools
-from typing import Any, Callable, Iterable, Iterator
+import os
+from typing import Any, Callable
 
 import rospy
-from dyknow_msgs.msg import NodeletChanges
+from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 
-from dyknow.locks import state_lock, turn_lock
+from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
 
 TOPIC = "changes"
@@ -32,110 +31,67 @@ _QUEUE_SIZE = 1000
 
 
 class Announcer(rospy.SubscribeListener):
-    """The side of the nodelet manager.
+    """The changes of this process; the node must be initialised.
 
     Args:
-        everything: names for new listeners, which may have missed some.
-        detail: describes a fault of a nodelet; empty if it has none.
-        topic: where it announces them.
+        describe: returns the message about a nodelet, loaded or not.
+        topic: where changes are announced.
     """
 
-    def __init__(
-        self,
-        everything: Callable[[], Iterable[str]],
-        detail: Callable[[str], str] = lambda name: "",
-        topic: str = f"~{TOPIC}",
-    ) -> None:
+    def __init__(self, describe: Callable[[str], NodeletPorts], topic: str = f"~{TOPIC}") -> None:
         super().__init__()
-        self._everything = everything
-        self._detail = detail
+        self._describe = describe
+        self._process = f"{rospy.get_node_uri()}@{os.getpid()}"
         #: Global name of the topic that it publishes.
         self.topic = rospy.resolve_name(topic)
         self._lock = state_lock("announcer")
-        self._names: set[str] = set()
+        self._sequence = self._announced = 0
+        self._changed: dict[str, int] = {}  # number of the last change of each nodelet
         self._publisher: rospy.Publisher | None = None
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
 
     def start(self) -> None:
-        """Announce from now on; new listeners query immediately."""
+        """Announce from now on."""
         self._publisher = rospy.Publisher(
             self.topic, NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
         self._worker.start()
 
     def announce(self, name: str) -> None:
-        """Announce a nodelet; returns at once."""
+        """Number a change of a nodelet, and announce it soon."""
         with self._lock:
-            self._names.add(name)
+            self._sequence += 1
+            self._changed[name] = self._sequence
         self._worker.wake()
 
+    def since(self, sequence: int) -> NodeletChanges:
+        """Return all changes after one; those after 0 describe every nodelet."""
+        with self._lock:
+            last = self._sequence
+            names = sorted(name for name, number in self._changed.items() if number > sequence)
+        return NodeletChanges(self._process, last, [self._describe(name) for name in names])
+
     def peer_subscribe(self, topic: str, publish: Any, publish_to_peer: Any) -> None:
-        """Announce every nodelet to a new listener; rospy calls it."""
-        names = sorted(self._everything())
-        if names:
-            publish_to_peer(self._message(names))
+        """Announce every nodelet to a new subscriber; rospy calls it."""
+        changes = self.since(0)
+        if changes.nodelets:
+            publish_to_peer(changes)
 
     def close(self) -> None:
         self._worker.close()
         if self._publisher is not None:
             self._publisher.unregister()
 
-    def _message(self, names: list[str]) -> NodeletChanges:
-        return NodeletChanges(names, [self._detail(name) for name in names])
-
     def _announce(self) -> None:
-        with self._lock:
-            names, self._names = self._names, set()
-        if not names or self._publisher is None:
+        changes = self.since(self._announced)
+        if not changes.nodelets or self._publisher is None:
             return
         try:
-            self._publisher.publish(self._message(sorted(names)))
+            self._publisher.publish(changes)
         except rospy.ROSException:
             return  # closed in between
-        except BaseException:
-            with self._lock:
-                self._names |= names
-            raise
-
-
-class Listener:
-    """The side that listens to any number of nodelet managers.
-
-    Args:
-        changed: called with the names of a nodelet manager and of its nodelet, and a description
-            of that one's fault, on rospy's threads.
-    """
-
-    def __init__(self, changed: Callable[[str, str, str], None]) -> None:
-        self._changed = changed
-        self._turn = turn_lock("listening to nodelet managers")
-        self._subscribers: dict[str, Any] = {}
-        self._closed = False
-
-    def follow(self, managers: Callable[[], Iterable[str]]) -> None:
-        """Listen to exactly the nodelet managers of this moment, until it is closed.
-
-        They are read within the turn: an older list must not replace a newer one.
-        """
-        with self._turn:
-            wanted = [] if self._closed else sorted(managers())
-            for manager in [each for each in self._subscribers if each not in wanted]:
-                self._subscribers.pop(manager).unregister()
-            for manager in wanted:
-                if manager not in self._subscribers:
-                    self._subscribers[manager] = rospy.Subscriber(
-                        f"{manager}/{TOPIC}", NodeletChanges, self._receive, manager
-                    )
-
-    def _receive(self, message: NodeletChanges, manager: str) -> None:
-        for name, detail in changes_in(message):
-            self._changed(manager, name, detail)
-
-    def close(self) -> None:
-        self._closed = True
-        self.follow(list)
-
-
-def changes_in(message: NodeletChanges) -> Iterator[tuple[str, str]]:
-    """Yield the nodelets that a message names, each with the description of its fault."""
-    return itertools.zip_longest(message.nodelets, message.details, fillvalue="")
+        with self._lock:
+            self._announced = changes.sequence
+            for each in changes.nodelets:
+                if not each.is_loaded and self._changed[each.nodelet] <= changes.sequence:
+                    del self._changed[each.nodelet]

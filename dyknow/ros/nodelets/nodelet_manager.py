@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, Sequence
 
 import rospy
-from dyknow_msgs.srv import GetCounts, GetCountsResponse
+from dyknow_msgs.msg import NodeletPorts
 from nodelet import srv
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
@@ -38,14 +38,14 @@ from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import NODES_TOPIC, Announcer
 from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
-from dyknow.ros.nodelets.lease_service import LeaseService, end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
+from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
 from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
 from dyknow.ros.process import descriptors, programs
 from dyknow.ros.process.node_process import NodeProcess
 from dyknow.ros.transport.middleware import rospy_middleware
 from dyknow.ros.transport.registrar import guard_topics, hide_topics
-from dyknow.ros.wire.messages import counts_message
+from dyknow.ros.wire.messages import port_message
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5
@@ -134,41 +134,33 @@ class NodeletManager(Closable):
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
-        self._announcer = Announcer(
-            self.loader.list,
-            lambda name: self._stuck.detail(name),
-            *([NODES_TOPIC] if find_class else []),
-        )
+        self._announcer = Announcer(self._describe, *([NODES_TOPIC] if find_class else []))
         self._stuck = StuckCallbacks(
             self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
         self._stuck.start()
         self._services: list[Any] = []
-        self._lease_service: LeaseService | None = None
-        self._kind = NodeletKind.PYTHON
-        self._ending = False
+        self._poll_service: PollService | None = None
 
     def offer(self) -> None:
-        """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~get_counts``."""
+        """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~poll``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._announcer.start()
-        self._lease_service = LeaseService(self._runtime.bus, self._guards)
+        self._offer_poll(NodeletKind.PYTHON)
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
-            rospy.Service("~get_counts", GetCounts, self._get_counts),
             rospy.Service("~list", srv.NodeletList, self._list),  # the last: where it is, all are
         ]
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
         """Host one thing under the name of the node, which is not a nodelet manager then."""
-        self._kind = kind
         name = rospy.get_name()
         hide_topics([self._announcer.topic])
         self.loader.load(name, kind.value, remappings)
-        self._lease_service = LeaseService(self._runtime.bus, self._guards)
-        self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
-        self._announcer.start()  # last: subscribers query immediately
+        self._announcer.announce(name)
+        self._offer_poll(kind)
+        self._announcer.start()  # last: managers poll a node that they hear of
 
     def load(self, request: srv.NodeletLoadRequest, caller: str = "") -> None:
         """Load a nodelet; ``caller`` is the requesting node, empty when it is this one.
@@ -214,14 +206,15 @@ class NodeletManager(Closable):
         keeps nodelets running has to see a process that ends, not nodelets that go.
         """
         logging.getLogger("rosout").addFilter(_is_no_late_connection)
-        self._ending = True
+        if self._poll_service is not None:
+            self._poll_service.is_ending = True
         # Ctrl-C of a launch file ends the clients too: they unload their nodelets.
         with self._bond_ended:
             self._bond_ended.wait_for(lambda: not self._bonded, CLIENTS_PATIENCE)
         for service in self._services:
             service.shutdown("the nodelet manager ends")
-        if self._lease_service is not None:
-            self._lease_service.close()
+        if self._poll_service is not None:
+            self._poll_service.close()
         self.loader.close()
         self._stuck.close()
         self._announcer.close()
@@ -265,6 +258,20 @@ class NodeletManager(Closable):
         thing.on_change = lambda: self._announcer.announce(context.name)
         return ProxyServices(thing, self._guards.check_caller)
 
+    # What managers poll
+
+    def _offer_poll(self, kind: NodeletKind) -> None:
+        self._poll_service = PollService(
+            kind, self.loader, self._runtime.bus, self._guards, self._announcer, self._stuck
+        )
+
+    def _describe(self, name: str) -> NodeletPorts:
+        context = self.loader.find(name)
+        proxy = context.attached if context is not None else None
+        ports = proxy.get_config() if isinstance(proxy, NodeletProxy) else ()
+        detail = self._stuck.detail(name)
+        return NodeletPorts(name, context is not None, list(map(port_message, ports)), detail)
+
     # Services
 
     def _load(self, request: Any) -> srv.NodeletLoadResponse:
@@ -283,23 +290,10 @@ class NodeletManager(Closable):
 
     def _list(self, request: Any) -> srv.NodeletListResponse:
         running = self.loader.list()
-        if self._ending:  # checked last: the end may have unloaded some
+        if self._poll_service is None or self._poll_service.is_ending:
+            # Checked last: the end may have unloaded some.
             raise rospy.ServiceException("the nodelet manager ends")
         return srv.NodeletListResponse(running)
-
-    def _get_counts(self, request: Any) -> GetCountsResponse:
-        wanted = set(request.nodelets)
-        try:
-            self._guards.current().check_sizes(wanted, len(request.nodelets))
-        except LimitExceeded as error:
-            raise rospy.ServiceException(str(error)) from error
-        counts = [
-            counts_message(context.name, context.attached.get_statistics())
-            for context in self.loader.contexts()
-            if isinstance(context.attached, NodeletProxy)
-            and (not wanted or context.name in wanted)
-        ]
-        return GetCountsResponse(counts, self._kind.value, self._stuck.remains())
 
 
 def _declared_classes() -> Callable[[str, Context], type[Nodelet]]:

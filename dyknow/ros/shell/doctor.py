@@ -9,6 +9,7 @@ knows (descriptors, disks, the age of a process) is examined for the processes o
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import socket
@@ -22,7 +23,7 @@ from typing import Any, Callable, Iterator, NamedTuple
 import psutil
 import rosgraph
 import rospkg
-from dyknow_msgs.srv import GetCounts
+from dyknow_msgs.srv import PollResponse
 
 import dyknow
 from dyknow import names
@@ -37,7 +38,8 @@ from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.nodelets.owner import is_taken
 from dyknow.ros.shell.shell_client import ShellClient
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.service_client import ServiceClient
+from dyknow.ros.wire.poll_client import PollClient
+from dyknow.ros.wire.service_client import OTHER_VERSION
 
 #: Seconds for each answer of a node.
 PATIENCE = 2.0
@@ -134,6 +136,27 @@ class Doctor:
             return NodeFacts(name, uri, self._master.pid(name, uri, PATIENCE))
         except (PeerTimeout, LookupError) as error:
             return NodeFacts(name, uri, trouble=error.__cause__ or error)
+
+    @cached_property
+    def _polls(self) -> dict[str, PollResponse | str]:
+        """How each process that runs nodelets answers a poll; or a text that says why not."""
+        _, _, services = self._master.ask("getSystemState")
+        offered = {service for service, _ in services}
+        managers = {name for name in self.nodes if names.join(name, "load_nodelet") in offered}
+        nodes = {name for name in self.nodes if names.join(name, "get_config") in offered}
+        found = sorted(managers | nodes)
+
+        def poll(name: str) -> PollResponse | str:
+            if names.join(name, "get_counts") in offered:  # a service of earlier versions
+                return OTHER_VERSION
+            with contextlib.closing(PollClient(self._master, name, name in nodes)) as client:
+                try:
+                    return client.ask(PATIENCE)
+                except (DyKnowError, PeerTimeout) as error:
+                    return str(error)
+
+        with ThreadPoolExecutor(_ASKERS) as pool:
+            return dict(zip(found, pool.map(poll, found)))
 
     @cached_property
     def model(self) -> Model:
@@ -233,13 +256,8 @@ class Doctor:
 
     def remains(self) -> Iterator[Finding]:
         """Find code of nodelets that were unloaded, and that still runs."""
-        for host in self.client.nodelet_managers():
-            counts = ServiceClient(self._master, names.join(host, "get_counts"), GetCounts)
-            try:
-                found = counts.call(PATIENCE, [host]).remains
-            except (DyKnowError, PeerTimeout):
-                continue  # a stock nodelet manager, or one that another check finds
-            for text in found:
+        for host, answer in self._polls.items():
+            for text in [] if isinstance(answer, str) else answer.remains:
                 yield Finding(
                     host,
                     text,
@@ -307,7 +325,10 @@ class Doctor:
         return list(found.values())
 
     def versions(self) -> Iterator[Finding]:
-        """Find processes that run older code than the installed one."""
+        """Find processes that run older code than the installed one, or of another version."""
+        for name, answer in self._polls.items():
+            if isinstance(answer, str) and OTHER_VERSION in answer:
+                yield Finding(name, "was started with another version of DyKnow", "restart it")
         changed = max(file.stat().st_mtime for file in self.code.rglob("*.py"))
         for name, process in self._processes:
             try:

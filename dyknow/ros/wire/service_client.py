@@ -37,6 +37,7 @@ _PREFIX = "service cannot process request: "
 _LENGTH = struct.Struct("<I")
 _CHUNK = 1 << 16
 _LEAST_WAIT = 0.001
+OTHER_VERSION = "its process was started with another version of DyKnow: restart it"
 
 
 def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
@@ -56,9 +57,7 @@ class ConnectionRefused(HostError):
 
     def __init__(self, what: str, answer: str) -> None:
         self.answer = answer
-        advice = ""
-        if "md5sum" in answer:
-            advice = "; its process was started with another version of DyKnow: restart it"
+        advice = f"; {OTHER_VERSION}" if "md5sum" in answer else ""
         super().__init__(f"{what} cannot be used: {answer}{advice}")
 
 
@@ -164,6 +163,7 @@ class ServiceClient:
         service_class: Any,
         persistent: bool = False,
         reconnects: bool = True,
+        beside: str = "",
     ) -> None:
         """Prepare calls; nothing is sent yet.
 
@@ -174,12 +174,15 @@ class ServiceClient:
             persistent: keep the connection.
             reconnects: connect again when a kept connection is lost, perhaps to another process
                 that offers the service now.
+            beside: a service of the same process, which is looked up instead of one that is not
+                registered with the master.
         """
         self.name = name
         self._master = master
         self._class = service_class
         self._persistent = persistent
         self._reconnects = reconnects
+        self._registered = beside or name
         #: Where the service was found last; another process has another address.
         self.address = ""
         self._turn = turn_lock("service client")
@@ -314,9 +317,9 @@ class ServiceClient:
             raise ServiceLost(f"service {self.name}: the connection was lost")
         while True:
             try:
-                return str(self._master.ask("lookupService", self.name))
+                return str(self._master.ask("lookupService", self._registered))
             except LookupError as error:
-                raise ServiceLost(f"service {self.name} is not offered") from error
+                raise ServiceLost(f"service {self._registered} is not offered") from error
             except PeerTimeout as error:
                 if self.address:
                     return self.address

@@ -117,7 +117,7 @@ def test_list_as_json(chain):
 
 def test_list_shows_details_below(chain):
     chain.host.details["/cam"] = "a callback has been running for 12 s"
-    chain.world.manager.look({"/cam"})
+    chain.world.manager.look()
     assert run(chain, "list -l").lines[3:] == ["/cam: a callback has been running for 12 s"]
 
 

@@ -352,7 +352,7 @@ def test_undeclared_ports_of_a_cpp_nodelet_stay_unless_the_file_moves_them(clien
     host.sources["pkg/Native"] = [("image", "in", IMAGE), ("~out", "out", IMAGE), tf]
     run(client, "load w.xml")
     host.connect("/n", {"/tf": "/other/tf"})
-    client.world.manager.look({"/n"})
+    client.world.manager.look()
     assert run(client, "load w.xml --json").json["nodelets"]["changed"] == []
     run(client, "save moved.xml")
     run(client, "destroy n")

@@ -135,7 +135,7 @@ class Lives(Field):
 
     def connect(self, name: str, topics: Dict[str, str]) -> None:
         self.host.connect(name, topics)
-        self.manager.look({name})
+        self.manager.look()
 
     def change_claim(self, dice: random.Random) -> None:
         if self.claimed and dice.random() < 0.5:

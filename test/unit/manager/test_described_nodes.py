@@ -256,5 +256,5 @@ def test_it_is_used_once_all_of_its_ports_are_there(robot: Robot) -> None:
     with pytest.raises(NoPlanFound):
         robot.acquire()
     robot.host.lazy.clear()
-    robot.manager.look({"/robot/where"})
+    robot.manager.look()
     assert robot.acquire().reused == ("/robot/where",)

@@ -199,7 +199,7 @@ def make_ports(field: Field, name: str) -> None:
     field.host.lazy.clear()
     ports = field.host.nodelet(name).ports
     ports["camera_info"] = replace(ports["camera_info"], topic="/beside/camera_info")
-    field.manager.look({name})
+    field.manager.look()
 
 
 def test_ports_that_are_made_late_are_connected_as_planned(field: Field) -> None:
@@ -233,10 +233,10 @@ def test_what_people_connect_before_it_is_made_is_their_will(
     field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/other"})
     field.host.connect("/mine", {"camera_info": "/info"})
     if is_noticed:
-        field.manager.look({"/mine"})
+        field.manager.look()
         assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
     field.host.lazy.clear()
-    field.manager.look({"/mine"})
+    field.manager.look()
     assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
     assert field.host.nodelet("/mine").ports["camera_info"].topic == "/info"
     assert field.host.nodelet("/mine").ports["image"].topic == "/image"
@@ -245,8 +245,8 @@ def test_what_people_connect_before_it_is_made_is_their_will(
 def test_what_people_connect_afterwards_is_their_will(field: Field) -> None:
     field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/info"})
     field.host.lazy.clear()
-    field.manager.look({"/mine"})
+    field.manager.look()
     field.host.connect("/mine", {"camera_info": "/elsewhere"})
-    field.manager.look({"/mine"})
+    field.manager.look()
     assert field.manager.graph.get("/mine").topics["camera_info"] == "/elsewhere"
     assert field.host.nodelet("/mine").ports["camera_info"].topic == "/elsewhere"

@@ -203,7 +203,7 @@ def test_a_nodelet_in_a_stock_manager_keeps_its_topics(world: World) -> None:
     ]
     with pytest.raises(FixedTopics, match="launch-prefix 'rosrun dyknow rewirable'"):
         world.manager.connect([("robot/n", {"image": "/other"})])
-    world.manager.look({"/robot/n"})
+    world.manager.look()
     assert world.manager.graph.get("/robot/n").topics == {"image": "/cam/image", "~out": "/small"}
     world.host.kill(record.manager)
     world.manager.look()
@@ -242,7 +242,7 @@ def test_a_cpp_nodelet_is_wired_by_remapping_and_rewired_live(live: World) -> No
     topics = [(port.name, port.topic) for port in record.ports]
     assert topics == [("image", "/cam/image"), ("~out", ""), ("/tf", "")]
     live.host.connect("/robot/n", {"~out": "/small", "/tf": "/other/tf"})
-    live.manager.look({"/robot/n"})
+    live.manager.look()
     moved = {"image": "/cam/image", "~out": "/small", "/tf": "/other/tf"}
     assert live.manager.graph.get("/robot/n").topics == moved
     live.host.kill(record.manager)
@@ -258,7 +258,7 @@ def test_a_lazy_cpp_nodelet_shows_its_declared_ports(live: World) -> None:
         ports = live.manager.graph.get("/n").ports
         shown = {port.name: (port.direction, port.topic) for port in ports}
         assert shown["image"] == ("in", "/cam/image")
-        live.manager.look({"/n"})
+        live.manager.look()
 
 
 @pytest.mark.parametrize(

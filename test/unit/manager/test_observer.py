@@ -12,7 +12,9 @@ from unit.manager.world import World
 
 from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
+from dyknow.manager.observer import PERIOD
 from dyknow.model.graph import NodeletKind, State
+from dyknow.periodic import PAUSE
 
 
 def test_nodelets_of_a_nodelet_manager_that_exists_no_more_are_placed_again(world: World) -> None:
@@ -77,18 +79,15 @@ def test_what_may_still_publish_is_not_taken_for_lost(world: World, goes_on: boo
     assert world.states() == {"/a": "RUNNING" if goes_on else "LOST"}
 
 
-def test_ports_that_could_not_be_asked_for_are_asked_for_again(world: World) -> None:
+def test_ports_of_a_busy_nodelet_are_followed_by_the_next_look_which_comes_soon(
+    world: World,
+) -> None:
     world.spawn("relay", "b", config={"in": "/i"})
     world.host.connect("/b", {"in": "/elsewhere"})
-
-    def fail(operation: str, argument: str) -> None:
-        raise HostError("not now")
-
-    world.host.fail = fail
-    world.manager.look({"/b"})
-    world.host.recover()
+    with world.manager.graph.changing("/b"):
+        assert world.manager.look() == PAUSE
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/i"}
-    world.manager.look()
+    assert world.manager.look() == PERIOD
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
 
 
@@ -276,7 +275,7 @@ def test_an_unchanged_picture_is_no_new_revision(world: World) -> None:
     world.manager.graph.on_change = lambda: changes.append(1)
     revision = world.manager.graph.revision
     for _ in range(5):
-        world.manager.look({"/a"})
+        world.manager.look()
     assert (world.manager.graph.revision, changes) == (revision, [])
 
 
@@ -301,10 +300,10 @@ def test_a_nodelet_that_is_lost_is_logged_once(
 def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:
     world.spawn("camera", "a")
     world.host.details["/a"] = "a callback has been running for 12 s"
-    world.manager.look({"/a"})
+    world.manager.look()
     assert world.manager.get_model().nodelets[0].detail == "a callback has been running for 12 s"
     world.manager.look()
     assert world.manager.get_model().nodelets[0].detail == "a callback has been running for 12 s"
     world.host.details.clear()
-    world.manager.look({"/a"})
+    world.manager.look()
     assert world.manager.get_model().nodelets[0].detail == ""

@@ -155,7 +155,7 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
     image = lab.field.acquire("Image(?c)").claim
     config = {"image": image.topic, "info": "/camera_left_1/info"}
     lab.field.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
-    lab.field.manager.look({"/camera_left_1"})
+    lab.field.manager.look()
     lab.field.spawn("rectifier", "/mine", config=config)
     lab.field.manager.look()
     lab.field.reconciler.reconcile()
@@ -165,7 +165,7 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
     else:
         lab.field.host.connect("/camera_left_1", {"info": ""})
         lab.field.manager.remove_transformation("camera left")
-        lab.field.manager.look({"/camera_left_1"})
+        lab.field.manager.look()
     lab.settle()
     assert lab.field.claim(image.claim_id).bindings == (("?c", "right"),)
     mine = lab.field.host.nodelet("/mine")
@@ -201,7 +201,7 @@ def test_one_that_does_not_answer_holds_up_no_repair_and_is_reconfigured_later(l
     image = lab.field.acquire("Image(?c)").claim
     lab.field.host.add("/far")
     lab.field.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
-    lab.field.manager.look({"/camera_left_1"})
+    lab.field.manager.look()
     config = {"image": image.topic, "info": "/camera_left_1/info"}
     lab.field.spawn("rectifier", "/mine", config=config, manager="/far")
     lab.settle()

@@ -223,7 +223,7 @@ def test_a_claim_follows_when_people_connect_its_source_elsewhere(lab: Lab) -> N
     claim = field.acquire("Ball(?c)").claim
     assert (claim.goal[0], claim.bindings) == ("/hand", (("?c", "left"),))
     field.host.connect("/hand", {"image": "/right"})
-    field.manager.look({"/hand"})
+    field.manager.look()
     lab.settle()
     now = field.claim(claim.claim_id)
     assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))

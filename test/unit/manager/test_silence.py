@@ -205,7 +205,7 @@ def test_a_stream_that_is_whole_again_says_so(field: Field) -> None:
     field.manager.remove_transformation("localization")
     planes = field.acquire("RelativePosition(ball)").claim
     field.manager.host.connect("/mine", {"ball": planes.topic})
-    field.manager.look({"/mine"})
+    field.manager.look()
     field.acquire()
     field.settle(2.0)
     assert details(field) == ["", ""]

@@ -47,7 +47,7 @@ def test_after_two_crashes_the_one_at_work_is_restored_alone(world: World) -> No
     assert (good.manager, good.isolated, good.detail) == (SHARED, False, "")
     assert "SIGSEGV" in bad.detail
     world.kill_manager()
-    world.manager.look({"/bad"})
+    world.manager.look()
     assert world.manager.graph.get("/bad").detail == bad.detail
     loads = world.host.calls.count(("load", "/good"))
     for _ in range(3):

@@ -154,7 +154,7 @@ def test_who_sends_something_else_on_a_claim_s_topic_is_taken_off(field: Field) 
     claim = field.acquire().claim
     field.spawn("noise", "/noise", config={"position": "/noise/position"})
     field.host.connect("/noise", {"position": claim.topic})
-    field.manager.look({"/noise"})
+    field.manager.look()
     field.settle()
     assert field.host.publishers(claim.topic) == [claim.goal[0]]
     assert field.state(claim.claim_id) is ClaimState.ACTIVE

@@ -244,7 +244,7 @@ class Truth(FaultyLife):
         host.fail, host.slow = fail, slow
         self.witness.guilt.clear()
         self.witness.excuse()
-        self.field.manager.look({name})
+        self.field.manager.look()
 
     # Accidents
 
@@ -360,7 +360,7 @@ class Truth(FaultyLife):
 
     def look_at_everything(self) -> None:
         """What the announcements of the proxies would bring about."""
-        self.field.manager.look(set(self.field.host.running))
+        self.field.manager.look()
 
 
 def check(count: int, steps: int, **kwds: bool) -> None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A ROS graph small enough for a unit test: a master, and nodelet managers that only list."""
+"""A ROS graph small enough for a unit test: a master, and processes that are only polled."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import socket
 import struct
 import threading
 from io import BytesIO
-from typing import Dict, List
+from typing import Any, Dict, List
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
-from dyknow_msgs.srv import GetCounts, GetCountsResponse
+from dyknow_msgs.msg import NodeletChanges, NodeletPorts
+from dyknow_msgs.srv import Poll, PollResponse
 from nodelet.srv import NodeletList, NodeletListResponse
 
 _pids = itertools.count(1000)
@@ -53,18 +54,13 @@ class SmallMaster:
             {
                 "lookupNode": lambda caller, name: self._of(name, "uri"),
                 "lookupService": lambda caller, name: self._service(*name.rsplit("/", 1)),
-                "getSystemState": lambda caller: [
-                    [[f"{name}/changes", [name]] for name in self.nodes],
-                    [],
-                    [],
-                ],
             }
         )
         self.uri = self._served.uri
 
     def _service(self, name, service):
         kind = getattr(self.nodes.get(name), "kind", "")
-        return self._of(name, "service") if service == ("get_counts" if kind else "list") else None
+        return self._of(name, "service") if service == ("get_config" if kind else "list") else None
 
     def _of(self, name, what):
         return getattr(self.nodes[name], what) if name in self.nodes else None
@@ -74,20 +70,22 @@ class SmallMaster:
 
 
 class SmallManager:
-    """Serves `list`, or `get_counts` of a node, reports its process id, and ends on request.
+    """Answers polls, reports its process id, and ends on request.
 
     Attributes:
         kind: what it is if it is a re-wirable node.
-        nodelets: names of its nodelets.
+        nodelets: names of its nodelets; of a node its own.
+        requests: the polls that it answered.
         goes_on: cleared while the process is stopped.
         ended: set when it was told to end.
         connections: how many clients have connected so far.
-        error: sent in the header of each connection; empty: there is none.
+        error: sent in the header of each connection for polls; empty: there is none.
     """
 
     def __init__(self, kind=""):
         self.kind = kind
         self.nodelets: List[str] = []
+        self.requests: List[Any] = []
         self.pid = next(_pids)
         self.goes_on = threading.Event()
         self.goes_on.set()
@@ -131,29 +129,33 @@ class SmallManager:
 
     def _serve(self, connection):
         with contextlib.suppress(OSError, struct.error), connection:
-            self._read(connection)
-            service = GetCounts if self.kind else NodeletList
+            is_poll = b"/poll" in self._read(connection)
+            service = Poll if is_poll else NodeletList
             fields = {"callerid": "/small", "md5sum": service._md5sum, "type": "*"}
-            if self.error:
+            if is_poll and self.error:
                 fields = {"error": self.error}
             rosgraph.network.write_ros_handshake_header(connection, fields)
             while True:
-                self._read(connection)
+                request = service._request_class().deserialize(self._read(connection))
                 self.goes_on.wait()
+                self.requests.append(request)
                 body = BytesIO()
-                if self.kind:
-                    GetCountsResponse(kind=self.kind).serialize(body)
-                else:
-                    NodeletListResponse(self.nodelets).serialize(body)
+                listed = NodeletListResponse(self.nodelets)
+                (self._response(request) if is_poll else listed).serialize(body)
                 answer = body.getvalue()
                 connection.sendall(b"\1" + struct.pack("<I", len(answer)) + answer)
+
+    def _response(self, request):
+        changes = NodeletChanges(str(self.pid), 1, [])
+        if request.seen < 1:
+            changes.nodelets = [NodeletPorts(name, True, [], "") for name in self.nodelets]
+        return PollResponse(self.kind or "nodelet", 1.0, self.nodelets, changes, [], [])
 
     @staticmethod
     def _read(connection):
         """Read data that begins with its length."""
         (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
-        if length:
-            connection.recv(length, socket.MSG_WAITALL)
+        return connection.recv(length, socket.MSG_WAITALL) if length else b""
 
 
 @contextlib.contextmanager

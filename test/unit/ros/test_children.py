@@ -23,6 +23,7 @@ from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting import children as children_module
 from dyknow.ros.hosting import launcher as launcher_module
+from dyknow.ros.hosting.child import Child
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.grants import PeerContext
@@ -42,7 +43,7 @@ class FakeLauncher:
         self.at_launch: List[ChildRecord] = []
         self.launched = threading.Event()
         self.living = self.follow = lambda name: None
-        self.is_free = self.is_up = self.is_rewirable = lambda *unused: True
+        self.is_free = lambda *unused: True
         self.registered = lambda name: ""
 
     def running(self):
@@ -57,14 +58,22 @@ class FakeLauncher:
         raise OSError("no process")
 
 
+def come_up(child):
+    if child.record.process is not None:
+        child.presence = replace(child.presence, state=replace(child.state, incarnation="1"))
+        child.on_up()
+
+
 @pytest.fixture
-def launcher(tmp_path):
+def launcher(tmp_path, monkeypatch):
+    monkeypatch.setattr(Child, "_find", come_up)
     return FakeLauncher(str(tmp_path / "children.json"))
 
 
 @pytest.fixture
 def children(launcher):
-    return Children(PeerContext(Master("/manager")), launcher, "/", launcher.path)
+    nowhere = Master("/manager", "http://127.0.0.1:9")
+    return Children(PeerContext(nowhere), launcher, "/", launcher.path)
 
 
 class SlowDisk:

@@ -10,13 +10,14 @@ import time
 from typing import List
 
 import pytest
-from clocks import eventually, wait_for
+from clocks import PATIENCE, eventually, wait_for
+from dyknow_msgs.msg import NodeletChanges, NodeletPorts, Port
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.model.graph import NodeletKind
-from dyknow.ros.hosting import external
-from dyknow.ros.hosting.counts import counts_of
+from dyknow.manager.host import Reported
+from dyknow.model.graph import NodeletKind, PortState
+from dyknow.ros.hosting import external, grants
 from dyknow.ros.hosting.external import External, Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.wire.master import Master
@@ -26,7 +27,7 @@ FAR = "/far"
 
 @pytest.fixture
 def graph(monkeypatch):
-    monkeypatch.setattr(external, "_PERIOD", 0.05)
+    monkeypatch.setattr(external, "_NAME_PERIOD", 0.05)
     with small_graph() as graph:
         yield graph
 
@@ -40,7 +41,7 @@ def peer(graph):
     graph.nodes[FAR] = SmallManager()
     graph.nodes[FAR].nodelets = ["/b", "/a"]
     peer = External(context(graph), FAR)
-    peer.start()
+    peer.wake()
     eventually(lambda: peer.state.responsive)
     yield peer
     peer.close()
@@ -61,11 +62,11 @@ def test_no_call_waits_for_one_that_was_never_seen():
     (peer,) = peers.all()
     assert (peer.state.unseen, peer.state.away, peer.state.alive) == (True, True, False)
     with pytest.raises(HostTimeout, match="has not answered yet"):
-        peer.list()
+        peer.nodelets()
     answer.set()
     eventually(lambda: not peer.state.unseen)
     with pytest.raises(HostError, match="is not running"):
-        peer.list()
+        peer.nodelets()
     assert not peer.state.away
     peers.close()
 
@@ -75,22 +76,22 @@ def test_one_that_hangs_is_asked_again_by_its_thread_alone(graph, peer):
     assert before == f"{manager.uri}@{manager.pid}"
     manager.goes_on.clear()
     with pytest.raises(HostTimeout):
-        peer.list()
+        peer.nodelets()
     assert (peer.state.alive, peer.state.responsive, peer.state.away) == (True, False, True)
     connections = manager.connections
     with pytest.raises(HostTimeout):
-        peer.list()
+        peer.nodelets()
     assert manager.connections == connections
     manager.goes_on.set()
     eventually(lambda: peer.state.responsive)
     assert peer.state.incarnation == before
-    assert peer.list() == ["/a", "/b"]
+    assert sorted(peer.nodelets()) == ["/a", "/b"]
 
 
 def test_one_that_ended_is_gone_and_not_away(graph, peer):
     graph.nodes[FAR].close()
     with pytest.raises(HostError):
-        peer.list()
+        peer.nodelets()
     eventually(lambda: not peer.state.away)
     assert (peer.state.alive, peer.state.responsive) == (False, False)
     for number in range(1, 4):  # at any moment of the pause between two looks
@@ -105,7 +106,7 @@ def test_a_lost_connection_is_no_other_process(graph, peer):
     before = peer.state.incarnation
     graph.nodes[FAR].lose_connections()
     with pytest.raises(HostError):
-        peer.list()
+        peer.nodelets()
     eventually(lambda: peer.state.responsive)
     assert peer.state.incarnation == before
 
@@ -115,11 +116,11 @@ def test_a_successor_is_never_taken_for_its_predecessor(graph, peer):
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
     elder.close()
     with pytest.raises(HostError):
-        peer.list(before)
+        peer.nodelets(incarnation=before)
     eventually(lambda: peer.state.responsive)
     with pytest.raises(HostError, match="another process"):
-        peer.list(before)
-    assert peer.list() == []
+        peer.nodelets(incarnation=before)
+    assert peer.nodelets() == {}
 
 
 @pytest.mark.parametrize("hangs", [False, True])
@@ -128,10 +129,10 @@ def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(graph, peer, han
     if hangs:
         elder.goes_on.clear()
         with pytest.raises(HostTimeout):
-            peer.list()
+            peer.nodelets()
     graph.nodes[FAR] = SmallManager()
     try:
-        eventually(lambda: peer.state.responsive and not peer.list())
+        eventually(lambda: peer.state.responsive and not peer.nodelets())
         assert elder.ended.is_set() <= (not hangs)
         elder.goes_on.set()
         wait_for(elder.ended)
@@ -154,20 +155,43 @@ def test_another_process_at_the_same_address_is_left_alone(graph, peer):
 
 def test_a_master_that_is_away_changes_nothing(graph, peer):
     graph.close()
-    peer.look()
+    for _ in range(3):
+        peer.loop.wait_for(peer._key, peer.wake(), PATIENCE)
     assert peer.state.responsive
-    assert peer.list() == ["/a", "/b"]
+    assert sorted(peer.nodelets()) == ["/a", "/b"]
 
 
-def test_a_nodelet_is_where_it_was_seen_last(graph, peer):
-    peers = Externals(context(graph), [FAR])
-    peers.start()
-    eventually(lambda: peers.hosting("/a"))
-    found = peers.hosting("/a")
-    assert found is not None and found.name == FAR
-    found.forget("/a")
-    assert peers.hosting("/a") is None
-    peers.close()
+def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(graph, peer):
+    requests = graph.nodes[FAR].requests
+    peer.nodelets()
+    assert {each.duration for each in requests} == {0.0}
+    peer.context.producers = {"/topic": "/a"}
+    peer.lease.grant()
+    peer.wake()
+    eventually(lambda: len([each for each in requests if each.duration]) > 2)
+    assert (requests[-1].topics, requests[-1].nodelets) == (["/topic"], ["/a"])
+    assert {each.confirmed for each in requests if each.duration} == {1.0}
+    peer.release()
+    assert (requests[-1].topics, requests[-1].duration) == ([], grants.DURATION)
+
+
+def test_an_older_answer_never_replaces_a_newer_announcement(graph, peer):
+    """Nor do announcements of another process of that name."""
+    process = peer.presence.process
+    assert peer.presence.nodelets == {"/a": Reported(sequence=1), "/b": Reported(sequence=1)}
+    port = Port("in", Port.IN, "std_msgs/Header", "/t", [], 0.0, 0.0)
+    for sequence, of, ports, expected in (
+        (3, process, [port], Reported((PortState("in", "in", "std_msgs/Header", "/t"),), "", 3)),
+        (2, process, [], None),
+        (4, "another", [], None),
+        (4, process, [], Reported(sequence=4)),
+    ):
+        before = peer.presence.nodelets["/a"]
+        changes = [NodeletPorts("/a", True, ports, ""), NodeletPorts("/new", True, [], "")]
+        peer.hear(NodeletChanges(of, sequence, changes))
+        assert peer.presence.nodelets["/a"] == (expected or before)
+        assert set(peer.nodelets()) == {"/a", "/b"}
+    assert peer.presence.nodelets["/a"].sequence == 4
 
 
 # Re-wirable nodes
@@ -178,6 +202,7 @@ def nodes(graph, monkeypatch):
     monkeypatch.setattr(external, "_NODE_PATIENCE", 0.5)
     graph.nodes[FAR] = SmallManager("cpp_node")
     nodes = Externals(context(graph))
+    graph.nodes[FAR].nodelets = [FAR]
     nodes.look_for([FAR])
     yield nodes
     nodes.close()
@@ -186,10 +211,10 @@ def nodes(graph, monkeypatch):
 def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(graph, nodes):
     (node,) = nodes.all()
     assert (node.state.kind, node.state.own) == (NodeletKind.CPP_NODE, False)
-    assert node.answers and node.list() == [FAR] and nodes.hosting(FAR) is node
+    assert node.state.responsive and list(node.nodelets()) == [FAR]
     graph.nodes[FAR].close()
     with pytest.raises(HostError):
-        node.list()
+        node.nodelets()
     eventually(lambda: not nodes.all())
     assert nodes.find(FAR) is None and not node.may_publish
     eventually(lambda: not nodes._externals)
@@ -206,29 +231,31 @@ def test_a_node_that_does_not_answer_is_there_all_along(graph, nodes, hangs):
     else:
         graph.nodes[FAR].lose_connections()
     with pytest.raises(HostTimeout):
-        node.list()
+        node.nodelets()
     if hangs:
         assert (node.state.alive, node.state.responsive, node.state.away) == (True, False, True)
         eventually(lambda: time.monotonic() > node._expected_until)
     assert nodes.all() == [node]
     graph.nodes[FAR].goes_on.set()
-    eventually(lambda: node.answers)
-    assert node.state.incarnation == before and node.list() == [FAR]
+    eventually(lambda: node.state.responsive)
+    assert node.state.incarnation == before and list(node.nodelets()) == [FAR]
 
 
 def test_counts_are_those_of_the_process_that_bears_the_name_now(graph, nodes):
     (node,) = nodes.all()
 
     def is_counted():
-        return counts_of([(node.counts, [FAR])]) == {FAR: None}
+        deadline = time.monotonic() + PATIENCE
+        return node.counts(node.ask_counts([FAR]), [FAR], deadline) == {FAR: None}
 
     assert is_counted()
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager("node")
+    graph.nodes[FAR].nodelets = [FAR]
     elder.goes_on.clear()
     try:
         with pytest.raises(HostTimeout):
-            node.list()
-        eventually(lambda: node.answers)
+            node.nodelets()
+        eventually(lambda: node.state.responsive)
         eventually(is_counted)
     finally:
         elder.close()

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 from typing import Any, Set, cast
 
 import pytest
-import rospy
 from clocks import PATIENCE, in_thread, join, wait_for
+from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.manager.host import Crash, HostReport
@@ -28,7 +28,6 @@ from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.wire.master import Master
 
@@ -38,6 +37,7 @@ def host():
     """A host with one node, whose process is gone."""
     with small_graph() as graph:
         graph.nodes["/n"] = SmallManager("node")
+        graph.nodes["/n"].nodelets = ["/n"]
         context = PeerContext(Master("/test", graph.uri))
         registrar, launcher = cast(Any, SimpleNamespace()), cast(Any, SimpleNamespace())
         host = RosHost(context, Children(context, launcher, "/", ""), registrar)
@@ -51,31 +51,26 @@ def test_what_is_kept_of_a_process_goes_with_it(host):
     assert report.processes["/n"].kind is NodeletKind.NODE
     assert report.nodelets == {"/n": frozenset(["/n"])}
     host.grant(lambda: ({"/topic": "/n"}, ["/n"]))
-    host.note_detail("/n", "/n", "a callback has been running for 12 s")
-    assert host.counts({"/n": ["/n"]}) == {"/n": None}
-    assert host.detail("/n") and host.may_publish("/n")
     (node,) = host._peers()
+    stuck = NodeletPorts("/n", True, [], "a callback has been running for 12 s")
+    changes = NodeletChanges(node.presence.process, 2, [stuck])
+    host._hear("/n", changes)
+    assert host.counts({"/n": ["/n"]}) == {"/n": None}
+    assert host.reported("/n", "/n").detail and host.may_publish("/n")
     host._external._drop(cast(External, node))
     assert host.poll() == HostReport({}, {}, {})
     assert host.counts({"/n": ["/n"]}) == {"/n": None}
-    host.note_detail("/n", "/n", "it was late")
-    assert host.detail("/n") == ""
+    host._hear("/n", changes)
+    assert host.reported("/n", "/n") is None
     node.loop.close(PATIENCE)
     assert not node.loop.running
 
 
-@pytest.mark.parametrize("kind", ["guards", "producers", "announcers"])
-def test_an_older_state_never_replaces_a_newer_one(host, kind, monkeypatch):
+@pytest.mark.parametrize("kind", ["guards", "producers"])
+def test_an_older_state_never_replaces_a_newer_one(host, kind):
     """Or a nodelet would be unprotected, or a producer silent, until the next look."""
-    subscribed: Set[str] = set()
-
-    def subscribe(topic, *unused):
-        subscribed.add(topic)
-        return SimpleNamespace(unregister=lambda: subscribed.discard(topic))
-
-    monkeypatch.setattr(rospy, "Subscriber", subscribe)
     has_read, may_go_on = threading.Event(), threading.Event()
-    listener, context = Listener(lambda *unused: None), host._context
+    context = host._context
     nodelets = {"/n": ["/n"]}
     producers = {"/topic": "/n"}
     older, newer, hand_over, result = {
@@ -86,7 +81,6 @@ def test_an_older_state_never_replaces_a_newer_one(host, kind, monkeypatch):
             host.grant,
             lambda: context.producers == producers,
         ),
-        "announcers": ([], ["/n"], listener.follow, lambda: subscribed == {"/n/changes"}),
     }[kind]
 
     def slowly():
@@ -101,9 +95,6 @@ def test_an_older_state_never_replaces_a_newer_one(host, kind, monkeypatch):
     may_go_on.set()
     join(first, second)
     assert result()
-    listener.close()
-    listener.follow(lambda: ["/late"])
-    assert subscribed == set()
 
 
 def test_fixed_nodelets_have_services_until_the_end(monkeypatch):

@@ -5,107 +5,56 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, Dict, List
+from typing import Any, Dict
 
 import pytest
-from clocks import PATIENCE, HandClock, wait_for
+from clocks import HandClock
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
 from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
-from dyknow.periodic import LONGEST_TICK, ControlLoop, RunningClock
-from dyknow.ros.hosting import grants
+from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting.grants import DURATION, GUARDS_PERIOD, Guarding, Lease, PeerContext
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.service_client import ServiceLost
 
 
-class Far:
-    """A nodelet manager, as the client of a lease sees it."""
-
-    def __init__(self):
-        self.requests: List[Any] = []
-        self.error: Exception | None = None
-        self.clock = 5.0
-        self.asked = threading.Condition()
-
-    def __call__(self, *unused, **kwds):
-        return self
-
-    def call(self, timeout, **request):
-        with self.asked:
-            self.requests.append(request)
-            self.asked.notify_all()
-        if self.error is not None:
-            raise self.error
-        self.clock += 1.0
-        return SimpleNamespace(clock=self.clock)
-
-    def close(self):
-        pass
-
-    def wait_for(self, count):
-        with self.asked:
-            assert self.asked.wait_for(lambda: len(self.requests) >= count, PATIENCE)
-            return list(self.requests)
+def lease(clock):
+    context = PeerContext(Master("/manager"), running=clock, producers={"/topic": "/camera"})
+    return Lease(context)
 
 
-@pytest.fixture
-def far(monkeypatch):
-    far = Far()
-    monkeypatch.setattr(grants, "ServiceClient", far)
-    return far
-
-
-@pytest.fixture
-def loop():
-    loop = ControlLoop()
-    loop.start()
-    yield loop
-    loop.close(PATIENCE)
-
-
-def lease(clock, loop):
-    """A lease, and an event that is set when it has run out."""
-    ended = threading.Event()
-    context = PeerContext(
-        Master("/manager"), on_change=ended.set, running=clock, producers={"/topic": "/camera"}
-    )
-    return Lease(context, "/far", loop, lambda: True), ended
-
-
-def test_each_renewal_confirms_the_answer_to_the_last_one_of_the_same_process(far, loop):
-    kept, _ = lease(HandClock(), loop)
+def test_a_renewal_confirms_the_last_answer_of_the_same_process():
+    kept = lease(HandClock())
+    assert kept.renewal() == {}
+    kept.answered(5.0)
+    assert kept.renewal() == {}
     kept.grant()
-    first, second, third = far.wait_for(3)[:3]
-    assert [each["confirmed"] for each in (first, second, third)] == [0.0, 6.0, 7.0]
-    assert first["topics"] == ["/topic"] and first["nodelets"] == ["/camera"]
-    assert first["duration"] == DURATION
-    far.error = ServiceLost("gone")
-    count = len(far.wait_for(3))
-    while far.wait_for(count)[-1]["confirmed"]:
-        count += 1
+    renewal = kept.renewal()
+    assert (renewal["topics"], renewal["nodelets"]) == (["/topic"], ["/camera"])
+    assert (renewal["confirmed"], renewal["duration"]) == (5.0, DURATION)
+    kept.answered(6.0)
+    assert kept.renewal()["confirmed"] == 6.0
+    released = kept.release()
+    assert (released["topics"], released["duration"]) == ([], DURATION)
+    kept.forget_clock()
+    assert kept.renewal()["confirmed"] == 0.0
 
 
-def test_a_lease_is_out_when_it_was_not_answered_for_its_duration(far, loop):
+def test_a_lease_is_out_when_it_was_not_answered_for_its_duration():
     """One may be held that an earlier life of the manager granted."""
     clock = HandClock()
-    kept, ended = lease(clock, loop)
+    kept = lease(clock)
     assert kept.may_be_held
     clock.time = DURATION
-    assert not kept.may_be_held
-    far.error = PeerTimeout("/far", 1.0)
+    assert not kept.may_be_held and kept.has_just_run_out()
     kept.grant()
-    far.wait_for(1)
     clock.time += DURATION - 0.1
-    assert kept.may_be_held
+    assert kept.may_be_held and not kept.has_just_run_out()
     clock.time += 0.2
     assert not kept.may_be_held
-    wait_for(ended)
+    assert [kept.has_just_run_out() for _ in range(2)] == [True, False]
 
 
 def test_a_pause_of_the_manager_does_not_count():

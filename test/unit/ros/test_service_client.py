@@ -11,12 +11,13 @@ import socket
 import struct
 import threading
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, List, Tuple
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
-from nodelet.srv import NodeletList
+from dyknow_msgs.srv import Poll
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, PeerTimeout
@@ -49,7 +50,7 @@ def manager(monkeypatch):
 
 
 def make_client(**options):
-    return ServiceClient(Master("/client"), f"{NAME}/list", NodeletList, **options)
+    return ServiceClient(Master("/client"), f"{NAME}/poll", Poll, beside=f"{NAME}/list", **options)
 
 
 @pytest.fixture
@@ -177,27 +178,32 @@ def of_a_service(manager):
 
 
 def of_a_child(manager):
-    child = Child(PeerContext(Master("/test")), ChildRecord(NAME, NodeletKind.PYTHON))
-    numbers = itertools.count()
+    record = ChildRecord(NAME, NodeletKind.PYTHON, "", ProcessId(1, 1))
+    child = Child(PeerContext(Master("/test")), record)
+    child.wake()
+    eventually(lambda: child.up)
+    numbers = itertools.count(2)
 
-    def ask():
+    def disturb():
+        manager.lose_connections()
         number = next(numbers)
-        if number % 20 == 0:  # another process now and then
-            child.came_up(ProcessId(1, number), True)
-        return child.list()
+        if number % 2:  # another process bears the name
+            child.record = replace(record, process=ProcessId(1, number))
+            child.went_down()
+            child.wake()
 
-    yield ask
-    yield child.close
+    yield lambda: sorted(child.nodelets())
+    yield disturb
+    child.close()
 
 
 def of_an_external(manager):
     external = External(PeerContext(Master("/test")), NAME)
-    external.start()
-    eventually(lambda: external.answers)
+    external.look_now(PATIENCE)
 
     def ask():
         try:
-            return external.list()
+            return sorted(external.nodelets())
         except HostError:
             external.look_now()
             raise

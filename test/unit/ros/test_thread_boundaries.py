@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import rospy
 from clocks import PATIENCE, in_thread, join
+from dyknow_msgs.msg import NodeletPorts
 
 from dyknow import periodic
 from dyknow.model.graph import Model
@@ -99,7 +100,7 @@ def test_the_model_is_published_although_something_failed(where):
 
 
 def test_a_change_is_announced_although_it_failed_at_first(closing):
-    announcer = Announcer(lambda: ())
+    announcer = Announcer(lambda name: NodeletPorts(name, True, [], ""))
     closing.append(announcer)
     announcer.start()
     announcer.announce("/a")

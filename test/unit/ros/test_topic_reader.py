@@ -25,21 +25,21 @@ class SmallPublisher(SmallManager):
     """Sends what it is told to whoever connects.
 
     Attributes:
-        requests: an entry for each connection that was asked for.
+        asked: an entry for each connection that was asked for.
         readers: the connections.
         answers: cleared while requests are not answered.
     """
 
     def __init__(self):
         super().__init__()
-        self.requests: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self.asked: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.readers: queue.SimpleQueue[socket.socket] = queue.SimpleQueue()
         self.answers = threading.Event()
         self.answers.set()
 
     def _serve(self, connection):
         self._read(connection)
-        self.requests.put(None)
+        self.asked.put(None)
         self.answers.wait()
         fields = {"callerid": "/small", "md5sum": String._md5sum, "type": String._type}
         rosgraph.network.write_ros_handshake_header(connection, fields)
@@ -122,7 +122,7 @@ def test_the_next_connection_is_to_the_node_that_has_the_name_now(graph, publish
     if not is_made:
         publisher.answers.clear()
     with Following(graph) as following, contextlib.closing(publisher):
-        publisher.requests.get(timeout=PATIENCE)
+        publisher.asked.get(timeout=PATIENCE)
         reader = publisher.readers.get(timeout=PATIENCE) if is_made else None
         graph.nodes["/talker"] = successor = SmallPublisher()
         following.follower.reconnect()

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Keeps a process from publishing beside its successor: leases, and the name of the node.
+"""What a process answers the DyKnow managers that poll it, and its end beside a successor.
 
-The rules of leases are in ``dyknow.nodelet.leases``; here are the service with which DyKnow
-managers renew them, the thread that watches over them, and its probe of a manager's host.
+With each poll a manager renews the lease of the process; the rules are in
+``dyknow.nodelet.leases``. Here are the thread that watches over leases, and its probe of a
+manager's host.
 
 A node ends when another one has registered under its name. The master notifies it at that moment,
 but only once. A node that is cut off just then never hears of it, so each also polls the master.
@@ -19,18 +20,26 @@ from typing import Any, Callable
 
 import rosgraph.network
 import rospy
-from dyknow_msgs.srv import RenewLease, RenewLeaseResponse
+from dyknow_msgs.srv import Poll, PollResponse
+from rospy.impl.registration import get_service_manager
+from rospy.impl.tcpros_service import ServiceImpl
 
 from dyknow.errors import LimitExceeded, PeerTimeout
+from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.bus import Bus
-from dyknow.nodelet.leases import Leases, Sight
+from dyknow.nodelet.leases import Leases, Sight, suspended_clock
+from dyknow.nodelet.leftovers import StuckCallbacks
+from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
+from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.wire.addresses import connect
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import counts_message
+from dyknow.ros.wire.poll_client import SERVICE
 
-SERVICE = "renew_lease"
 #: Seconds between two checks of the leases.
 PERIOD = 0.2
 #: Seconds for a connection to a manager's host, and for an answer.
@@ -39,35 +48,75 @@ PATIENCE = 0.4
 NAME_PERIOD = 1.0
 
 
-class LeaseService(Closable):
-    """Offers the service; the node must be initialised."""
+class PollService(Closable):
+    """Offers ``~poll``, which is not registered with the master.
 
-    def __init__(self, bus: Bus, guards: GuardParameters) -> None:
+    Managers look up another service of the process. So nothing of it shows in the graph.
+    """
+
+    def __init__(
+        self,
+        kind: NodeletKind,
+        loader: Loader,
+        bus: Bus,
+        guards: GuardParameters,
+        announcer: Announcer,
+        stuck: StuckCallbacks,
+    ) -> None:
+        """Offer it; the node must be initialised."""
+        self._kind = kind
+        self._loader = loader
         self._guards = guards
+        self._announcer = announcer
+        self._stuck = stuck
         self._leases = Leases(lambda topic: bus.owners(topic)[0], bus.fence)
         self._worker = PeriodicWorker(
             "watching over leases", lambda: self._leases.watch(probe), PERIOD
         )
-        self._service = rospy.Service("~" + SERVICE, RenewLease, self._renew)
+        #: Set first at the end of the process: it has to be seen to end, not to lose nodelets.
+        self.is_ending = False
+        self._service = ServiceImpl("~" + SERVICE, Poll, self._poll)
+        get_service_manager().map[self._service.resolved_name] = self._service
 
     def close(self) -> None:
         self._worker.close()
-        self._service.shutdown("the nodelet manager ends")
+        get_service_manager().map.pop(self._service.resolved_name, None)
 
-    def _renew(self, request: Any) -> RenewLeaseResponse:
+    def _poll(self, request: Any) -> PollResponse:
+        texts = (request.uri, *request.topics, *request.nodelets, *request.counted)
         try:
-            self._guards.current().check_sizes((request.uri, *request.topics, *request.nodelets))
+            self._guards.current().check_sizes(texts)
         except LimitExceeded as error:
             raise rospy.ServiceException(str(error)) from error
         if len(request.topics) != len(request.nodelets):
             raise rospy.ServiceException("expected as many nodelets as topics")
+        if request.duration > 0.0:
+            self._renew(request)
+        counted = set(request.counted)
+        changes = self._announcer.since(request.seen)
+        contexts = self._loader.contexts()
+        if self.is_ending:  # checked last: the end may have unloaded some
+            raise rospy.ServiceException("the process ends")
+        return PollResponse(
+            self._kind.value,
+            suspended_clock(),
+            [context.name for context in contexts],
+            changes,
+            [
+                counts_message(context.name, context.attached.get_statistics())
+                for context in contexts
+                if context.name in counted and isinstance(context.attached, NodeletProxy)
+            ],
+            self._stuck.remains(),
+        )
+
+    def _renew(self, request: Any) -> None:
         producers = dict(zip(request.topics, request.nodelets))
         if producers:
             self._worker.start()
-        clock = self._leases.renew(
+        self._leases.renew(
             caller_of(request), request.uri, request.confirmed, request.duration, producers
         )
-        return RenewLeaseResponse(clock)
 
 
 def probe(uri: str) -> Sight:
