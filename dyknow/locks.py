@@ -36,7 +36,6 @@ TURNS: dict[str, str] = {
     "library": "changes of the library reach the disk in the order of the memory",
     "nodelets on disk": "changes of nodelets, and the revision, reach the disk in that order",
     "claims on disk": "changes of claims reach the disk in the order of the memory",
-    "records of children": "records of nodelet managers reach the disk in the order of the memory",
     "parts of model messages": "what is kept of one message of the model for the next",
     "bonds of claims": "changes of claims are followed one after the other",
     "grants to processes": "guards and producers of claims: older ones never replace newer",

@@ -33,15 +33,15 @@ from dyknow.errors import DyKnowError, StoreError
 from dyknow.locks import turn_lock
 
 IN_MEMORY = ":memory:"
-#: Changes with the tables. Rows had no checksums in format 1.
-FORMAT = 2
-_WITHOUT_CHECKSUMS = 1
+#: Changes with the tables. Rows had no checksums in format 1, and there were no children before 3.
+FORMAT = 3
 #: The columns of each table that hold keys and texts.
 TABLES = {
     "facts": ("name", "value"),
     "transformations": ("label", "body"),
     "nodelets": ("name", "body"),
     "claims": ("id", "body"),
+    "children": ("name", "body"),
 }
 #: Seconds to wait for another program's lock: at the start, and for each change.
 _START_PATIENCE = 5.0
@@ -361,7 +361,7 @@ def _trouble(error: BaseException) -> str:
 def _open(path: str, patience: float) -> tuple[sqlite3.Connection, Rows]:
     """Open a file that is sound and can be written; its tables are made if they are not there.
 
-    Only its owner may read or write a file that is made. One of format 1 gets checksums.
+    Only its owner may read or write a file that is made. One of an earlier format is converted.
 
     Args:
         path: the file.
@@ -411,9 +411,10 @@ def _rows(connection: sqlite3.Connection) -> Rows:
         if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() != (0,):
             raise _Damaged("it has tables without a format")
         return rows
-    if found not in (_WITHOUT_CHECKSUMS, FORMAT):
+    if not 0 < found <= FORMAT:
         raise _Damaged(f"it has format {found}, this program writes format {FORMAT}")
-    for table in TABLES:
+    present = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+    for table in TABLES if found == FORMAT else TABLES.keys() & present:
         # Files of format 1 have no third column.
         for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):
             if not isinstance(key, str) or not isinstance(text, str):

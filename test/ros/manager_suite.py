@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import shutil
 import signal
+import sqlite3
 import subprocess
 import tempfile
 import unittest
@@ -32,6 +32,8 @@ from dyknow.model.graph import State
 from dyknow.model.streams import StreamStatus
 from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.client import ManagerClient
+from dyknow.ros.hosting import child_records
+from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
@@ -114,8 +116,10 @@ class ManagerProcess:
         return children_in(self.state, self.node)
 
     def child(self, name: str = CHILD) -> ProcessId:
-        eventually(lambda: name in self.children(), 10.0, f"{name} is started")
-        return self.children()[name]
+        found: dict[str, ProcessId] = {}
+        is_started = lambda: found.update(self.children()) or name in found  # noqa: E731
+        eventually(is_started, 10.0, f"{name} is started")
+        return found[name]
 
     def kill_child(self, name: str = CHILD, number: int = signal.SIGKILL) -> None:
         """End a nodelet manager and wait until it is started again."""
@@ -221,14 +225,17 @@ class ManagerProcess:
 
 
 def children_in(state: str, node: str = MANAGER) -> dict[str, ProcessId]:
-    """Nodelet managers on the list that a manager keeps in a folder."""
+    """Processes that a manager with its state in a folder has started: recorded, or running."""
     name = re.sub(r"[^A-Za-z0-9.]+", "-", node)
-    for file in Path(state).glob(f"*{name}.children.json"):
-        return {
-            each["name"]: ProcessId(each["pid"], each["started"])
-            for each in json.loads(file.read_text())
-        }
-    return {}
+    found: list[ChildRecord] = []
+    for path in Path(state).glob(f"*{name}.sqlite3"):
+        with contextlib.suppress(sqlite3.Error), contextlib.closing(
+            sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+        ) as file:
+            rows = file.execute("SELECT name, body FROM children")
+            found += [ChildRecord.from_body(*row) for row in rows]
+        found += child_records.running(str(path.with_suffix(".lock")))
+    return {each.name: each.process for each in found if each.process is not None}
 
 
 def answers(client: ManagerClient) -> bool:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Records of the processes that a DyKnow manager starts, on disk for its next life.
+"""Records of the processes that a DyKnow manager starts, in its store for its next life.
 
 A record is written before its process starts, and before anything is left at the ROS master.
 """
@@ -9,16 +9,16 @@ A record is written before its process starts, and before anything is left at th
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass
-from typing import Iterable
 
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.process import os_process
-from dyknow.ros.process.os_process import ProcessId, only_for_owner
+from dyknow.ros.process.os_process import ProcessId
 
 #: Variable in the environment of each of these processes.
 TAG = "DYKNOW_CHILD"
+#: Their table in the store.
+TABLE = "children"
 
 
 @dataclass(frozen=True)
@@ -35,47 +35,19 @@ class ChildRecord:
     isolated_for: str = ""
     process: ProcessId | None = None
 
+    def body(self) -> str:
+        """Write what ``from_body`` reads."""
+        process = asdict(self.process or ProcessId(0, 0))
+        rest = {"kind": self.kind.value, "isolated_for": self.isolated_for}
+        return json.dumps({**rest, **process, "boot": os_process.boot()})
 
-def read(path: str) -> list[ChildRecord]:
-    """Read the records, also of ended processes; raises ``ValueError`` for a damaged file."""
-    try:
-        with open(path) as file:
-            entries = json.load(file)
-    except FileNotFoundError:
-        return []
-    boot = os_process.boot()
-    try:
-        return [
-            ChildRecord(
-                each["name"],
-                NodeletKind(each["kind"]),
-                each["isolated_for"],
-                ProcessId(each["pid"], each["started"])
-                if each["pid"] and each.get("boot", boot) == boot
-                else None,
-            )
-            for each in entries
-        ]
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"unexpected content: {error!r}") from error
-
-
-def write(path: str, records: Iterable[ChildRecord]) -> None:
-    """Replace the file atomically."""
-    boot = os_process.boot()
-    entries = [
-        {
-            "name": each.name,
-            "kind": each.kind.value,
-            "isolated_for": each.isolated_for,
-            **asdict(each.process or ProcessId(0, 0)),
-            "boot": boot,
-        }
-        for each in records
-    ]
-    with open(path + ".new", "w", opener=only_for_owner) as file:
-        json.dump(entries, file, indent=1)
-    os.replace(path + ".new", path)
+    @classmethod
+    def from_body(cls, name: str, text: str) -> ChildRecord:
+        """Read a record, also of an ended process; raises an error that ``Store.read`` expects."""
+        body = json.loads(text)
+        is_of_this_boot = body["pid"] and body["boot"] == os_process.boot()
+        process = ProcessId(body["pid"], body["started"]) if is_of_this_boot else None
+        return cls(name, NodeletKind(body["kind"]), body["isolated_for"], process)
 
 
 def to_tag(record: ChildRecord, owner: str) -> str:

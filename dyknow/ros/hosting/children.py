@@ -7,8 +7,8 @@ They are nodelet managers, and nodes, each of which hosts itself alone.
 
 Ownership: ``Children`` owns a table of names. A round of a child's loop is one life of its
 process: it alone starts the process and waits for its end. A child has a session of its own, so it
-outlives a manager that is killed; the next one finds it in a file (``child_records``), else by its
-environment.
+outlives a manager that is killed; the next one finds it in the store (``child_records``), else by
+its environment.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from functools import partial
 from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, NameTaken, PeerTimeout
-from dyknow.locks import state_condition, turn_lock
+from dyknow.locks import state_condition
 from dyknow.manager.host import Crash
+from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
@@ -60,41 +61,38 @@ class Children:
     """The processes of one DyKnow manager; every method is safe from any thread."""
 
     def __init__(
-        self, context: PeerContext, launcher: Launcher, namespace: str, path: str
+        self, context: PeerContext, launcher: Launcher, namespace: str, store: Store
     ) -> None:
-        """Prepare; ``namespace`` is that of shared children, ``path`` the file of the records."""
+        """Prepare; ``namespace`` is that of shared children, ``store`` has the records."""
         self._context = context
         self._launcher = launcher
         self._namespace = namespace
-        self._path = path
+        self._store = store
         #: Held while a child is changed, and notified of it.
         self._changed = state_condition("children")
-        self._writing_turn = turn_lock("records of children")
         self._children: dict[str, Child] = {}
         self._crashes: collections.deque[Crash] = collections.deque(maxlen=_CRASHES)
         self._deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
         self._ending = False
-        self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> list[str]:
         """Take over the running children of an earlier manager, and return their names.
 
         What dead ones left is cleaned up.
         """
-        try:
-            records = child_records.read(self._path)
-        except (OSError, ValueError) as error:
-            _log.warning("'%s': %s; looking at the processes that run", self._path, error)
-            records = []
-        living = {each.name: each for each in records if each.process and each.process.alive}
-        living = {**{each.name: each for each in self._launcher.running()}, **living}
-        for record in records:
-            if record.name not in living:
+        records = self._store.read(child_records.TABLE, ChildRecord.from_body)
+        living = {each.name: each for each in self._launcher.running()}
+        for name, record in records.items():
+            if record.process is not None and record.process.alive:
+                living[name] = record
+            elif name not in living:
                 if record.process is not None:
                     record.process.wait_for_rest()  # processes that it forked run on
                 self._launcher.clean_up(record)
+                self._store.write({(child_records.TABLE, name): None})
         children = [self._add(Child(self._context, living[name], True)) for name in sorted(living)]
-        self._write()
+        for child in children:
+            self._write(child)
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
         for child in children:
             try:
@@ -193,9 +191,7 @@ class Children:
         self._end(self.all())
 
     def echo(self) -> None:
-        """Print new output of the children; retry to write their records."""
-        if self._unwritten:
-            self._write()
+        """Print new output of the children."""
         for child in self.all():
             child.echo()
 
@@ -251,18 +247,8 @@ class Children:
         for child in children:
             child.gone.wait(PATIENCE)
 
-    def _write(self) -> None:
-        with self._writing_turn:  # the disk has the records in the order of the memory
-            with self._changed:
-                records = [self._children[name].record for name in sorted(self._children)]
-            try:
-                child_records.write(self._path, records)
-            except OSError as error:
-                if not self._unwritten:
-                    _log.error("'%s' cannot be written: %s", self._path, error)
-                self._unwritten = True
-            else:
-                self._unwritten = False
+    def _write(self, child: Child) -> None:
+        self._store.write({(child_records.TABLE, child.name): child.record.body()})
 
     # In the loop of a child
 
@@ -289,13 +275,13 @@ class Children:
         try:
             self._launcher.clean_up(child.record)
         finally:
+            self._store.write({(child_records.TABLE, child.name): None})
             self._deaths.forgive(child.name)
             child.close()
             with self._changed:
                 self._children.pop(child.name, None)
                 child.gone.set()
                 self._changed.notify_all()
-        self._write()
         self._context.on_change()
 
     def _live(self, child: Child) -> None:
@@ -331,11 +317,11 @@ class Children:
         if is_taken:
             raise HostError(_TAKEN)
         child.stale = self._launcher.registered(child.name)
-        self._write()  # on disk before it is there: nothing of it is left if we are killed
+        self._write(child)  # before it is there: nothing of it is left if we are killed
         found, child.log = self._launcher.launch(child.record, child.command)
         with self._changed:
             child.record = replace(child.record, process=found)
-        self._write()
+        self._write(child)
 
     def _await_services(self, child: Child, found: ProcessId) -> None:
         """Wait until its services are offered; end a process that is late and lost."""

@@ -112,9 +112,7 @@ class ManagerNode(Closable):
             settings.orphan_timeout,
             {guards_key(node): to_parameter(settings.guards)},
         )
-        self._children = Children(
-            context, launcher, names.parent(node), settings.state_path("children.json")
-        )
+        self._children = Children(context, launcher, names.parent(node), self._store)
         self._host = RosHost(
             context,
             self._children,

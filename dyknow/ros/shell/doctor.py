@@ -208,14 +208,10 @@ class Doctor:
                 "end the process, and start the DyKnow manager again; nodelets and claims come "
                 "back",
             )
-        try:
-            children = child_records.read(self._state_path("children.json"))
-        except (OSError, ValueError):
-            return
-        for child in children:
+        for child in child_records.running(self._state_path("lock")):
             node = self.nodes.get(child.name)
             pid = child.process.pid if child.process is not None else 0
-            if pid and (node is None or node.pid not in (0, pid)):
+            if node is None or node.pid not in (0, pid):
                 cure = f"kill {pid}; the DyKnow manager starts it again"
                 yield Finding(child.name, f"its process {pid} {unknown}", cure)
 

@@ -300,7 +300,7 @@ def change_text(path: str) -> None:
 
 
 def change_format(path: str) -> None:
-    damaged(path, flip(63, 2))  # as of a file without tables
+    damaged(path, flip(63, 3))  # as of a file without tables
 
 
 def no_database(path: str) -> None:
@@ -385,11 +385,22 @@ def without_checksums(path: str, rows: Dict[tuple[str, str], str]) -> str:
     return path
 
 
-def test_a_file_of_an_earlier_version_is_taken_over(tmp_path: Path) -> None:
-    path = without_checksums(str(tmp_path / "state"), ROWS)
+def without_children(path: str, rows: Dict[tuple[str, str], str]) -> str:
+    """Write a file as earlier versions did that had checksums."""
+    with closing(sqlite3.connect(written(path, rows))) as old:
+        old.execute("DROP TABLE children")
+        old.execute("PRAGMA user_version = 2")
+    return path
+
+
+@pytest.mark.parametrize("write", [without_checksums, without_children])
+def test_a_file_of_an_earlier_version_is_taken_over(
+    tmp_path: Path, write: Callable[[str, Dict[tuple[str, str], str]], str]
+) -> None:
+    path = write(str(tmp_path / "state"), ROWS)
     assert reopened(path) == ROWS
     with closing(sqlite3.connect(path)) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (2,)
+        assert connection.execute("PRAGMA user_version").fetchone() == (3,)
         (without,) = connection.execute(
             "SELECT count(*) FROM nodelets WHERE checksum = 0"
         ).fetchone()

@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import os
-import re
 import threading
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, List
 
@@ -18,6 +16,7 @@ from clocks import join, wait_for
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError
+from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
@@ -36,8 +35,8 @@ from dyknow.ros.wire.master import Master
 class FakeLauncher:
     """Notes what is done, in order; its processes are up at once, and cannot be started."""
 
-    def __init__(self, path):
-        self.path = path
+    def __init__(self):
+        self.store = Store()
         self.found: List[ChildRecord] = []
         self.cleaned: List[str] = []
         self.at_launch: List[ChildRecord] = []
@@ -53,9 +52,17 @@ class FakeLauncher:
         self.cleaned.append(child.name)
 
     def launch(self, child, command):
-        self.at_launch = child_records.read(self.path)
+        self.at_launch = read(self.store)
         self.launched.set()
         raise OSError("no process")
+
+
+def read(store):
+    return [*store.read(child_records.TABLE, ChildRecord.from_body).values()]
+
+
+def write(store, records):
+    store.write({(child_records.TABLE, each.name): each.body() for each in records})
 
 
 def come_up(child):
@@ -65,63 +72,15 @@ def come_up(child):
 
 
 @pytest.fixture
-def launcher(tmp_path, monkeypatch):
+def launcher(monkeypatch):
     monkeypatch.setattr(Child, "_find", come_up)
-    return FakeLauncher(str(tmp_path / "children.json"))
+    return FakeLauncher()
 
 
 @pytest.fixture
 def children(launcher):
     nowhere = Master("/manager", "http://127.0.0.1:9")
-    return Children(PeerContext(nowhere), launcher, "/", launcher.path)
-
-
-class SlowDisk:
-    """A disk that accepts records only when allowed."""
-
-    def __init__(self):
-        self.writing = threading.Event()
-        self.go_on = threading.Event()
-        self.writers = self.most_writers = 0
-        self.fails = False
-
-    def write(self, path, records):
-        self.writers += 1
-        self.most_writers = max(self.most_writers, self.writers)
-        self.writing.set()
-        wait_for(self.go_on)
-        self.writers -= 1
-        if self.fails:
-            raise OSError("the disk is full")
-
-
-@pytest.fixture
-def disk(monkeypatch):
-    disk = SlowDisk()
-    monkeypatch.setattr(child_records, "write", disk.write)
-    return disk
-
-
-def test_a_slow_disk_holds_up_writers_alone(children, disk):
-    writers = [in_background("adopting", children.adopt) for _ in range(4)]
-    wait_for(disk.writing)
-    assert children.all() == children.crashes() == []
-    disk.go_on.set()
-    join(*writers)
-    assert disk.most_writers == 1
-
-
-def test_records_that_the_disk_refused_are_written_later_and_logged_once(children, disk, caplog):
-    disk.fails = True
-    disk.go_on.set()
-    children.adopt()
-    children.echo()
-    assert caplog.text.count("the disk is full") == 1
-    disk.fails = False
-    for is_due in (True, False):
-        disk.writing.clear()
-        children.echo()
-        assert disk.writing.is_set() is is_due
+    return Children(PeerContext(nowhere), launcher, "/", launcher.store)
 
 
 def test_a_record_is_there_before_the_process_and_none_after_the_end(children, launcher):
@@ -162,43 +121,28 @@ def test_children_that_died_without_a_manager_are_cleaned_up(children, launcher)
         ChildRecord("/node", NodeletKind.SCRIPT, "/node", gone),
         ChildRecord("/was_to_be_started", NodeletKind.PYTHON, "/n"),
     ]
-    child_records.write(launcher.path, records)
+    write(launcher.store, records)
     assert children.adopt() == ["/lives"]
     assert launcher.cleaned == ["/dead", "/node", "/was_to_be_started"]
-    assert child_records.read(launcher.path) == records[1:2]
+    assert read(launcher.store) == records[1:2]
 
 
-@pytest.mark.parametrize("text", ["", "[]", '[{"name": "/lives"}]'])
-def test_children_that_run_are_taken_over_without_a_record(children, launcher, text):
+def test_children_that_run_are_taken_over_without_a_record(children, launcher):
     launcher.found = [ChildRecord("/lives", NodeletKind.CPP, "", ProcessId.of(os.getpid()))]
-    Path(launcher.path).write_text(text)
     assert children.adopt() == ["/lives"]
-    assert child_records.read(launcher.path) == launcher.found
+    assert read(launcher.store) == launcher.found
 
 
-def test_records_name_processes_of_this_boot(tmp_path, monkeypatch):
-    path = str(tmp_path / "children.json")
-    assert child_records.read(path) == []
+def test_records_name_processes_of_this_boot(monkeypatch):
+    store = Store()
     records = [
         ChildRecord("/a", NodeletKind.CPP, "", ProcessId.of(os.getpid())),
         ChildRecord("/not_started", NodeletKind.PYTHON, "/n"),
     ]
-    child_records.write(path, records)
-    assert child_records.read(path) == records
-    text = Path(path).read_text()
-    Path(path).write_text(re.sub(r',\s*"boot": "[^"]*"', "", text))  # as earlier versions wrote it
-    assert child_records.read(path) == records
-    Path(path).write_text(text)
+    write(store, records)
+    assert read(store) == records
     monkeypatch.setattr(os_process, "boot", lambda: "another boot")
-    assert child_records.read(path) == [replace(records[0], process=None), records[1]]
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", '[{"name": "/a"}]', "{}x"])
-def test_damaged_records_are_refused(tmp_path, text):
-    path = tmp_path / "children.json"
-    path.write_text(text)
-    with pytest.raises(ValueError):
-        child_records.read(str(path))
+    assert read(store) == [replace(records[0], process=None), records[1]]
 
 
 def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):

@@ -17,6 +17,7 @@ from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.manager.host import Crash, HostReport
+from dyknow.manager.store import Store
 from dyknow.manager.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind, State
 from dyknow.ros.hosting import fixed_nodelets
@@ -40,7 +41,7 @@ def host():
         graph.nodes["/n"].nodelets = ["/n"]
         context = PeerContext(Master("/test", graph.uri))
         registrar, launcher = cast(Any, SimpleNamespace()), cast(Any, SimpleNamespace())
-        host = RosHost(context, Children(context, launcher, "/", ""), registrar)
+        host = RosHost(context, Children(context, launcher, "/", Store()), registrar)
         host.look_for_nodes(["/n"])
         yield host
         host.close()
