@@ -28,7 +28,7 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
 from dyknow.periodic import RETRY, attempt, in_background
 from dyknow.ros.bonding.bond_table import Announcement, BondTable, BondTimings, Effects, OnBroken
-from dyknow.ros.wire.service_client import call_within
+from dyknow.ros.wire.master import Master
 
 STOCK_TIMINGS = BondTimings(
     connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,
@@ -200,8 +200,10 @@ class Bonds:
         """Whether silence breaks no bonds, as a parameter for debugging says."""
         name = Constants.DISABLE_HEARTBEAT_TIMEOUT_PARAM
         try:
-            found = call_within(_PARAMETER_TIMEOUT, name, lambda: rospy.get_param(name, False))
-        except (OSError, PeerTimeout, rospy.ROSException) as error:
+            found = Master(rospy.get_name(), timeout=_PARAMETER_TIMEOUT).ask("getParam", name)
+        except LookupError:
+            return False  # it is not set
+        except PeerTimeout as error:
             rospy.logwarn(
                 f"Cannot read the parameter {name}, so heartbeat timeouts count: {error}"
             )

@@ -12,25 +12,26 @@ while the manager hangs.
 
 from __future__ import annotations
 
-import ast
 import enum
 import queue
-import re
 import signal
 import threading
 import traceback
 import uuid
-from typing import Sequence
+from typing import Any, Sequence
 
 import rospy
 from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 
-from dyknow.errors import PeerTimeout
+from dyknow.errors import HostError, PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
-from dyknow.ros.wire.service_client import call_within
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
+#: Seconds for a load, which may take its time: days.
+_LOAD_TIMEOUT = 1e6
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5
 _UNLOAD_TIMEOUT_AT_EXIT = 2.0
@@ -79,17 +80,14 @@ def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bo
     service = f"{manager}/unload_nodelet"
     failure = f"Failed to unload nodelet '{name}` from manager `{manager}'"
     try:
-        call_within(timeout, service, lambda: rospy.ServiceProxy(service, NodeletUnload)(name))
-    except PeerTimeout as error:
-        rospy.logfatal(f"{failure}: {error}")
+        _client(service, NodeletUnload).call(timeout, name)
+    except ServiceLost:
+        (rospy.logdebug if at_exit else rospy.logwarn)(
+            f"Couldn't find service {service}, perhaps the manager is already shut down"
+        )
         return False
-    except rospy.ServiceException as error:
-        if _is_available(service, 0.1):
-            rospy.logfatal(failure + _cause(error))
-        else:
-            (rospy.logdebug if at_exit else rospy.logwarn)(
-                f"Couldn't find service {service}, perhaps the manager is already shut down"
-            )
+    except (ServiceFailed, PeerTimeout) as error:
+        rospy.logfatal(failure + _cause(error))
         return False
     return True
 
@@ -196,10 +194,10 @@ class _LoadClient:
         )
         self._requested = True
         try:
-            if rospy.ServiceProxy(service, NodeletLoad)(request).success:
+            if _client(service, NodeletLoad).call(_LOAD_TIMEOUT, request).success:
                 return True
             cause = ""
-        except rospy.ServiceException as error:
+        except (HostError, PeerTimeout) as error:
             cause = _cause(error)
         rospy.logfatal(
             f"Failed to load nodelet '{self._name}` of type `{self._type}` "
@@ -208,14 +206,12 @@ class _LoadClient:
         return False
 
 
-def _cause(error: rospy.ServiceException) -> str:
-    """The manager's text of a failure, which rospy shows as the representation of bytes."""
-    said = re.search(r"responded with an error: (b'.*'|b\".*\")$", str(error), re.DOTALL)
-    if said is None:
-        return f": {error}"
-    text = ast.literal_eval(said.group(1)).decode("utf-8", "replace")
-    text = re.sub("^(service cannot process|error processing) request: ", "", text)
-    return f": {text}" if text else ""
+def _client(service: str, service_class: Any) -> ServiceClient:
+    return ServiceClient(Master(rospy.get_name()), rospy.resolve_name(service), service_class)
+
+
+def _cause(error: Exception) -> str:
+    return f": {error}" if str(error) else ""
 
 
 def _wait_for(service: str) -> None:

@@ -14,42 +14,28 @@ with a frame of header fields in each direction.
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import struct
 import time
-from concurrent.futures import wait
 from io import BytesIO
-from typing import Any, Callable, TypeVar
+from typing import Any
 
 import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
-from dyknow.ros.wire.addresses import connect, future_of
+from dyknow.ros.wire.addresses import connect
 from dyknow.ros.wire.master import Master
-
-T = TypeVar("T")
 
 #: Seconds in which a connection has to be there.
 CONNECT_TIMEOUT = 2.0
 #: What rospy's services put before the words of their handlers.
-_PREFIX = "service cannot process request: "
+_PREFIX = re.compile("(service cannot process|error processing) request: ")
 _LENGTH = struct.Struct("<I")
 _CHUNK = 1 << 16
 _LEAST_WAIT = 0.001
 OTHER_VERSION = "its process was started with another version of DyKnow: restart it"
-
-
-def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
-    """Make a blocking call in another thread; its result is dropped if it is late.
-
-    Raises `PeerTimeout` then, else any exception of the call.
-    """
-    assert_no_state_lock(f"calling {what}")
-    future = future_of(f"call {what}", call)
-    if not wait([future], seconds).done:
-        raise PeerTimeout(what, seconds)
-    return future.result()
 
 
 class ConnectionRefused(HostError):
@@ -290,7 +276,8 @@ class ServiceClient:
         if succeeded:
             return self._class._response_class().deserialize(body)
         text = body.decode("utf-8", "replace")
-        raise ServiceFailed(text[len(_PREFIX) :] if text.startswith(_PREFIX) else text)
+        prefix = _PREFIX.match(text)
+        raise ServiceFailed(text[prefix.end() :] if prefix else text)
 
     def _connect(self, deadline: float) -> TcprosConnection:
         self.address = self._find(deadline)
