@@ -82,7 +82,8 @@ private:
 
 /// Stands in front of nodelet::Nodelet::~Nodelet as the destructors of nodelets call it, when their own members are
 /// gone. A destructor of C++ would destroy the members that the one behind it destroys.
-void destroyNodelet(nodelet::Nodelet* nodelet) __asm__("_ZN7nodelet7NodeletD2Ev");
+__attribute__((visibility("default"))) void destroyNodelet(nodelet::Nodelet* nodelet) __asm__(
+    "_ZN7nodelet7NodeletD2Ev");
 
 void destroyNodelet(nodelet::Nodelet* nodelet)
 {
