@@ -6,7 +6,6 @@
 #include <ros/names.h>
 #include <ros/this_node.h>
 
-#include <charconv>
 #include <cstring>
 #include <mutex>
 
@@ -31,19 +30,37 @@ Works& works()
 
 thread_local RunningQueue::Work* t_work = nullptr;
 
-/// The suffix that makes a topic the key of a handle, with a number behind it.
+/// The suffix that makes a topic the key of a handle, with a number of so many digits behind it: every message is
+/// looked up by it.
 constexpr char MARK[] = "/__dyknow";
+constexpr std::size_t MARK_SIZE = sizeof(MARK) - 1;
+constexpr std::size_t DIGITS = 8;
+constexpr int BITS = 4;
 
 /// The number of a key; 0 if it is none.
 std::uint64_t numberOf(const std::string& key)
 {
-  const std::size_t mark = key.rfind(MARK);
-  std::uint64_t number = 0;
-  if (mark != std::string::npos)
+  if (key.size() < MARK_SIZE + DIGITS ||
+      std::memcmp(key.data() + key.size() - MARK_SIZE - DIGITS, MARK, MARK_SIZE) != 0)
   {
-    std::from_chars(key.data() + mark + std::strlen(MARK), key.data() + key.size(), number);
+    return 0;
+  }
+  std::uint64_t number = 0;
+  for (const char* each = key.data() + key.size() - DIGITS; each != key.data() + key.size(); ++each)
+  {
+    number = number << BITS | static_cast<std::uint64_t>(*each - 'a');
   }
   return number;
+}
+
+std::string keyOf(const std::string& topic, std::uint64_t number)
+{
+  std::string key = topic + MARK;
+  for (int shift = BITS * (DIGITS - 1); shift >= 0; shift -= BITS)
+  {
+    key += static_cast<char>('a' + (number >> shift & ((1U << BITS) - 1)));
+  }
+  return key;
 }
 
 /// The entry of a table for a key; null if none.
@@ -188,7 +205,7 @@ std::string Registry::datatypeOf(const std::string& topic) const
 std::string Registry::makeKey(const std::string& topic)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  return topic + MARK + std::to_string(++last_number_);
+  return keyOf(topic, ++last_number_);
 }
 
 bool Registry::isKey(const std::string& text)
@@ -198,7 +215,7 @@ bool Registry::isKey(const std::string& text)
 
 std::string Registry::topicOf(const std::string& key)
 {
-  return isKey(key) ? key.substr(0, key.rfind(MARK)) : key;
+  return isKey(key) ? key.substr(0, key.size() - MARK_SIZE - DIGITS) : key;
 }
 
 void Registry::add(const std::string& key, std::shared_ptr<PortSubscription> subscription)
