@@ -5,14 +5,16 @@
 
 #include <fnmatch.h>
 #include <ros/console.h>
+#include <ros/serialization.h>
 #include <ros/this_node.h>
 
 #include <algorithm>
 #include <cstdlib>
 #include <mutex>
+#include <set>
+#include <sstream>
 
-#include "master.h"
-#include "names.h"
+#include "dyknow_shared.h"
 #include "problems.h"
 
 namespace dyknow
@@ -20,40 +22,14 @@ namespace dyknow
 namespace
 {
 
-/// The environment variable of programs that a DyKnow manager starts, see guard_parameters.py.
+/// Environment variables of programs that a DyKnow manager starts, see process_guards.py.
 constexpr const char* SPAWNED = "DYKNOW_SPAWNED";
-
-/// The key under which a manager hands over its guards, see dyknow/ros/nodelets/guard_parameters.py.
-std::string keyOf(const std::string& owner)
-{
-  std::string key;
-  const auto begin = owner.find_first_not_of('/');
-  const auto end = owner.find_last_not_of('/');
-  for (auto i = begin; begin != std::string::npos && i <= end; ++i)
-  {
-    key += owner[i] == '_' ? "__" : owner[i] == '/' ? "_s" : std::string(1, owner[i]);
-  }
-  return key;
-}
+constexpr const char* GUARDS = "DYKNOW_GUARDS";
 
 /// Characters of a text in UTF-8.
 std::size_t lengthOf(const std::string& text)
 {
   return std::count_if(text.begin(), text.end(), [](unsigned char each) { return (each & 0xc0) != 0x80; });
-}
-
-/// The texts of an array; empty if it is none.
-std::vector<std::string> textsOf(XmlRpc::XmlRpcValue& values)
-{
-  std::vector<std::string> texts;
-  for (int i = 0; values.getType() == XmlRpc::XmlRpcValue::TypeArray && i < values.size(); ++i)
-  {
-    if (values[i].getType() == XmlRpc::XmlRpcValue::TypeString)
-    {
-      texts.push_back(values[i]);
-    }
-  }
-  return texts;
 }
 
 bool matchesAny(const std::string& topic, const std::vector<std::string>& patterns)
@@ -67,58 +43,58 @@ Refusal tooMany(const std::string& what, std::size_t count, std::size_t limit)
   return Refusal(shared::LIMIT_EXCEEDED, {what, std::to_string(count), std::to_string(limit)});
 }
 
-void lower(std::size_t& limit, XmlRpc::XmlRpcValue& guards, const char* name)
+/// Guards in the environment: a manager, and the message in hexadecimal digits.
+std::map<std::string, dyknow_msgs::Guards> guardsAtStart()
 {
-  if (guards.hasMember(name) && guards[name].getType() == XmlRpc::XmlRpcValue::TypeInt)
+  std::map<std::string, dyknow_msgs::Guards> found;
+  const char* text = std::getenv(GUARDS);
+  std::istringstream words(text == nullptr ? "" : text);
+  std::string manager;
+  std::string digits;
+  if (words >> manager >> digits)
   {
-    limit = std::min(limit, static_cast<std::size_t>(std::max(0, static_cast<int>(guards[name]))));
+    std::vector<std::uint8_t> bytes;
+    for (std::size_t i = 0; i + 1 < digits.size(); i += 2)
+    {
+      bytes.push_back(static_cast<std::uint8_t>(std::stoi(digits.substr(i, 2), nullptr, 16)));
+    }
+    ros::serialization::IStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+    ros::serialization::deserialize(stream, found[manager]);
   }
+  return found;
+}
+
+/// The guards of this process, and their lock.
+struct Handed
+{
+  std::mutex state_lock;
+  std::map<std::string, dyknow_msgs::Guards> by_manager = guardsAtStart();
+};
+
+Handed& handed()
+{
+  static auto& handed = *new Handed;  // leaked, see later.cpp
+  return handed;
 }
 
 }  // namespace
 
-Guards Guards::current(Clock::time_point deadline)
+Guards Guards::current()
 {
   Guards all;
-  auto by_owner = askMaster("getParam", names::join(ros::this_node::getName(), "guards"), deadline);
-  if (by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
-  {
-    return all;
-  }
-  for (auto& [owner, guards] : by_owner)
-  {
-    if (guards.getType() != XmlRpc::XmlRpcValue::TypeStruct)
-    {
-      continue;
-    }
-    for (const auto& pattern : textsOf(guards["denied_topics"]))
-    {
-      all.denied_topics_.insert(pattern);
-    }
-    auto& allowed = guards["allowed_topics"];
-    for (int i = 0; allowed.getType() == XmlRpc::XmlRpcValue::TypeArray && i < allowed.size(); ++i)
-    {
-      all.allowed_topics_.push_back(textsOf(allowed[i]));
-    }
-    for (const auto& nodelet : textsOf(guards["protected"]))
-    {
-      all.protected_[owner].insert(nodelet);
-    }
-    if (guards.hasMember("read_only") && guards["read_only"].getType() == XmlRpc::XmlRpcValue::TypeBoolean &&
-        static_cast<bool>(guards["read_only"]))
-    {
-      all.read_only_owners_.insert(owner);
-    }
-    lower(all.string_length_, guards, "string_length");
-    lower(all.array_length_, guards, "array_length");
-  }
+  std::lock_guard<std::mutex> lock(handed().state_lock);
+  all.by_manager_ = handed().by_manager;
   return all;
+}
+
+void Guards::handOver(const std::string& manager, const dyknow_msgs::Guards& guards)
+{
+  std::lock_guard<std::mutex> lock(handed().state_lock);
+  handed().by_manager[manager] = guards;
 }
 
 std::string Guards::permitted(const std::string& topic, const std::string& owner)
 {
-  static std::mutex& state_lock = *new std::mutex;  // leaked, see later.cpp
-  static Guards& last = *new Guards;
   static const bool is_spawned = std::getenv(SPAWNED) != nullptr;
   if (topic.empty() || (owner == ros::this_node::getName() && !is_spawned))
   {
@@ -126,18 +102,7 @@ std::string Guards::permitted(const std::string& topic, const std::string& owner
   }
   try
   {
-    const Guards now = current(Clock::now() + MASTER_PATIENCE);
-    std::lock_guard<std::mutex> lock(state_lock);
-    last = now;
-  }
-  catch (const Refusal& refusal)
-  {
-    ROS_WARN("dyknow: %s: guards may have changed", refusal.what());
-  }
-  try
-  {
-    std::lock_guard<std::mutex> lock(state_lock);
-    last.checkTopic(topic);
+    current().checkTopic(topic);
   }
   catch (const Refusal& refusal)
   {
@@ -149,9 +114,10 @@ std::string Guards::permitted(const std::string& topic, const std::string& owner
 
 void Guards::checkProtection(const std::string& caller, const std::string& nodelet) const
 {
-  for (const auto& [owner, nodelets] : protected_)
+  for (const auto& [manager, guards] : by_manager_)
   {
-    if (owner != keyOf(caller) && nodelets.count(nodelet) > 0)
+    const auto& nodelets = guards.protected_nodelets;
+    if (manager != caller && std::find(nodelets.begin(), nodelets.end(), nodelet) != nodelets.end())
     {
       throw Refusal(shared::PROTECTED_FROM_UNLOADING, {nodelet});
     }
@@ -160,7 +126,10 @@ void Guards::checkProtection(const std::string& caller, const std::string& nodel
 
 void Guards::checkCaller(const std::string& caller, const std::string& what) const
 {
-  if (!read_only_owners_.empty() && read_only_owners_.count(keyOf(caller)) == 0)
+  const auto own = by_manager_.find(caller);
+  const bool is_restorer = own != by_manager_.end() && own->second.read_only;
+  if (!is_restorer && std::any_of(by_manager_.begin(), by_manager_.end(),
+                                  [](const auto& each) { return each.second.read_only; }))
   {
     throw Refusal(shared::READ_ONLY, {what});
   }
@@ -168,16 +137,21 @@ void Guards::checkCaller(const std::string& caller, const std::string& what) con
 
 void Guards::checkTopic(const std::string& topic) const
 {
-  for (const auto& pattern : denied_topics_)
+  std::set<std::string> denied;  // sorted: the text names the first that matches
+  for (const auto& each : by_manager_)
   {
-    if (fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0)
+    denied.insert(each.second.denied_topics.begin(), each.second.denied_topics.end());
+  }
+  for (const auto& pattern : denied)
+  {
+    if (matchesAny(topic, {pattern}))
     {
       throw Refusal(shared::DENIED, {topic, pattern});
     }
   }
-  for (const auto& patterns : allowed_topics_)
+  for (const auto& each : by_manager_)
   {
-    if (!matchesAny(topic, patterns))
+    if (each.second.are_topics_limited && !matchesAny(topic, each.second.allowed_topics))
     {
       throw Refusal(shared::NOT_ALLOWED, {topic});
     }
@@ -186,15 +160,22 @@ void Guards::checkTopic(const std::string& topic) const
 
 void Guards::checkSizes(const std::vector<std::string>& strings, std::size_t entries) const
 {
-  if (entries > array_length_)
+  std::size_t string_length = shared::STRING_LENGTH;
+  std::size_t array_length = shared::ARRAY_LENGTH;
+  for (const auto& each : by_manager_)
   {
-    throw tooMany("entries in an array", entries, array_length_);
+    string_length = std::min<std::size_t>(string_length, each.second.string_length);
+    array_length = std::min<std::size_t>(array_length, each.second.array_length);
+  }
+  if (entries > array_length)
+  {
+    throw tooMany("entries in an array", entries, array_length);
   }
   for (const auto& each : strings)
   {
-    if (lengthOf(each) > string_length_)
+    if (lengthOf(each) > string_length)
     {
-      throw tooMany("characters in a string", lengthOf(each), string_length_);
+      throw tooMany("characters in a string", lengthOf(each), string_length);
     }
   }
 }

@@ -16,7 +16,6 @@
 #include <vector>
 
 #include "guards.h"
-#include "master.h"
 #include "names.h"
 #include "problems.h"
 #include "process_services.h"
@@ -51,7 +50,7 @@ public:
   {
     try
     {
-      check_(params, Guards::current(Clock::now() + MASTER_PATIENCE), (*params.connection_header)["callerid"]);
+      check_(params, Guards::current(), (*params.connection_header)["callerid"]);
     }
     catch (const Refusal& refusal)
     {

@@ -140,6 +140,14 @@ std::string MasterState::datatypeOf(const std::string& topic) const
   return "";
 }
 
+void MasterState::requireAnswer() const
+{
+  if (!state_.valid())
+  {
+    askMaster("getPid", "", deadline_);
+  }
+}
+
 std::vector<std::string> MasterState::nodesOn(int side, const std::string& topic) const
 {
   if (!state_.valid())

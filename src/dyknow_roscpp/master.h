@@ -47,6 +47,10 @@ public:
   /// publisher; without one the subscribers are queried.
   std::string datatypeOf(const std::string& topic) const;
 
+  /// Raises Refusal unless the master has answered, or does so now: otherwise roscpp would hold on for ever in a
+  /// registration.
+  void requireAnswer() const;
+
 private:
   std::vector<std::string> nodesOn(int side, const std::string& topic) const;
   std::string subscribedType(const std::string& node, const std::string& topic) const;

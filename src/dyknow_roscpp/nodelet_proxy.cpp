@@ -96,7 +96,7 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
   std::string first = topicAtStart(topic);
   if (std::none_of(known.begin(), known.end(), is_known))
   {
-    first = Guards::permitted(first, name);  // asks the master, so without the lock
+    first = Guards::permitted(first, name);
   }
   std::shared_ptr<Port> port;
   {
@@ -152,9 +152,7 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
   {
     throw Refusal("another reconfiguration of '" + name + "' takes too long; try again");
   }
-  const auto deadline = Clock::now() + MASTER_PATIENCE;
-  // Asks the master: where that does not answer, roscpp would hold on for ever in a registration.
-  const auto guards = Guards::current(deadline);
+  const auto guards = Guards::current();
   guards.checkCaller(caller, "connecting ports of '" + name + "'");
   std::vector<std::string> texts;
   for (const auto& [port, topic] : config)
@@ -163,10 +161,12 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
     texts.push_back(topic);
   }
   guards.checkSizes(texts, config.size());
-  const auto changes = checked(config, guards, MasterState(deadline));
+  const MasterState master(Clock::now() + MASTER_PATIENCE);
+  const auto changes = checked(config, guards, master);
   if (std::any_of(changes.begin(), changes.end(),
                   [](const auto& each) { return each.port->topic() != each.topic; }))
   {
+    master.requireAnswer();
     apply(changes);
     on_change_(name);
   }

@@ -305,6 +305,10 @@ private:
     {
       return false;
     }
+    for (const auto& guards : request.guards)
+    {
+      Guards::handOver(event.getCallerName(), guards);
+    }
     if (request.duration > 0)
     {
       renewLease(request, event.getCallerName());

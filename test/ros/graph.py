@@ -369,10 +369,10 @@ def registered(node: str) -> set[str]:
     return {f"{kind} {name}" for kind, names in registrations(node).items() for name in names}
 
 
-def poll(name: str, *counted: str, is_node: bool = False) -> Any:
+def poll(name: str, *counted: str, is_node: bool = False, guards: Sequence[Any] = ()) -> Any:
     """Poll a process as a DyKnow manager does, and have messages of nodelets counted."""
-    with contextlib.closing(PollClient(Master(rospy.get_name()), name, is_node)) as client:
-        return client.ask(5.0, counted=counted)
+    with contextlib.closing(PollClient(Master("/dyknow_manager"), name, is_node)) as client:
+        return client.ask(5.0, counted=counted, guards=guards)
 
 
 def named(changes: Any) -> list[str]:

@@ -41,8 +41,8 @@ from dyknow import errors
 from dyknow.errors import HostError
 from dyknow.guards import Guards
 from dyknow.ros.nodelets.announcements import NODES_TOPIC
-from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import guards_message
 from dyknow.ros.wire.service_client import ServiceClient
 
 RATE = 1000
@@ -416,18 +416,11 @@ class RefusalTest(CppCase):
     @contextlib.contextmanager
     def guarded(self, **guards):
         """Guards that hold for a while, of which one refuses strings of 21 characters."""
-        parameter = f"{MANAGER}/{guards_key('/dyknow_manager')}"
-
-        def hold() -> bool:
-            return "unknown port" not in set_config("/n", **{21 * "x": "/x"}).message
-
-        rospy.set_param(parameter, to_parameter(Guards(string_length=20, **guards)))
+        graph.poll(MANAGER, guards=[guards_message(Guards(string_length=20, **guards))])
         try:
-            eventually(hold, 5.0, "the guards hold")
             yield
         finally:
-            rospy.delete_param(parameter)
-            eventually(lambda: not hold(), 5.0, "the guards are lifted")
+            graph.poll(MANAGER, guards=[guards_message(Guards())])
 
     def test_guards(self):
         topic = "/robot/left/wheel"

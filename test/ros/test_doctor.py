@@ -16,13 +16,12 @@ import psutil
 import rospy
 from manager_suite import CHILD, MANAGER, ManagerCase, specification
 from nodelet.srv import NodeletList, NodeletLoad
-from processes import Running, becomes, eventually, run, suspended
+from processes import Running, becomes, eventually, run
 from roslib.packages import find_node
 from std_msgs.msg import String
 from test_dyknow_command import Done
 
 from dyknow.model.transformation import Parameter
-from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.shell.doctor import Doctor
 from dyknow.ros.shell.shell_client import ShellClient
 from dyknow.ros.wire.master import Master
@@ -65,7 +64,7 @@ class DoctorTest(ManagerCase):
             return (done[0].code, done[0].json["findings"]) == (0, [])
 
         eventually(is_healthy, 30.0, "nothing is found", lambda: done[0].out + done[0].err)
-        self.assertEqual(len(done[0].json["checks"]), 13)
+        self.assertEqual(len(done[0].json["checks"]), 12)
 
     def test_mistakes_in_the_library_and_in_parameters(self):
         manager = self.started(**self.parameters)
@@ -134,18 +133,6 @@ class DoctorTest(ManagerCase):
         self.end_idle()
         self.found("DyKnow manager", MANAGER, "is not running", "rosrun dyknow manager")
         self.assertEqual(Done("doctor", ROS_MASTER_URI="http://localhost:1").code, 3)
-
-    def test_guards_that_are_gone(self):
-        manager = self.started(**self.parameters)
-        manager.client.spawn("counter", "c")
-        # It cannot hand them over again while it is suspended, and is not waited for.
-        doctor = Doctor(ShellClient(MANAGER))
-        becomes(lambda: list(doctor.guards()), [])
-        with suspended(manager.process.pid):
-            rospy.delete_param(f"{CHILD}/{guards_key(MANAGER)}")
-            (found,) = doctor.guards()
-            self.assertEqual(found.subject, CHILD)
-            self.assertIn("has no guards", found.problem)
 
     def test_resources_of_a_process(self):
         manager = self.started()

@@ -22,7 +22,6 @@ from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
-from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.process.os_process import ProcessId
 
 BY_HAND = (Port("/b", "in", tags=("Words(?x)",)), Port("/spoken", "out", tags=("Spoken(?x)",)))
@@ -216,7 +215,6 @@ class OthersTest(WordsCase, ManagerCase):
         self.assertEqual(process.exit_code(5.0), 0)
         becomes(lambda: self.manager.nodelet("/copier"), None)
         self.assertEqual(graph.registrations("/copier")["publishers"], [])
-        becomes(lambda: rospy.has_param(f"/copier/{guards_key('/dyknow_manager')}"), False)
 
     def test_a_node_is_shown_while_it_runs_whichever_side_began_first(self):
         words = ("throttle", "messages", "/a", "20", "/slow", "__name:=slow")

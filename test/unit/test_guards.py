@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Guards of several owners: they add up, and each owner has a parameter of its own."""
+"""Guards of several owners: they add up."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import dyknow
 from dyknow.errors import Denied, InvalidConfiguration
 from dyknow.guards import NO_GUARDS, Guards, together
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros.nodelets.guard_parameters import from_parameter, guards_key, to_parameter
+from dyknow.ros.wire.messages import guards_from, guards_message
 
 
 def test_guards_add_up():
@@ -84,7 +84,7 @@ class TestOneCheckForEveryTopic:
             proxy.set_config([("in", "/e_stop")])
 
 
-def test_guards_survive_the_parameter_server():
+def test_guards_survive_their_message():
     guards = Guards(
         denied_topics=("/e_stop",),
         allowed_topics=(("/a/*", "/b"),),
@@ -94,12 +94,5 @@ def test_guards_survive_the_parameter_server():
         string_length=10,
         array_length=2,
     )
-    assert from_parameter(to_parameter(guards)) == guards
-
-
-def test_two_owners_never_share_a_parameter():
-    owners = ["/a", "/a/b", "/a_b", "/a__b", "/a_sb", "/a/_b", "/a_/b", "/b/a", "/a_s", "/a/s"]
-    keys = [guards_key(owner) for owner in owners]
-    assert len(set(keys)) == len(owners)
-    # None is in the namespace of another: setting that one would delete it.
-    assert all(key.count("/") == 1 for key in keys)
+    assert guards_from(guards_message(guards)) == guards
+    assert guards_from(guards_message(NO_GUARDS)) == NO_GUARDS

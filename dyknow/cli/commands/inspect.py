@@ -278,7 +278,7 @@ def _milliseconds(duration: float | None) -> str | None:
     "doctor",
     "find the defects of a system, and their cures",
     "Examine the system: names of hosts, dead registrations, processes that another ROS "
-    "master knows, nodelets and streams that fail or hang, missing guards, unknown sources "
+    "master knows, nodelets and streams that fail or hang, unknown sources "
     "and types, parameters that nothing reads, processes of another version, file "
     "descriptors and disks. Nothing is changed. The exit code is 1 if anything was found.",
     "dyknow doctor\ndyknow doctor --quiet\n"

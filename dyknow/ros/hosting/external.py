@@ -184,7 +184,6 @@ class External(Peer):
             _log.warning("%s cannot be asked: %s", self.title, self.presence.trouble)
         elif old.alive:
             _log.info("%s is gone", self.title)
-            self.guarding.withdraw()
         self.context.on_change()
 
     def _end_displaced(self) -> float | None:

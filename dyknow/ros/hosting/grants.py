@@ -1,29 +1,19 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Grants to a process: the lease to publish on topics of claims, and the guards."""
+"""What the peers of a manager share, and the lease of a process to publish on topics of claims."""
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import time
 from dataclasses import dataclass, field
 from typing import Any, Callable, Mapping, Sequence
 
-from dyknow import names
-from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.host import ProcessState
-from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.wire.master import Master
 
 #: Seconds that a lease holds.
 DURATION = 2.0
-#: Seconds between two checks that the guards are still there.
-GUARDS_PERIOD = 1.0
-
-_log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass(eq=False)
@@ -125,67 +115,3 @@ class Lease:
             "topics": topics,
             "nodelets": [producers[topic] for topic in topics],
         }
-
-
-class Guarding:
-    """Whether one process has the guards, which are a parameter of its own at the master.
-
-    With them go the names of the nodelets that only this DyKnow manager may unload
-    (``dyknow.ros.nodelets.guard_parameters``). Guards that are missing, or were changed by another
-    program, are handed over again. Stock nodelet managers enforce nothing, and get none. Every
-    hand-over is within the host's turn.
-    """
-
-    def __init__(self, context: PeerContext, name: str) -> None:
-        self._context = context
-        self._name = name
-        self._key = names.join(name, guards_key(context.master.caller))
-        #: Incarnation that has the guards, and the nodelets named to it.
-        self._done: object = None
-        self._seen = 0.0
-        self._trouble = ""
-
-    def hand_over(self, state: ProcessState) -> None:
-        """Hand them over, unless the process has them; a failure is logged, and tried again."""
-        if not state.alive or not state.rewirable:
-            return
-        now = self._context.running()
-        protected = tuple(sorted(self._context.protected.get(self._name, ())))
-        is_known = self._done == (state.incarnation, protected)
-        if is_known and now - self._seen < GUARDS_PERIOD:
-            return
-        self._seen = now
-        parameter = to_parameter(self._context.guards, protected)
-        try:
-            if is_known and self._present() == parameter:
-                return
-            self._context.master.ask("setParam", self._key, parameter)
-        except (PeerTimeout, LookupError) as error:
-            is_news, self._trouble = not self._trouble, str(error)
-            if is_news:
-                _log.warning("%s cannot be given the guards yet: %s", self._name, error)
-            return
-        self._done = (state.incarnation, protected)
-        had_failed, self._trouble = bool(self._trouble), ""
-        if had_failed:
-            _log.info("%s has the guards now", self._name)
-        elif is_known:
-            _log.warning("%s: the guards were missing or changed, and are set again", self._name)
-
-    def check(self) -> None:
-        """Raise ``HostError`` if they could not be handed over: nothing may be loaded then."""
-        if self._trouble:
-            raise HostError(
-                f"nodelet manager '{self._name}' does not have the guards yet: {self._trouble}"
-            )
-
-    def withdraw(self) -> None:
-        """Remove them, as far as the master answers."""
-        with contextlib.suppress(LookupError, PeerTimeout):
-            self._context.master.ask("deleteParam", self._key)
-
-    def _present(self) -> object:
-        try:
-            return self._context.master.ask("getParam", self._key)
-        except LookupError:
-            return None

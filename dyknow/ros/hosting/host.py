@@ -132,7 +132,7 @@ class RosHost(Host):
         return isolated_for if kind.is_node else self._children.ensure(kind, isolated_for)
 
     def hand_over(self, protected: Callable[[], Mapping[str, Sequence[str]]]) -> None:
-        """Hand the guards to all processes that do not have them as they are now.
+        """Have all processes that answer obey the guards as they are now.
 
         Args:
             protected: returns, by process, the nodelets that it unloads for us alone. Stock
@@ -141,7 +141,7 @@ class RosHost(Host):
         with self._grants_turn:
             self._context.protected = protected()
             for peer in self._peers():
-                peer.guarding.hand_over(peer.state)
+                peer.hand_over_guards()
 
     def retire(self, manager: str) -> None:
         self._children.end(manager)
@@ -178,7 +178,6 @@ class RosHost(Host):
             return
         self._children.await_up(manager, timeout)
         peer = self._known(manager)
-        self._guard(peer)
         # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
             raise NameTaken(request.name)
@@ -312,7 +311,6 @@ class RosHost(Host):
         """Remove our guards and leases from the processes that outlive us."""
         for external in self._external.all():
             external.release()
-            external.guarding.withdraw()
 
     # Inside
 
@@ -332,12 +330,6 @@ class RosHost(Host):
             raise HostError(f"nodelet manager '{name}' is not running")
         return found
 
-    def _guard(self, peer: Peer) -> None:
-        """Hand the guards over; raises ``HostError`` if that fails."""
-        with self._grants_turn:
-            peer.guarding.hand_over(peer.state)
-        peer.guarding.check()
-
     def _hosting(self, nodelet: str) -> Peer:
         """Return the process that runs a nodelet, or did when it answered last."""
         hosting = [each for each in self._peers() if nodelet in each.presence.nodelets]
@@ -351,8 +343,7 @@ class RosHost(Host):
     ) -> builtins.list[str]:
         """List the nodelets of a process; unload those whose load had been given up."""
         found = peer.nodelets(number, incarnation)
-        late = peer.late.intersection(found)
-        peer.late -= late
+        late = peer.take_late(found)
         for name in late:
             self.unload(peer.name, name)
         return sorted(found.keys() - late)
@@ -365,7 +356,6 @@ class RosHost(Host):
         self._set_parameters(request.name, request.parameters)
         command = (path, *program.arguments, *remappings)
         self._children.start_node(request.kind, request.name, command, timeout)
-        self._guard(self._known(request.name))
 
     def _set_parameters(self, name: str, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:

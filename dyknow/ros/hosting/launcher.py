@@ -29,8 +29,8 @@ from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.external import may_be_there
-from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock
+from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process import os_process
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.wire.addresses import is_here
@@ -60,7 +60,7 @@ class Launcher:
         master: Master,
         owner: OwnerLock,
         orphan_timeout: float,
-        parameters: Mapping[str, Any],
+        guards: Mapping[str, str],
     ) -> None:
         """Make the folders for logs and files; raises ``HostError`` if they cannot be written.
 
@@ -68,7 +68,7 @@ class Launcher:
             master: its caller is the owner of the children.
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
-            parameters: further private parameters of each child.
+            guards: environment of each child, which are its guards from the start.
         """
         self._master = master
         self._owner = owner
@@ -76,7 +76,7 @@ class Launcher:
         #: Private parameters on the command line of Python ones, which need them even while there
         #: is no master.
         self._care = {"owner_lock": owner.path, "orphan_timeout": orphan_timeout}
-        self._parameters = parameters
+        self._guards = guards
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         for folder, variable in (
@@ -100,7 +100,8 @@ class Launcher:
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
         tag = {child_records.TAG: child_records.to_tag(child, self._owner.path)}
-        found = os_process.start((*program, *node), output, rospkg.get_ros_home(), tag)
+        environment = {**tag, **self._guards}
+        found = os_process.start((*program, *node), output, rospkg.get_ros_home(), environment)
         if kind is not NodeletKind.PYTHON and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, LogTail(output)
@@ -203,9 +204,8 @@ class Launcher:
 
     def _parameters_of(self, kind: NodeletKind, name: str) -> Mapping[str, Any]:
         if kind.is_node:
-            return self._parameters
-        own = {"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)}
-        return {**self._parameters, **own}
+            return {}
+        return {"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)}
 
     def _command(self, kind: NodeletKind) -> tuple[str, ...]:
         """Return the command of a nodelet manager, without its name."""

@@ -22,17 +22,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Collection, Dict, Iterator, Mapping, Optional
 
 import rospy
-from dyknow_msgs.msg import NodeletChanges, Port
+from dyknow_msgs.msg import Guards, NodeletChanges, Port
 from dyknow_msgs.srv import PollResponse
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.guards import NO_GUARDS
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, ProcessState, Reported
 from dyknow.periodic import ControlLoop
-from dyknow.ros.hosting.grants import Guarding, Lease, PeerContext
+from dyknow.ros.hosting.grants import Lease, PeerContext
 from dyknow.ros.nodelets.announcements import TOPIC
-from dyknow.ros.wire.messages import port_from
+from dyknow.ros.wire.messages import guards_message, port_from
 from dyknow.ros.wire.poll_client import PollClient
 
 #: Seconds for a poll, over a connection that is there.
@@ -85,7 +86,6 @@ class Peer(ABC):
         presence: present knowledge of its process.
         loop: its loop, with a thread for each key.
         lease: lets it publish on topics of claims.
-        guarding: its guards.
         late: nodelets whose load was given up, and which may still come up.
         refused: nodelets whose load was refused: there is nothing to unload.
     """
@@ -98,11 +98,11 @@ class Peer(ABC):
         self.context = context
         self.presence = presence
         self.lease = Lease(context)
-        self.guarding = Guarding(context, name)
         self.late: set[str] = set()
         self.refused: set[str] = set()
         self._state_lock = state_lock("peer")
         self._client: PollClient | None = None
+        self._guards: Guards | None = None  # those that its process has
         self._counted: set[str] = set()
         self._counts: Counts = {}
         self._is_prompt = True
@@ -155,6 +155,23 @@ class Peer(ABC):
                 return
             time.sleep(_STEP)
 
+    def take_late(self, nodelets: Collection[str]) -> set[str]:
+        """Return those of nodelets whose load was given up, and which are to be unloaded, once."""
+        with self._state_lock:
+            taken = self.late.intersection(nodelets)
+            self.late -= taken
+        return taken
+
+    def hand_over_guards(self) -> None:
+        """Return when it has the present guards, or does not answer."""
+        if self.state.alive and self.state.rewirable and self._guards != self._wanted_guards():
+            with contextlib.suppress(HostError):
+                self.nodelets()
+
+    def _wanted_guards(self) -> Guards:
+        protected = sorted(self.context.protected.get(self.name, ()))
+        return guards_message(self.context.guards, protected)
+
     def hear(self, changes: NodeletChanges) -> None:
         """Take an announcement of its process; others of its name are ignored."""
         with self._state_lock:
@@ -182,12 +199,13 @@ class Peer(ABC):
     # The end
 
     def release(self) -> None:
-        """Take its lease back, so that publishing goes on without it, and follow it no more."""
-        self.loop.close()
+        """Take its lease and its guards back, so that it goes on without us."""
+        self.loop.close(POLL_TIMEOUT)  # a renewal must not come after it
         client, known = self._client, self.presence
-        if client is not None and self.lease.is_granted and not known.trouble:
+        if client is not None and not known.trouble:
             with contextlib.suppress(HostError, PeerTimeout):
-                client.ask(POLL_TIMEOUT, **self.lease.release())
+                no_guards = [guards_message(NO_GUARDS)]
+                client.ask(POLL_TIMEOUT, guards=no_guards, **self.lease.release())
 
     def close(self) -> None:
         """Close the loop and the connections; the process goes on."""
@@ -240,12 +258,13 @@ class Peer(ABC):
     def _found(self, state: ProcessState, client: PollClient, answer: PollResponse) -> None:
         """Note which process it is now, and how it answered."""
         self._let_go(client)
-        with self._state_lock:
-            is_new = self.presence.state.incarnation != state.incarnation
-            self.presence = Presence(state)
-        if is_new:
+        self._guards = None
+        if self.state.incarnation != state.incarnation:
             self.lease.forget_clock()
-        self._take(client, answer)
+        with self._state_lock:
+            self.presence = _answered(Presence(state), answer)
+        if not client.is_stock:
+            self.lease.answered(answer.clock)
         if self._subscriber is None and state.rewirable and not self.is_node:
             self._subscriber = self.context.subscribe(names.join(self.name, TOPIC), self.hear)
 
@@ -257,15 +276,23 @@ class Peer(ABC):
             old.close()
 
     def _poll(self, client: PollClient, counted: list[str]) -> None:
-        asked = time.monotonic()
+        asked, guards = time.monotonic(), self._wanted_guards()
+        handed = [guards] if guards != self._guards else []
         try:
-            answer = client.ask(POLL_TIMEOUT, counted=counted, **self.lease.renewal())
+            answer = client.ask(
+                POLL_TIMEOUT, counted=counted, guards=handed, **self.lease.renewal()
+            )
         except (HostError, PeerTimeout) as error:
             if isinstance(error, HostError):
                 self._note_counts(dict.fromkeys(counted))
             self._missed(client, error)
             return
-        self._take(client, answer)
+        self._guards = guards
+        if not client.is_stock:
+            self.lease.answered(answer.clock)
+        with self._state_lock:
+            if client is self._client:
+                self.presence = _answered(self.presence, answer)
         found: Counts = dict.fromkeys(counted)
         answered = time.monotonic()
         for each in answer.counts:
@@ -274,27 +301,18 @@ class Peer(ABC):
         self._note_counts(found)
         self._is_prompt = True
 
-    def _take(self, client: PollClient, answer: PollResponse) -> None:
-        if not client.is_stock:
-            self.lease.answered(answer.clock)
-        with self._state_lock:
-            if client is not self._client:
-                return
-            known = self.presence
-            is_same = answer.changes.process == known.process
-            before = known.nodelets if is_same else {}
-            nodelets = {name: before.get(name) for name in answer.nodelets}
-            self.presence = replace(
-                known,
-                state=replace(known.state, responsive=True, away=False),
-                trouble="",
-                nodelets=_merged(nodelets, answer.changes),
-                process=answer.changes.process,
-            )
-
     def _note_counts(self, found: Counts) -> None:
         with self._state_lock:
             self._counts.update(found)
+
+
+def _answered(known: Presence, answer: PollResponse) -> Presence:
+    """Return the knowledge of a process that has answered."""
+    changes = answer.changes
+    before = known.nodelets if changes.process == known.process else {}
+    nodelets = _merged({name: before.get(name) for name in answer.nodelets}, changes)
+    state = replace(known.state, responsive=True, away=False)
+    return Presence(state, nodelets=nodelets, process=changes.process)
 
 
 def _merged(

@@ -49,12 +49,13 @@ from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
-from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
+from dyknow.ros.nodelets.process_guards import to_environment
 from dyknow.ros.process.node_process import NodeProcess
 from dyknow.ros.process.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import guards_message
 from dyknow.ros.wire.model_messages import ModelMessages
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class ManagerNode(Closable):
             self._master,
             self._owner,
             settings.orphan_timeout,
-            {guards_key(node): to_parameter(settings.guards)},
+            to_environment(node, guards_message(settings.guards)),
         )
         self._children = Children(context, launcher, names.parent(node), self._store)
         self._host = RosHost(

@@ -20,7 +20,7 @@ from dyknow.manager.specifications.given import undeclared
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.graph import Model, SpawnRequest
 from dyknow.ros.hosting.installed import missing_here
-from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.nodelets.process_guards import caller_of
 from dyknow.ros.nodelets.proxy_services import for_log
 from dyknow.ros.wire.messages import (
     acquire_from,

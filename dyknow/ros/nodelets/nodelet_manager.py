@@ -37,9 +37,9 @@ from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import NODES_TOPIC, Announcer
-from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
+from dyknow.ros.nodelets.process_guards import SPAWNED, ProcessGuards, caller_of
 from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
 from dyknow.ros.process import descriptors, programs
 from dyknow.ros.process.node_process import NodeProcess
@@ -118,7 +118,7 @@ class NodeletManager(Closable):
         pool: Executor = blocking
         if find_class is None:
             pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
-        self._guards = GuardParameters()
+        self._guards = ProcessGuards()
         self._runtime = Runtime(
             rospy_middleware(pool),
             pool,

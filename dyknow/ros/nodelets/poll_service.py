@@ -34,7 +34,7 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.announcements import Announcer
-from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
 from dyknow.ros.wire.addresses import connect
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import counts_message
@@ -59,7 +59,7 @@ class PollService(Closable):
         kind: NodeletKind,
         loader: Loader,
         bus: Bus,
-        guards: GuardParameters,
+        guards: ProcessGuards,
         announcer: Announcer,
         stuck: StuckCallbacks,
     ) -> None:
@@ -90,6 +90,8 @@ class PollService(Closable):
             raise rospy.ServiceException(str(error)) from error
         if len(request.topics) != len(request.nodelets):
             raise rospy.ServiceException("expected as many nodelets as topics")
+        for guards in request.guards:
+            self._guards.hand_over(caller_of(request), guards)
         if request.duration > 0.0:
             self._renew(request)
         counted = set(request.counted)

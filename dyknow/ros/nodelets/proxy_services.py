@@ -15,7 +15,7 @@ from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
-from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.nodelets.process_guards import caller_of
 from dyknow.ros.wire.messages import config_pairs, port_message, statistics_message
 
 #: Characters of one text in the log. A list of problems may have many lines.

@@ -28,8 +28,8 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
-from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
+from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode

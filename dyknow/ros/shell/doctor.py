@@ -34,7 +34,6 @@ from dyknow.model.streams import ClaimState
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.manager.manager_settings import state_path, unknown_parameters
-from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.nodelets.owner import is_taken
 from dyknow.ros.shell.shell_client import ShellClient
 from dyknow.ros.wire.master import Master
@@ -108,7 +107,6 @@ class Doctor:
             ("nodelets", self.nodelets),
             ("remains of nodelets", self.remains),
             ("streams", self.streams),
-            ("guards", self.guards),
             ("library", self.library),
             ("parameters", self.parameters),
             ("versions", self.versions),
@@ -270,18 +268,6 @@ class Doctor:
                     f"is {each.state.name}: {each.detail}",
                     f"dyknow plan '{each.tag}'",
                     is_error=each.state is ClaimState.FAILED,
-                )
-
-    def guards(self) -> Iterator[Finding]:
-        """Find processes that host nodelets without the guards of the manager."""
-        hosts = {each.node for each in self.model.nodelets if not each.is_fixed}
-        for host in sorted(hosts & set(self.nodes)) if self.model.revision else ():
-            parameter = names.join(host, guards_key(self.client.manager))
-            if self._parameter(parameter) is None:
-                yield Finding(
-                    host,
-                    f"has no guards: the parameter {parameter} is gone",
-                    "restart the DyKnow manager, which hands them over again",
                 )
 
     def library(self) -> Iterator[Finding]:

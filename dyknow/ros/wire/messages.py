@@ -20,6 +20,7 @@ from dyknow_msgs import msg, srv
 from genpy import Duration, Time, TVal
 
 from dyknow.errors import Result, StreamRefused
+from dyknow.guards import Guards
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
@@ -206,6 +207,31 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
         for each in sorted(statistics.ports, key=lambda each: each.port)
     ]
     return _message(msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports)
+
+
+# Guards of one manager, which has one allow list at most
+
+
+def guards_message(guards: Guards, protected: Sequence[str] = ()) -> msg.Guards:
+    return _message(
+        msg.Guards,
+        guards,
+        are_topics_limited=bool(guards.allowed_topics),
+        allowed_topics=[each for patterns in guards.allowed_topics for each in patterns],
+        are_programs_limited=bool(guards.allowed_programs),
+        allowed_programs=[each for patterns in guards.allowed_programs for each in patterns],
+        protected_nodelets=list(protected),
+    )
+
+
+def guards_from(message: msg.Guards) -> Guards:
+    topics, programs = tuple(message.allowed_topics), tuple(message.allowed_programs)
+    return _value(
+        Guards,
+        message,
+        allowed_topics=(topics,) if message.are_topics_limited else (),
+        allowed_programs=(programs,) if message.are_programs_limited else (),
+    )
 
 
 # Streams

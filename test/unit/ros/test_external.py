@@ -15,12 +15,14 @@ from dyknow_msgs.msg import NodeletChanges, NodeletPorts, Port
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, HostTimeout
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Reported
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.ros.hosting import external, grants
 from dyknow.ros.hosting.external import External, Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.messages import guards_message
 
 FAR = "/far"
 
@@ -173,6 +175,26 @@ def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(
     assert {each.confirmed for each in requests if each.duration} == {1.0}
     peer.release()
     assert (requests[-1].topics, requests[-1].duration) == ([], grants.DURATION)
+
+
+def test_guards_are_handed_over_once_and_when_they_change(graph, peer):
+    manager, context = graph.nodes[FAR], peer.context
+    context.guards = Guards(denied_topics=("/e_stop",), read_only=True)
+    context.protected = {FAR: ["/b", "/a"], "/other": ["/c"]}
+    peer.hand_over_guards()
+    (handed,) = manager.requests[-1].guards
+    assert handed == guards_message(context.guards, ["/a", "/b"])
+    for _ in range(2):
+        peer.hand_over_guards()
+        peer.nodelets()
+        assert manager.requests[-1].guards == []
+    manager.lose_connections()  # perhaps to another process
+    eventually(lambda: peer.state.responsive and manager.requests[-1].guards == [handed])
+    context.protected = {}
+    peer.hand_over_guards()
+    assert manager.requests[-1].guards[0].protected_nodelets == []
+    peer.release()
+    assert manager.requests[-1].guards == [guards_message(NO_GUARDS)]
 
 
 def test_an_older_answer_never_replaces_a_newer_announcement(graph, peer):
