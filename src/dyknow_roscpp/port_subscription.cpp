@@ -177,10 +177,9 @@ ros::CallbackInterface::CallResult PortSubscription::deliver(const Connection& l
   const auto& message = taken.front();
   if (const ros::VoidConstPtr content = message.deserializer->deserialize())  // else roscpp has logged why
   {
-    ros::SubscriptionCallbackHelperCallParams params;
-    params.event = ros::MessageEvent<void const>(content, message.deserializer->getConnectionHeader(),
-                                                 message.receipt_time, message.has_other_receivers,
-                                                 ros::MessageEvent<void const>::CreateFunction());
+    ros::SubscriptionCallbackHelperCallParams params{
+        {content, message.deserializer->getConnectionHeader(), message.receipt_time,
+         message.has_other_receivers, ros::MessageEvent<void const>::CreateFunction()}};
     message.connection->original_->call(params);
   }
   return ros::CallbackInterface::Success;
