@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import invariant, precondition, rule
 from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
-from unit.manager.field import LIBRARY, Field, transformation
+from unit.manager.field import Field, transformation
+from unit.manager.test_requirements import CHARGED, FORMULAS, requiring
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.model.streams import ClaimState
@@ -31,6 +32,7 @@ OTHERS = "".join(
         "</transformations>",
     ]
 )
+GUARDED = requiring("bottom camera", CHARGED)
 TAGS = st.sampled_from(
     ["FieldPosition(ball)", "RelativePosition(?what)", "RelativePosition(ball)", "Planes(field)"]
 )
@@ -46,6 +48,9 @@ class Claims(FaultyLife):
     def __init__(self) -> None:
         super().__init__()
         self.field.manager.add_transformation(OTHERS)
+        self.field.host.topics.add("/battery")
+        self.field.manager.add_transformation(FORMULAS)
+        self.field.manager.add_transformation(GUARDED)
         self.hand = 0
         self.protected: Set[str] = set()
 
@@ -56,8 +61,10 @@ class Claims(FaultyLife):
         self.end_faults()
         field = self.field
         field.host.topics.add("/joint_states")
-        field.manager.add_transformation(LIBRARY)
+        field.manager.add_transformation(GUARDED)
         field.manager.add_transformation(OTHERS)
+        for topic in field.host.followed:
+            field.host.decide(topic, True)
         field.settle(100.0)
         for claim in field.living():
             assert claim.state is ClaimState.ACTIVE, claim.detail
@@ -73,11 +80,12 @@ class Claims(FaultyLife):
         tag=TAGS,
         exclude=st.sampled_from([(), (), ("bottom camera",)]),
         silence=st.sampled_from([0.0, 0.0, 1.0]),
+        require=st.sampled_from(["", "", "present(it)"]),
     )
-    def acquire(self, tag: str, exclude: Tuple[str, ...], silence: float) -> None:
+    def acquire(self, tag: str, exclude: Tuple[str, ...], silence: float, require: str) -> None:
         before = self.field.host.running
         try:
-            self.field.acquire(tag, exclude=exclude, max_silence=silence)
+            self.field.acquire(tag, exclude=exclude, max_silence=silence, require=require)
         except NoPlanFound:
             return
         except DyKnowError:
@@ -112,9 +120,15 @@ class Claims(FaultyLife):
 
     @rule()
     def add_transformations(self) -> None:
-        self.field.manager.add_transformation(LIBRARY)
+        self.field.manager.add_transformation(GUARDED)
 
     # Accidents
+
+    @precondition(lambda self: self.field.host.followed)
+    @rule(number=NUMBERS, is_true=st.booleans())
+    def decide(self, number: int, is_true: bool) -> None:
+        topics = sorted(self.field.host.followed)
+        self.field.host.decide(topics[number % len(topics)], is_true)
 
     @rule(kind=TYPES, silent=st.booleans())
     def silence(self, kind: str, silent: bool) -> None:
