@@ -353,7 +353,7 @@ def _window(call: Call, period: int) -> int:
     return max(1, round(seconds.value * SECOND) // period)
 
 
-def _written(value: object) -> str:
+def _written(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "unknown"}[value]
     if isinstance(value, float):
@@ -362,4 +362,6 @@ def _written(value: object) -> str:
         return f"{value.to_sec():.6g}"
     if isinstance(value, (int, str)):
         return repr(value)
-    return f"<{type(value).__name__}>"
+    if hasattr(value, "UNKNOWN") and hasattr(value, "value"):  # a verdict
+        return {0: "FALSE", 1: "TRUE"}.get(value.value, "UNKNOWN")
+    return _written(value.data) if hasattr(value, "data") else f"<{type(value).__name__}>"

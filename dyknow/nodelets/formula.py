@@ -77,15 +77,18 @@ class FormulaNodelet(dyknow.Nodelet):
 
     def on_message(self, port: str, individual: str, message: Any) -> None:
         """Publish the verdicts that the message decides."""
+        if self.individuals is not None and not self.individuals.is_known:
+            return  # no state begins before
         self.publish(self.monitor.feed(port, message, self.nh.Time.now(), individual))
 
     def on_timer(self, event: Any) -> None:
         """Close the states that are due."""
         now = self.nh.Time.now()
-        if self.individuals is not None:
-            for variable, names in self.individuals.present().items():
+        present = {} if self.individuals is None else self.individuals.present()
+        if present is not None:
+            for variable, names in present.items():
                 self.publish(self.monitor.individuals(variable, names, now))
-        self.publish(self.monitor.advance(now))
+            self.publish(self.monitor.advance(now))
         self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
 
     def wait(self) -> float:

@@ -6,6 +6,9 @@
 
 from __future__ import annotations
 
+import json
+
+from dyknow_msgs.msg import Verdict
 from graph import Battery, Heard
 from manager_suite import ManagerProcess
 from processes import DYKNOW, eventually, finished, run
@@ -29,6 +32,15 @@ FORMULAS = """
     <tag port="holds">Holds(charged, ?robot)</tag></tags>
     <formula>battery.percentage &gt; 0.2</formula></transformation>
 </transformations>
+"""
+
+
+ALL_CHARGED = """
+<transformation type="formula"><label>all charged</label>
+  <ports><port type="in" datatype="sensor_msgs/BatteryState">b</port>
+  <port type="out">holds</port></ports>
+  <tags><tag port="b">Battery(?r)</tag><tag port="holds">AllCharged</tag></tags>
+  <formula>every ?r (b.percentage &gt; 0.2)</formula></transformation>
 """
 
 
@@ -89,6 +101,35 @@ class RequiresTest(StreamCase):
         self.events().mended("/camera_1 is not available")
         heard.flows()
         self.settled(manager)
+
+
+class EveryTest(StreamCase):
+    def test_individuals_count_from_the_first_verdict_on(self):
+        """Their streams are frequent: looks for individuals must not wait for a pause."""
+        manager = self.running()
+        for robot in ("nao", "pepper"):
+            battery = FORMULAS.partition('<transformation type="formula">')[0]
+            battery = battery.replace("<label>battery", f"<label>battery of {robot}")
+            battery = battery.replace("/battery<", f"/{robot}/battery<")
+            battery = battery.replace("Battery(nao)", f"Battery({robot})")
+            manager.client.add_transformation(f"{battery}</transformations>")
+        manager.client.add_transformation(ALL_CHARGED)
+        full = self.enter(Battery(0.5, topic="/nao/battery"))
+        flat = self.enter(Battery(0.1, topic="/pepper/battery"))
+        stream = manager.client.acquire_stream(StreamRequest("AllCharged"))
+        verdicts = self.enter(Heard(stream.topic, Verdict))
+        verdicts.has(lambda each: each.why.startswith("pepper: b.percentage = 0.1 at "))
+        self.assertNotIn(Verdict.TRUE, {each.value for each in verdicts})
+        options = ("--port", "b=Battery(?r)", "--for", "5", "--json")
+        code, output = finished([*DYKNOW, "holds", "every ?r (b.percentage > 0.2)", *options])
+        self.assertEqual(code, 1, output)
+        lines = [json.loads(line) for line in output.splitlines() if line[:1] == "{"]
+        values = {line["value"] for line in lines}
+        self.assertTrue("FALSE" in values and "TRUE" not in values, output)
+        flat.percentage = 0.5
+        verdicts.has(lambda each: each.value == Verdict.TRUE)
+        full.percentage = 0.1
+        verdicts.has(lambda each: each.why.startswith("nao: b.percentage = 0.1 at "))
 
 
 class RequireTest(StreamCase):

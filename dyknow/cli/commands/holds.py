@@ -192,7 +192,7 @@ def _live(
         check(formula, {port: datatypes.get(port, "") for port in formula.ports})
         for port, topic in streams.items():
             live.subscribe(port, "", topic, known_class(datatypes[port]))
-        present: Callable[[], Mapping[str, list[str]]] = dict
+        present: Callable[[], Mapping[str, list[str]] | None] = dict
         if individual:
             individuals = IndividualStreams(client, individual, {}, live.subscribe)
             stack.callback(individuals.close)

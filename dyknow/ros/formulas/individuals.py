@@ -56,6 +56,8 @@ class IndividualStreams:
         self._subscribe = subscribe
         self._client_id = client_id
         self._streams: dict[tuple[str, str], tuple[AcquiredStream, Any]] = {}
+        #: Whether it has looked for individuals once.
+        self.is_known = False
         self._worker = PeriodicWorker("individuals of a formula", self._look, _PERIOD)
         self._worker.start()
 
@@ -65,8 +67,13 @@ class IndividualStreams:
         for key in list(self._streams):
             self._remove(key)
 
-    def present(self) -> dict[str, list[str]]:
-        """Return the individuals of each variable that have a stream at each of its ports."""
+    def present(self) -> dict[str, list[str]] | None:
+        """Return the individuals of each variable that have a stream at each of its ports.
+
+        None before the first look for them.
+        """
+        if not self.is_known:
+            return None
         found: dict[str, set[str]] = {}
         for port, term in self._terms.items():
             (variable,) = term.variables
@@ -84,6 +91,7 @@ class IndividualStreams:
                 self._add(port, name, term)
             for name in sorted(here - names):
                 self._remove((port, name))
+        self.is_known = True
 
     def _add(self, port: str, name: str, term: Term) -> None:
         tag, kind = str(term.substitute({term.variables[0]: name})), self._classes.get(port, "")

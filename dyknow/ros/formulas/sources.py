@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from functools import partial
 from typing import Any, Callable, Iterator, Mapping, NamedTuple
 
@@ -49,28 +50,35 @@ class LiveTopics:
     def verdicts(
         self,
         monitor: Monitor,
-        individuals: Callable[[], Mapping[str, list[str]]],
+        individuals: Callable[[], Mapping[str, list[str]] | None],
         is_over: Callable[[], bool],
     ) -> Iterator[Verdict]:
         """Yield verdicts as they come.
 
         Args:
             monitor: makes them.
-            individuals: returns the individuals that are there, by variable.
+            individuals: returns the individuals that are there, by variable; None as long as
+                that is not known, and no state begins.
             is_over: whether to end.
         """
+        looked = float("-inf")
         while not is_over() and not rospy.is_shutdown():
             try:
-                received = self._received.get(timeout=_PATIENCE)
+                received: Received | None = self._received.get(timeout=_PATIENCE)
             except queue.Empty:
-                now = rospy.Time.now()
-                for variable, names in individuals().items():
+                received = None
+            present = individuals()
+            if present is None:
+                continue
+            now = rospy.Time.now() if received is None else received.when
+            if received is None or time.monotonic() - looked >= _PATIENCE:
+                looked = time.monotonic()
+                for variable, names in present.items():
                     yield from monitor.individuals(variable, names, now)
+            if received is None:
                 yield from monitor.advance(now)
             else:
-                yield from monitor.feed(
-                    received.port, received.message, received.when, received.individual
-                )
+                yield from monitor.feed(received.port, received.message, now, received.individual)
 
 
 class Bag:

@@ -211,6 +211,14 @@ def test_times_and_constants_of_messages() -> None:
     assert [each.value for each in verdicts] == [Truth.FALSE, Truth.TRUE, Truth.FALSE]
 
 
+def test_ports_alone_are_written_as_flags_and_verdicts() -> None:
+    monitor = parse("flag and charged").monitor(0.1)
+    verdict = SimpleNamespace(value=1, UNKNOWN=2)
+    found = monitor.feed("flag", SimpleNamespace(data=True), 1.0)
+    found += monitor.feed("charged", verdict, 1.0) + monitor.advance(2.0)
+    assert found[0].why == "flag = true at 1, charged = TRUE at 1"
+
+
 def test_individuals() -> None:
     monitor = parse("every ?c: Camera (rate(image, 1 s) > 5)").monitor(0.1)
     verdicts = monitor.individuals("?c", ["left", "right"], 0.0)
