@@ -116,6 +116,8 @@ class EveryTest(StreamCase):
         manager.client.add_transformation(ALL_CHARGED)
         full = self.enter(Battery(0.5, topic="/nao/battery"))
         flat = self.enter(Battery(0.1, topic="/pepper/battery"))
+        names = ("?r=nao", "?r=pepper")
+        eventually(lambda: manager.client.find_bindings("Battery(?r)") == names, 20.0, f"{names}")
         stream = manager.client.acquire_stream(StreamRequest("AllCharged"))
         verdicts = self.enter(Heard(stream.topic, Verdict))
         verdicts.has(lambda each: each.why.startswith("pepper: b.percentage = 0.1 at "))
