@@ -143,12 +143,9 @@ class GarbageCollector:
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
         now, world = self._context.clock(), self._world()
-        needed = world.needed | self._lock.reserved
-        idle = {
-            record.name: record
-            for record in reversed([*world.records.values()])
-            if record.claimed and not record.is_protected and record.name not in needed
-        }
+        names = world.idle(self._lock.reserved)
+        records = reversed([*world.records.values()])
+        idle = {record.name: record for record in records if record.name in names}
         self._idle_since = {name: self._idle_since.get(name, now) for name in idle}
         unfit = self._monitor.unfit()
         for name, record in idle.items():

@@ -183,6 +183,15 @@ class World:
         """Nodelets that claims are made of."""
         return frozenset([name for claim in self.claims for name in claim.wiring])
 
+    def idle(self, reserved: AbstractSet[str]) -> frozenset[str]:
+        """Nodelets that were made for claims and go soon: no claim and no request needs them."""
+        needed = self.needed | reserved
+        return frozenset(
+            name
+            for name, each in self.records.items()
+            if each.claimed and not each.is_protected and name not in needed
+        )
+
     @cached_property
     def described_nodes(self) -> frozenset[str]:
         """Labels of the external nodes that run and that the library describes."""
