@@ -169,6 +169,16 @@ class HeardVerdict:
     why: str = ""
     was_false: bool = False
 
+    @classmethod
+    def after(
+        cls, known: HeardVerdict | None, is_true: bool, heard: float, stamp: float, why: str
+    ) -> HeardVerdict:
+        """Return the last verdict once another one has come: the known one if they are equal."""
+        if known is not None and known.is_true is is_true:
+            return known
+        was_false = not is_true or (known is not None and known.was_false)
+        return cls(is_true, heard, stamp, why, was_false)
+
 
 class Listening(ABC):
     """Counts the messages of one topic until it is closed."""

@@ -530,16 +530,10 @@ class FakeHost(Host):
 
     def decide(self, topic: str, is_true: bool, why: str = "") -> None:
         """Let a verdict come on a topic; it is not heard unless the topic is followed."""
-        if topic not in self.followed:
-            return
-        known = self._heard.get(topic)
-        was_false = not is_true or (known is not None and known.was_false)
-        now = self.clock()
-        if known is None or known.is_true is not is_true:
-            self._heard = {
-                **self._heard,
-                topic: HeardVerdict(is_true, now, now, why, was_false),
-            }
+        if topic in self.followed:
+            known, now = self._heard.get(topic), self.clock()
+            heard = HeardVerdict.after(known, is_true, now, now, why)
+            self._heard = {**self._heard, topic: heard}
 
     def listen(self, topic: str) -> Listening:
         self._step("listen", topic)

@@ -58,12 +58,12 @@ class VerdictTopics:
     def _hear(self, topic: str, message: Verdict) -> None:
         if message.value == Verdict.UNKNOWN:
             return
-        is_true = message.value == Verdict.TRUE
+        is_true, since = message.value == Verdict.TRUE, message.since.to_sec()
         with self._state_lock:
-            known = self._heard.get(topic)
-            if topic not in self._wanted or (known is not None and known.is_true is is_true):
+            if topic not in self._wanted:
                 return
-            was_false = not is_true or (known is not None and known.was_false)
-            now, since = time.monotonic(), message.since.to_sec()
-            self._heard[topic] = HeardVerdict(is_true, now, since, message.why, was_false)
-        self._on_change()
+            known = self._heard.get(topic)
+            heard = HeardVerdict.after(known, is_true, time.monotonic(), since, message.why)
+            self._heard[topic] = heard
+        if heard is not known:
+            self._on_change()
