@@ -126,7 +126,6 @@ class ClaimPlanner:
         self._planned_with: Mapping[str, Transformation] = {}
         self._transformations: dict[str, Transformation] = {}
         self._transformations_at: tuple[int, frozenset[str]] = (-1, NO_LABELS)
-        self._requires = False
         self._looked = float("-inf")
         #: Topics of ordinary nodes that had a publisher at the last look.
         self.published: frozenset[str] = frozenset()
@@ -200,7 +199,7 @@ class ClaimPlanner:
     def _unavailable(self, situation: Situation) -> NoPlan | None:
         """Say which verdicts forbid every plan, if there is one without them."""
         free = situation._replace(paused=NO_LABELS, verdicts=None)
-        plan = self._solved(free) if self._requires else None
+        plan = self._solved(free) if self._monitor.requirements.guarded else None
         if not isinstance(plan, Plan):
             return None
         why_not = self._monitor.requirements.why_not
@@ -216,9 +215,9 @@ class ClaimPlanner:
 
     def required(self, claims: Iterable[Claim]) -> frozenset[Term]:
         """Return the tags of the verdicts that claims may depend on, and the verdicts in turn."""
-        known = self.transformations()
-        if not self._requires:
+        if not self._monitor.requirements.guarded:
             return frozenset()
+        known = self.transformations()
         found: set[Term] = set()
         waiting = [(claim.demand, frozenset(claim.request.exclude)) for claim in claims]
         streams = [
@@ -294,7 +293,8 @@ class ClaimPlanner:
         """Return a plan by which all claims together cost less than now, or None."""
         own = self.own(claim)
         saved = self._saved(claim, own)
-        situation = self.situation(claim, without=self._lingering().union(saved))
+        lingering = self._world().idle(self._lock.reserved)
+        situation = self.situation(claim, without=lingering.union(saved))
         answer = self._searched(
             situation._replace(
                 own=tuple(each for each in situation.own if situation.known[each.label].node),
@@ -308,16 +308,6 @@ class ClaimPlanner:
         cost = answer.cost + (RELAY_COST if is_elsewhere else 0)
         is_cheaper = cost < self._price(claim, saved.values())
         return self._priced(answer, own, situation.known) if is_cheaper else None
-
-    def _lingering(self) -> frozenset[str]:
-        """Nodelets that no claim needs, and that go soon."""
-        world = self._world()
-        needed = world.needed | self._lock.reserved
-        return frozenset(
-            name
-            for name, each in world.records.items()
-            if each.claimed and not each.is_protected and name not in needed
-        )
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
@@ -369,7 +359,6 @@ class ClaimPlanner:
             self._transformations = {
                 each.label: each for each in library.all() if not each.node or each.label in nodes
             }
-            self._requires = any(each.requires for each in self._transformations.values())
         return self._transformations
 
     def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> list[OwnNodelet]:

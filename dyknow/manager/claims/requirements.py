@@ -23,7 +23,12 @@ from dyknow.manager.claims.ends import VERDICTS
 from dyknow.manager.claims.world import World
 from dyknow.manager.host import HeardVerdict
 from dyknow.manager.lifecycle import ManagerContext
-from dyknow.manager.planning.problem import NO_VERDICTS, Verdicts, required_tags
+from dyknow.manager.planning.problem import (
+    NO_VERDICTS,
+    Verdicts,
+    canonical_tag,
+    required_tags,
+)
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.model.graph import State
@@ -53,7 +58,6 @@ class Requirements:
         """``recover`` are the seconds for which a verdict has to be TRUE after it was FALSE."""
         self._host = context.host
         self._library = context.library
-        self._graph = context.graph
         self._clock = context.clock.now
         self._table = table
         self._world = world
@@ -61,10 +65,20 @@ class Requirements:
         self._followed: set[str] = set()
         self._heard: Mapping[str, HeardVerdict] = {}
         self._tags: dict[Term, HeardVerdict] = {}
+        self._guarded: Mapping[str, Transformation] = {}
+        self._guarded_at = -1
         #: The verdicts of the last round.
         self.verdicts = NO_VERDICTS
         #: Why nodelets and topics are not available, by their names.
         self.unavailable: Mapping[str, str] = {}
+
+    @property
+    def guarded(self) -> Mapping[str, Transformation]:
+        """The transformations of the library that require verdicts, by label."""
+        if self._guarded_at != self._library.revision:
+            self._guarded_at = self._library.revision
+            self._guarded = {each.label: each for each in self._library.all() if each.requires}
+        return self._guarded
 
     # The manager's own claims
 
@@ -91,12 +105,11 @@ class Requirements:
         self._followed = topics
         self._heard = self._host.verdicts(topics)
         canonical = self._library.ontology.canonical
-        self._tags = {}
-        for topic, claim in own.items():
-            if topic in self._heard:
-                tag = parse_tag(claim.request.tag)
-                key = Term(canonical(tag.functor), tuple(map(canonical, tag.args)))
-                self._tags[key] = self._heard[topic]
+        self._tags = {
+            canonical_tag(parse_tag(claim.request.tag), canonical): self._heard[topic]
+            for topic, claim in own.items()
+            if topic in self._heard
+        }
         good = {tag for tag, heard in self._tags.items() if self._is_good(heard)}
         self.verdicts = Verdicts(frozenset(good), frozenset(self._tags.keys() - good))
         self.unavailable = self._found_unavailable()
@@ -111,10 +124,9 @@ class Requirements:
             return {}
         world, found = self._world(), {}
         for record in world.records.values():
-            if record.state is State.RUNNING and record.transformation is not None:
-                why = self._why_not_nodelet(record, world)
-                if why:
-                    found[record.name] = f"{record.name} is not available: {why}"
+            why = self._why_not_nodelet(record, world) if record.state is State.RUNNING else ""
+            if why:
+                found[record.name] = f"{record.name} is not available: {why}"
         for each in world.descriptions:
             why = self.why_not(each, {})
             if why:
@@ -122,10 +134,9 @@ class Requirements:
         return found
 
     def _why_not_nodelet(self, record: Record, world: World) -> str:
-        assert record.transformation is not None
-        label = record.transformation.label
-        known = self._library.get(label) if label in self._library else record.transformation
-        if not known.requires:
+        made = record.transformation
+        known = self.guarded.get(record.label) if record.label in self._library else made
+        if known is None or not known.requires:
             return ""
         ways = world.ways(record.name) or [record.given]
         return next(filter(None, [self.why_not(known, way) for way in ways]), "")

@@ -265,7 +265,12 @@ def required_tags(
 ) -> list[Term]:
     """Return the tags of the verdicts that a transformation requires, with canonical names."""
     terms = [parse_tag(each.tag).substitute(bindings) for each in transformation.requires]
-    return [Term(canonical(term.functor), tuple(map(canonical, term.args))) for term in terms]
+    return [canonical_tag(term, canonical) for term in terms]
+
+
+def canonical_tag(term: Term, canonical: Callable[[str], str]) -> Term:
+    """Write a tag with canonical names, and without types."""
+    return Term(canonical(term.functor), tuple(map(canonical, term.args)))
 
 
 Answer = Union[Plan, NoPlan]

@@ -247,13 +247,17 @@ def all_completions(formula: Node, states: List[State], limit: int = 8) -> Optio
     return [outcome.pop() if len(outcome) == 1 else UNKNOWN for outcome in outcomes]
 
 
+def few_states(dice: random.Random) -> Tuple[Node, List[State], Optional[List[int]]]:
+    """A small formula, some states, and what all completions of these agree on."""
+    formula = random_formula(dice, dice.randint(1, 3), "pq", 1, past=dice.random() < 0.7)
+    states = random_states(dice, dice.randint(1, 6))
+    return formula, states, all_completions(formula, states)
+
+
 @examples(250)
 @given(seeds)
 def test_exact_is_what_all_completions_agree_on(seed: int) -> None:
-    dice = random.Random(seed)
-    formula = random_formula(dice, dice.randint(1, 3), "pq", 1, past=dice.random() < 0.7)
-    states = random_states(dice, dice.randint(1, 6))
-    expected = all_completions(formula, states)
+    formula, states, expected = few_states(random.Random(seed))
     if expected is not None:
         assert completed(ExactEvaluator(formula, SECOND, None, 1000), states) == expected
 
@@ -262,9 +266,7 @@ def test_exact_is_what_all_completions_agree_on(seed: int) -> None:
 @given(seeds)
 def test_exact_without_room_is_between_kleene_and_the_truth(seed: int) -> None:
     dice = random.Random(seed)
-    formula = random_formula(dice, dice.randint(1, 3), "pq", 1, past=dice.random() < 0.7)
-    states = random_states(dice, dice.randint(1, 6))
-    expected = all_completions(formula, states)
+    formula, states, expected = few_states(dice)
     if expected is not None:
         kleene = completed(Evaluator(formula, SECOND), states)
         found = completed(ExactEvaluator(formula, SECOND, None, dice.randint(0, 3)), states)
