@@ -73,8 +73,9 @@ class SoakTest(ManagerCase):
 
     def judge(self, readings: dict[int, dict[str, Any]], remark: str) -> None:
         last = max(readings)
-        early = [found for number, found in readings.items() if number <= WARM]
-        late = [found for number, found in readings.items() if number > (WARM + last) / 2]
+        # Threads for timers, leases and the like start with their first use, and stay.
+        early = [found for number, found in readings.items() if number <= last / 2]
+        late = [found for number, found in readings.items() if number > last * 3 / 4]
         grown = {}
         for key in readings[last]:
             if key.endswith(" memory"):
