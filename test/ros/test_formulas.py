@@ -117,6 +117,11 @@ class HoldsTest(TellingCase):
         command.stop()
         self.assertEqual(command.exit_code(20.0), 0)
 
+    def test_a_topic_that_does_not_come_in_time(self):
+        code, output = finished([*DYKNOW, "holds", "nothing.percentage > 0.2", "--for", "0.5"])
+        self.assertEqual(code, 1)
+        self.assertIn("the topic /nothing of the port 'nothing' is not published\n", output)
+
     def test_what_is_wrong_is_said(self):
         self.enter(Battery(0.5))
         rospy.wait_for_message("/battery", BatteryState, 20.0)

@@ -179,7 +179,8 @@ def _live(
             f"the port '{port}' has a stream for each individual: give its tag, as "
             f"--port '{port}=Image(?c: Camera)'"
         )
-    datatypes = {port: _datatype(shell, port, topic) for port, topic in streams.items()}
+    latest = None if duration is None else time.monotonic() + duration
+    datatypes = {port: _datatype(shell, port, topic, latest) for port, topic in streams.items()}
     check(formula, {port: datatypes.get(port, "") for port in formula.ports})
     deadline = None if duration is None else time.monotonic() + duration
     live = LiveTopics()
@@ -202,13 +203,15 @@ def _live(
         )
 
 
-def _datatype(shell: Shell, port: str, topic: str) -> str:
-    """Return the ROS type of a topic; waits for its first publisher or subscriber."""
+def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:
+    """Return the ROS type of a topic; waits for its first publisher or subscriber until then."""
     is_late = False
     while True:
         found = shell.client.datatypes().get(topic, "*")
         if found != "*":
             return found
+        if latest is not None and time.monotonic() >= latest:
+            raise DyKnowError(f"the topic {topic} of the port '{port}' is not published")
         if not is_late:
             shell.warn(f"the topic {topic} of the port '{port}' is not published: waiting for it")
             is_late = True
