@@ -43,7 +43,7 @@ _OURS, _PLAIN, _PEER = "dyknow", "nodelet", "cpp_nodelet"
 _LIMITS: dict[float, float] = {100.0: 0.25, 5.0: 0.35}
 _SIZES = ["320x240", "640x480", "1280x720", "1920x1080"]
 #: The paper's kinds, with C++ beside them.
-_PAPERS = [kind for kind in KINDS if kind not in ("script", "cpp_live")]
+_PAPERS = [kind for kind in KINDS if kind not in ("isolated", "script", "cpp_live")]
 _FOOTPRINTS = ["dyknow", "nodelet", "cpp_nodelet", "node", "cpp_node"]
 #: Options that ``chain --quick`` stands for; each can be given too.
 QUICK = ("--rate", "100", "--messages", "400")
@@ -58,7 +58,7 @@ _BEFORE = 3
         "metavar": "KIND",
         "default": _PAPERS,
         "help": "; ".join(f"{kind}: {text}" for kind, text in KINDS.items())
-        + " (default: all but script, cpp_live)",
+        + " (default: all but isolated, script, cpp_live)",
     },
     hops=[1, 2, 5, 10, 20, 50],
     rate=5.0,

@@ -22,6 +22,7 @@ from dyknow_benchmark.session import MeasurementFailed, Session, offers, say, st
 #: Descriptions of the kinds, in the order in which they are shown.
 KINDS: dict[str, str] = {
     "dyknow": "DyKnow nodelets: ports, through the proxy",
+    "isolated": "the same DyKnow nodelets, a nodelet manager for each hop",
     "nodelet": "plain Python nodelets of the same nodelet manager: topics, no proxy",
     "node": "rospy nodes, a process each",
     "script": "the same rospy nodes, unchanged, as scripts in DyKnow's nodelet manager",
@@ -31,7 +32,7 @@ KINDS: dict[str, str] = {
 }
 #: Where the kinds that are nodelets run.
 MANAGERS = {
-    **dict.fromkeys(("dyknow", "nodelet", "script"), "python"),
+    **dict.fromkeys(("dyknow", "isolated", "nodelet", "script"), "python"),
     "cpp_nodelet": "cpp",
     "cpp_live": "cpp_live",
 }
@@ -203,6 +204,16 @@ class ChainPart(NamedTuple):
         return dict(zip(("out", "in") if self.hop else ("out",), topics))
 
 
+class FanPart(ChainPart):
+    """A part of a fan: every hop receives what the source publishes."""
+
+    __slots__ = ()
+
+    @property
+    def remappings(self) -> dict[str, str]:
+        return {**super().remappings, **({"in": f"{self.control}/hop_0"} if self.hop else {})}
+
+
 def build(
     session: Session,
     kind: str,
@@ -210,16 +221,18 @@ def build(
     record: Sequence[int] = (),
     payload: str = "time",
     name: str = "",
+    part: type[ChainPart] = ChainPart,
 ) -> Chain:
     """Set up a chain and return once messages go all the way through it.
 
     Args:
-        session: where it runs; nodelets share one manager of their language.
+        session: where it runs; nodelets share a manager of their language, but for isolated ones.
         kind: a key of ``KINDS``.
         length: number of hops.
         record: hops that report; the last one if none is named.
         payload: content of the messages: ``time``, or a size of images.
         name: suffix of the namespace, for several chains of one kind and payload.
+        part: how its parts are connected.
 
     Raises:
         DyKnowError: it does not come up.
@@ -228,7 +241,7 @@ def build(
     control = f"/benchmark/{kind}_{payload}{name}"
     record = record or [length]
     for hop in range(length, -1, -1):  # the last first, so that each finds its listener
-        add_part(session, kind, ChainPart(control, payload, hop, hop in record))
+        add_part(session, kind, part(control, payload, hop, hop in record))
     return Chain(session, control, record)
 
 
@@ -241,7 +254,8 @@ def add_part(session: Session, kind: str, part: ChainPart) -> None:
         if kind == "script":
             node_type, words = "dyknow/Script", ["dyknow/benchmark_node", part.program]
         topics = {f"{part.control}/{port}": topic for port, topic in part.remappings.items()}
-        manager = session.nodelet_manager(MANAGERS[kind])
+        own = f"_{part.hop}" if kind == "isolated" else ""
+        manager = session.nodelet_manager(MANAGERS[kind], own)
         manager.load(part.node, node_type, topics, words, **parameters)
         return
     given = {f"_{key}": value for key, value in parameters.items()}

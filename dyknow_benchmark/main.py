@@ -14,14 +14,14 @@ from typing import Sequence
 import rospy
 
 from dyknow.errors import DyKnowError
-from dyknow_benchmark import arrival, formulas, switching, system
+from dyknow_benchmark import arrival, formulas, isolation, switching, system
 from dyknow_benchmark.options import MEASUREMENTS, PARSER
 from dyknow_benchmark.results import Results
 
 TARGET_NOT_MET, FAILED, INTERRUPTED = 1, 2, 130
 
 #: The modules that declare measurements, in the order of the help.
-MODULES = (arrival, switching, system, formulas)
+MODULES = (arrival, isolation, switching, system, formulas)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

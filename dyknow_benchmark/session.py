@@ -78,15 +78,16 @@ class Session(Processes):
         """Start a process of which no more is known than its command."""
         return self.start(f"process {' '.join(command)}", command, ready=ready)
 
-    def nodelet_manager(self, kind: str = "python") -> RunningManager:
-        """Return the nodelet manager of a kind, started when it is needed first."""
-        if kind not in self._managers:
-            name = f"/{kind}_manager_process"
+    def nodelet_manager(self, kind: str = "python", own: str = "") -> RunningManager:
+        """Return the nodelet manager of a kind, or one of its ``own``, started on first need."""
+        key = kind + own
+        if key not in self._managers:
+            name = f"/{key}_manager_process"
             package, program, *arguments = _NODELET_MANAGERS[kind]
             command = [find_program(package, program), *arguments, f"__name:={name[1:]}"]
             process = self.run(command, lambda: offers(f"{name}/list"))
-            self._managers[kind] = RunningManager(name, process)
-        return self._managers[kind]
+            self._managers[key] = RunningManager(name, process)
+        return self._managers[key]
 
     def dyknow_manager(self) -> ManagerClient:
         """Start a DyKnow manager with the shipped source and relay in its library."""

@@ -34,6 +34,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "images": ("images",),
     "busy": ("busy",),
     "outside": ("outside",),
+    "shared": ("shared",),
     "rewire": ("rewire",),
     "cpp": ("cpp",),
     "scripts": ("scripts",),
