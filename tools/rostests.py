@@ -30,6 +30,7 @@ SLOW = (
     "nodelet_manager",
     "rqt_window",
     "rewiring",
+    "shared_memory",
     "manager_faults",
     "demo",
     "debian_scripts",

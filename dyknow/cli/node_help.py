@@ -32,6 +32,8 @@ Private parameters (default):
                          0: for ever (300)
   ~recover               seconds for which a verdict has to be TRUE again before the
                          transformations that require it are used (2)
+  ~shared_memory         whether its processes exchange large messages through shared
+                         memory, where they can (true)
   ~state_dir             folder of the durable state (dyknow in ROS_HOME)
   ~denied_topics         patterns of topics that no port may be connected to (none)
   ~allowed_topics        patterns of the only topics that ports may be connected to (all)
@@ -79,6 +81,8 @@ Private parameters (default):
                        reported (10)
   ~switch_interval     seconds that a thread in Python code keeps the interpreter
                        before others get it (0.0005)
+  ~shared_memory       whether large messages reach other processes of this host
+                       through shared memory, where they can (true)
 
 Services:
   ~load_nodelet, ~unload_nodelet, ~list            as the C++ nodelet manager has them

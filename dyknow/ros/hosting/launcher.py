@@ -61,6 +61,7 @@ class Launcher:
         owner: OwnerLock,
         orphan_timeout: float,
         guards: Mapping[str, str],
+        shared_memory: bool = True,
     ) -> None:
         """Make the folders for logs and files; raises ``HostError`` if they cannot be written.
 
@@ -69,6 +70,7 @@ class Launcher:
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
             guards: environment of each child, which are its guards from the start.
+            shared_memory: whether they may use it.
         """
         self._master = master
         self._owner = owner
@@ -76,6 +78,7 @@ class Launcher:
         #: Private parameters on the command line of Python ones, which need them even while there
         #: is no master.
         self._care = {"owner_lock": owner.path, "orphan_timeout": orphan_timeout}
+        self._shared_memory = shared_memory
         self._guards = guards
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
@@ -203,9 +206,12 @@ class Launcher:
         in_background(f"watcher of {found.pid}", watcher.wait)
 
     def _parameters_of(self, kind: NodeletKind, name: str) -> Mapping[str, Any]:
-        if kind.is_node:
-            return {}
-        return {"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)}
+        found: dict[str, Any] = {}
+        if kind is NodeletKind.PYTHON or not self._shared_memory:  # a node's namespace is its own
+            found["shared_memory"] = self._shared_memory
+        if not kind.is_node:
+            found.update({"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)})
+        return found
 
     def _command(self, kind: NodeletKind) -> tuple[str, ...]:
         """Return the command of a nodelet manager, without its name."""

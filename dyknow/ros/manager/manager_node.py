@@ -112,6 +112,7 @@ class ManagerNode(Closable):
             self._owner,
             settings.orphan_timeout,
             to_environment(node, guards_message(settings.guards)),
+            settings.shared_memory,
         )
         self._children = Children(context, launcher, names.parent(node), self._store)
         self._host = RosHost(

@@ -33,6 +33,7 @@ PARAMETERS = (
     "spawn_timeout",
     "orphan_timeout",
     "recover",
+    "shared_memory",
     "denied_topics",
     "allowed_topics",
     "allowed_programs",
@@ -57,6 +58,7 @@ class ManagerSettings:
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
         recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
+        shared_memory: whether its processes exchange large messages through shared memory.
         guards: restrictions.
         limits: sizes of specifications.
     """
@@ -71,6 +73,7 @@ class ManagerSettings:
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     recover: float = 2.0
+    shared_memory: bool = True
     guards: Guards = NO_GUARDS
     limits: SpecificationLimits = DEFAULT_LIMITS
 
@@ -93,6 +96,7 @@ class ManagerSettings:
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             recover=_seconds("recover", cls.recover, least=0.0),
+            shared_memory=_bool("shared_memory", cls.shared_memory),
             guards=Guards(
                 denied_topics=_topic_patterns("denied_topics"),
                 allowed_topics=tuple(filter(None, [_topic_patterns("allowed_topics")])),

@@ -65,11 +65,13 @@ class Settings:
         switch_interval: seconds that a thread in Python code keeps the interpreter before it lets
             other threads in. Python's own 5 ms would let one busy nodelet delay each hop of all.
         stuck_after: seconds after which a callback that has not returned is reported.
+        shared_memory: whether large messages reach other processes of this host through memory.
     """
 
     num_worker_threads: int = 0
     switch_interval: float = 0.0005
     stuck_after: float = 10.0
+    shared_memory: bool = True
 
     @classmethod
     def read(cls) -> Settings:
@@ -87,12 +89,20 @@ class Settings:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
                 raise BadParameter(f"~{name}", value, "seconds above 0")
             seconds[name] = float(value)
-        return cls(workers, **seconds)
+        return cls(workers, shared_memory=read_shared_memory(), **seconds)
 
     @property
     def workers(self) -> int:
         """Number of threads that it comes to."""
         return self.num_worker_threads or max(4, os.cpu_count() or 1)
+
+
+def read_shared_memory() -> bool:
+    """Read ``~shared_memory``; ``BadParameter`` if it is neither true nor false."""
+    value = rospy.get_param("~shared_memory", Settings.shared_memory)
+    if not isinstance(value, bool):
+        raise BadParameter("~shared_memory", value, "true or false")
+    return value
 
 
 class NodeletManager(Closable):
@@ -120,7 +130,7 @@ class NodeletManager(Closable):
             pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = ProcessGuards()
         self._runtime = Runtime(
-            rospy_middleware(pool),
+            rospy_middleware(pool, settings.shared_memory),
             pool,
             guards=self._guards.current,
             bound=bound,

@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 import threading
+from dataclasses import replace
 from typing import Any, Sequence
 
 import rosgraph.names
@@ -28,7 +29,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
-from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
+from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_shared_memory
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox
@@ -124,7 +125,9 @@ class _ScriptProcess:
     def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
         self._manager = NodeletManager(
-            _SETTINGS, lambda type_name, context: nodelet_class, bound=SPAWNED in os.environ
+            replace(_SETTINGS, shared_memory=read_shared_memory()),
+            lambda type_name, context: nodelet_class,
+            bound=SPAWNED in os.environ,
         )
         name = rospy.get_name()
         remappings = names.pair_remappings(

@@ -52,6 +52,14 @@ def copy_of(message: Any, datatype: Any = None) -> Any:
     return new
 
 
+def shallow_copy(message: Any) -> Any:
+    """Copy a message whose fields are shared, quicker than ``copy`` does."""
+    new = message.__class__.__new__(message.__class__)
+    for slot in message.__slots__:
+        setattr(new, slot, getattr(message, slot))
+    return new
+
+
 def _copied(value: Any) -> Any:
     if isinstance(value, genpy.Message):
         new = value.__class__.__new__(value.__class__)

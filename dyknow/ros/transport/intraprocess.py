@@ -45,6 +45,7 @@ from dyknow.ros.transport.conversions import (
     serialised,
 )
 from dyknow.ros.transport.late_subscribers import Backlog
+from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.wire.master import Master
 
 Callback = Tuple[Callable[..., Any], Any]
@@ -83,12 +84,18 @@ class OrdinaryHandles:
         uri: address of this node.
         address: returns the address of a node.
         executor: runs callbacks of ordinary subscribers.
+        outbound: returns what takes the place of a connection to a subscriber, of a queue size.
     """
 
     outwards: Callable[..., Any]
 
     def __init__(
-        self, name: str, uri: str, address: Callable[[str], str], executor: Executor
+        self,
+        name: str,
+        uri: str,
+        address: Callable[[str], str],
+        executor: Executor,
+        outbound: Callable[[Any, int | None], Any],
     ) -> None:
         self.name = name
         self.registrations: set[Any] = set()
@@ -97,6 +104,7 @@ class OrdinaryHandles:
         self._latches: dict[Any, Any] = {}
         self._uri = uri
         self._address = address
+        self._outbound = outbound
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._refreshing = state_lock("outside listeners")
         self._publisher: Any = None  # rospy's
@@ -143,13 +151,20 @@ class OrdinaryHandles:
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             publisher.acquire()  # nothing is published between missed and later messages
             try:
-                added = add(connection)
+                added = add_with_queue(connection)
                 for message in self.backlog.missed_by(address):
                     outwards(message, publisher.connections[-1])
                 return added
             finally:
                 publisher.release()
                 self.refresh()
+
+        def add_with_queue(connection: Any) -> Any:
+            size, publisher.queue_size = publisher.queue_size, None  # rospy would add its own
+            try:
+                return add(self._outbound(connection, size))
+            finally:
+                publisher.queue_size = size
 
         publisher.publish = publish
         publisher.add_connection = add_connection
@@ -293,9 +308,10 @@ class OrdinaryHandles:
 class IntraProcess(rospy.impl.registration.RegistrationListener):
     """The hook, and the topics that it is for."""
 
-    def __init__(self, executor: Executor) -> None:
+    def __init__(self, executor: Executor, shared_memory: SharedMemory) -> None:
         """Install the hook; the node must be initialised."""
         self._executor = executor
+        self._shared_memory = shared_memory
         self._master = Master(rospy.get_name())
         self._lock = state_lock("topics taken over")
         self._topics: dict[str, OrdinaryHandles] = {}
@@ -310,8 +326,13 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         with self._lock:
             if topic not in self._topics:
                 self._topics[topic] = OrdinaryHandles(
-                    topic, self._uri, self._address_of, self._executor
+                    topic,
+                    self._uri,
+                    self._address_of,
+                    self._executor,
+                    self._shared_memory.outbound,
                 )
+                self._shared_memory.topics.add(topic)
             return self._topics[topic]
 
     def retire(self, topic: str) -> None:
@@ -323,6 +344,7 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
             if handles is None or handles.registrations:
                 return
             del self._topics[topic]
+            self._shared_memory.topics.discard(topic)
         handles.unlink()
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:

@@ -29,6 +29,7 @@ from dyknow.ros.transport.conversions import serialised
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 from dyknow.ros.wire import ages
 from dyknow.ros.wire.master import Master
@@ -37,20 +38,23 @@ from dyknow.ros.wire.master import Master
 _log = logging.getLogger("dyknow.master")
 
 
-def rospy_middleware(executor: Executor) -> Middleware:
+def rospy_middleware(executor: Executor, shared_memory: bool = True) -> Middleware:
     """Make the middleware of this process; the node must be initialised.
 
     Args:
         executor: runs callbacks of ordinary rospy subscribers.
+        shared_memory: whether large messages reach other processes of this host through memory.
     """
-    return Middleware(RospyTransport(executor), RospyServices(), make_ticker(), RospyNode())
+    transport = RospyTransport(executor, shared_memory)
+    return Middleware(transport, RospyServices(), make_ticker(), RospyNode())
 
 
 class RospyTransport(Transport):
     """Topics, as the nodelets of this process see them."""
 
-    def __init__(self, executor: Executor) -> None:
-        self._intraprocess = IntraProcess(executor)
+    def __init__(self, executor: Executor, shared_memory: bool) -> None:
+        self._shared_memory = SharedMemory.start(shared_memory)
+        self._intraprocess = IntraProcess(executor, self._shared_memory)
         self._registrar = Registrar()
 
     def advertise(
@@ -63,7 +67,14 @@ class RospyTransport(Transport):
     ) -> RospyPublisher:
         assert_no_state_lock(f"advertising {topic}")
         return RospyPublisher(
-            self._intraprocess, self._registrar, topic, datatype, latch, queue_size, options
+            self._intraprocess,
+            self._shared_memory,
+            self._registrar,
+            topic,
+            datatype,
+            latch,
+            queue_size,
+            options,
         )
 
     def subscribe(

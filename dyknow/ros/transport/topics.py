@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import fcntl
 import socket
 import sys
@@ -20,9 +19,11 @@ import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
-from dyknow.ros.transport.conversions import TypedReceiver
+from dyknow.ros.transport.conversions import TypedReceiver, shallow_copy
 from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
+from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.wire.master import Master
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
@@ -42,6 +43,7 @@ class RospyPublisher(OutsidePublisher):
 
     Args:
         intraprocess: owns what ordinary rospy handles of this process exchange on the topic.
+        shared_memory: takes large messages to other processes.
         registrar: has the master's answer to the registration.
         topic: the further arguments are those of ``Middleware.advertise``.
     """
@@ -51,6 +53,7 @@ class RospyPublisher(OutsidePublisher):
     def __init__(
         self,
         intraprocess: IntraProcess,
+        shared_memory: SharedMemory,
         registrar: Registrar,
         topic: str,
         datatype: Any,
@@ -73,6 +76,9 @@ class RospyPublisher(OutsidePublisher):
         #: The last message that was passed to rospy, while rospy latches.
         self.sent: Any = None
         self._intraprocess = intraprocess
+        self._shared_memory = shared_memory
+        #: Bytes of the message before.
+        self._size = 0
         self._ordinary = intraprocess.publishing(topic)
         self._ordinary.registrations.add(self)
         try:
@@ -152,15 +158,17 @@ class RospyPublisher(OutsidePublisher):
         """Send to all connections, or to one, which changes nothing for later subscribers."""
         # rospy writes header.seq and frame_id into its messages; subscribers in here share them.
         if getattr(message.__class__, "_has_header", False):
-            message = copy.copy(message)
-            message.header = copy.copy(message.header)
+            message = shallow_copy(message)
+            message.header = shallow_copy(message.header)
         implementation = self._implementation
         if implementation.is_latch and peer is None:
             self.sent = message
         implementation.acquire()
-        latched = implementation.latch
+        latched, sent = implementation.latch, implementation.message_data_sent
         try:
-            self._ordinary.outwards(message, peer)
+            if not self._shared_memory.publish(implementation, message, peer, self._size):
+                self._ordinary.outwards(message, peer)
+            self._size = implementation.message_data_sent - sent
             if peer is not None:
                 implementation.latch = latched
             elif not implementation.is_latch:  # a later subscriber gets the last one anyway
@@ -279,6 +287,7 @@ def _unread(connection: Any) -> int:
 
 
 def _is_idle(connection: Any) -> bool:
-    """Whether a sending queue of rospy is empty and its thread waits for more."""
-    waiters = getattr(getattr(connection, "_cond_data_available", None), "_waiters", True)
-    return connection.done or not (getattr(connection, "_queue", None) or not waiters)
+    """Whether all was sent, and taken; of rospy's own queues only the end of that is known."""
+    if isinstance(connection, Outbound):
+        return connection.is_idle()
+    return bool(connection.done) or not getattr(connection, "_queue", None)

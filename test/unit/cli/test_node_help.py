@@ -7,6 +7,7 @@ import re
 
 import pytest
 import rospy
+import yaml
 
 from dyknow.cli import manager, nodelet
 from dyknow.cli.node_help import MANAGER, NODELET_MANAGER
@@ -53,7 +54,7 @@ def test_the_manager_describes_all_its_parameters():
 
 def test_the_nodelet_manager_describes_all_its_parameters():
     described = parameters(NODELET_MANAGER)
-    assert {name: float(default[0]) for name, default in described.items()} == {
+    assert {name: yaml.safe_load(default[0]) for name, default in described.items()} == {
         name: getattr(Settings, name) for name in Settings.__dataclass_fields__
     }
 
@@ -61,7 +62,8 @@ def test_the_nodelet_manager_describes_all_its_parameters():
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [("num_worker_threads", each, "an integer from 0") for each in (-1, "many", 1.5, True)]
-    + [("stuck_after", each, "seconds above 0") for each in (0, -1.0, "soon", True)],
+    + [("stuck_after", each, "seconds above 0") for each in (0, -1.0, "soon", True)]
+    + [("shared_memory", each, "true or false") for each in (1, "no")],
 )
 def test_the_nodelet_manager_refuses_a_parameter_without_sense(monkeypatch, name, value, expected):
     given = {f"~{name}": value}
