@@ -189,14 +189,16 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
 
     def _made(self) -> Arena | None:
         """Return the memory of this process; None where the system has none."""
+        trouble: Exception | None = None
         with self._making:
             if self._arena is None and self._is_wanted:
                 try:
                     self._arena = Arena()
                 except (OSError, AttributeError) as error:
-                    self._is_wanted = False
-                    rospy.loginfo("messages do not travel through shared memory: %s", error)
-            return self._arena
+                    self._is_wanted, trouble = False, error
+        if trouble is not None:
+            rospy.loginfo("messages do not travel through shared memory: %s", trouble)
+        return self._arena
 
     def create_transport(self, topic: str, uri: str, parameters: Any) -> tuple[int, str, int]:
         """Connect to a publisher that knows the protocol; over TCPROS if its memory is away."""
