@@ -14,7 +14,7 @@ import shutil
 import tempfile
 import time
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Dict, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Sequence
 
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError
@@ -24,7 +24,7 @@ from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
-    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.statistics import NodeletStatistics, PortStatistics
     from dyknow.model.streams import StreamEvent, StreamStatus
 
 
@@ -70,14 +70,21 @@ def transformation_json(transformation: Transformation) -> Json:
     }
 
 
-def statistics_json(name: str, statistics: NodeletStatistics) -> Json:
+#: Returns the transports of a port of a nodelet to other processes.
+Transports = Callable[[str, "PortStatistics"], List[str]]
+
+
+def statistics_json(name: str, statistics: NodeletStatistics, transports: Transports) -> Json:
     """The statistics of a nodelet; times in s, rates in Hz, null where nothing is counted."""
-    ports = sorted(statistics.ports, key=lambda port: port.port)
     counted = "name=port direction topic messages dropped rate mean_callback max_callback"
+    ports = [
+        {**picked(each, counted), "transports": transports(name, each)}
+        for each in sorted(statistics.ports, key=lambda port: port.port)
+    ]
     return {
         "nodelet": name,
         **picked(statistics, "uptime reconfigurations callback_errors"),
-        "ports": [picked(port, counted) for port in ports],
+        "ports": ports,
     }
 
 

@@ -248,6 +248,14 @@ class ManagerTest(ManagerCase):
             manager.stop()
             self.assertFalse(rospy.has_param(f"{CHILD}/shared_memory"))
 
+    def test_the_command_line_shows_the_transports(self):
+        manager = self.started()
+        manager.client.spawn("relay", "/shown", {"out": "/shown_out"})
+        with Heard("/shown_out"):
+            code, output = finished([*DYKNOW, "stats", "shown"])
+        self.assertEqual(code, 0, output)
+        self.assertRegex(output, r"/shown_out +TCPROS\n")
+
 
 if __name__ == "__main__":
     run()

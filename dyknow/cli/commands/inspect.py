@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import collections
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -21,6 +22,7 @@ from dyknow.cli.arguments import argument, flag, namespace
 from dyknow.cli.output import (
     Json,
     Screen,
+    Transports,
     columns,
     count,
     nodelet_json,
@@ -35,7 +37,7 @@ from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
-    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.statistics import NodeletStatistics, PortStatistics
 
 
 @command(
@@ -144,7 +146,7 @@ _PERIOD = 1.0
 
 _HEAD = (
     *("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "UNSENT"),
-    *("MEAN", "MAX", "ERRORS", "TOPIC"),
+    *("MEAN", "MAX", "ERRORS", "TOPIC", "OUTSIDE"),
 )
 
 #: The statistics of a nodelet, or the error.
@@ -225,9 +227,16 @@ def _ask(shell: Shell, names: Sequence[str]) -> dict[str, Answer]:
 
 def _counts(shell: Shell, answers: dict[str, Answer]) -> tuple[Json, list[str]]:
     """Write statistics as JSON, and as a table with the details of their nodelets below."""
+    nodelets = {each.name: each for each in shell.client.get_graph().nodelets}
+    processes = {name: each.manager or name for name, each in nodelets.items()}
+    found = shell.client.transports({processes.get(name, name) for name in answers})
+
+    def transports(name: str, port: PortStatistics) -> list[str]:
+        return sorted(found.get((processes.get(name, name), port.direction, port.topic), ()))
+
     value = {
         "nodelets": [
-            statistics_json(name, answer)
+            statistics_json(name, answer, transports)
             for name, answer in answers.items()
             if not isinstance(answer, DyKnowError)
         ],
@@ -235,22 +244,22 @@ def _counts(shell: Shell, answers: dict[str, Answer]) -> tuple[Json, list[str]]:
     }
     details = [
         f"{each.name}: {each.detail}"
-        for each in shell.client.get_graph().nodelets
+        for each in nodelets.values()
         if each.detail and each.name in answers
     ]
-    return value, [*_statistics_table(answers), *details]
+    return value, [*_statistics_table(answers, transports), *details]
 
 
-def _statistics_table(answers: dict[str, Answer]) -> list[str]:
+def _statistics_table(answers: dict[str, Answer], transports: Transports) -> list[str]:
     """Write a line of statistics for each port; times in milliseconds."""
     rows: list[tuple[object, ...]] = [_HEAD]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
-            rows.append((name, "(does not answer)", *[""] * 9))
+            rows.append((name, "(does not answer)", *[""] * 10))
             continue
         errors = answer.callback_errors
         if not answer.ports:
-            rows.append((name, "(no ports)", *[""] * 7, errors, ""))
+            rows.append((name, "(no ports)", *[""] * 7, errors, "", ""))
         for port in sorted(answer.ports, key=lambda port: port.port):
             rows.append(
                 (
@@ -265,9 +274,15 @@ def _statistics_table(answers: dict[str, Answer]) -> list[str]:
                     _milliseconds(port.max_callback),
                     errors,
                     port.topic or None,
+                    _counted(transports(name, port)) or None,
                 )
             )
     return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
+
+
+def _counted(words: Sequence[str]) -> str:
+    counts = collections.Counter(words)
+    return ", ".join(word if n == 1 else f"{n} {word}" for word, n in counts.items())
 
 
 def _milliseconds(duration: float | None) -> str | None:

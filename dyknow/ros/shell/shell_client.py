@@ -9,11 +9,13 @@ command starts fast and leaves no trace in the graph.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import socket
 import time
-from typing import Any, Callable, Sequence, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Callable, Collection, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs import msg
@@ -22,6 +24,7 @@ from dyknow import names
 from dyknow.errors import ManagerUnreachable, NodeletUnreachable, PeerTimeout, Refused
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
+from dyknow.model.transformation import IN, OUT
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import TIMEOUT, Master
@@ -32,6 +35,8 @@ from dyknow.ros.wire.topic_reader import TopicReader
 T = TypeVar("T")
 _UNSET = object()
 
+#: Seconds that a node may take to say how it is connected, and nodes that are queried at once.
+_LOOK, _WORKERS = 1.0, 16
 #: Seconds within which the manager's model follows a change that was made on a proxy.
 FOLLOW_TIMEOUT = 2.0
 _OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
@@ -108,6 +113,27 @@ class ShellClient(ManagerClient):
                 value = value.get(part, _UNSET) if isinstance(value, dict) else _UNSET
             if value is not _UNSET:
                 found[name] = value
+        return found
+
+    def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
+        """Query nodes for the transports of their connections to other processes.
+
+        Returns:
+            Names, by node, ``in`` or ``out``, and topic; none of a node that does not answer.
+        """
+        found: dict[tuple[str, str, str], list[str]] = {}
+
+        def look(node: str) -> None:
+            with contextlib.suppress(PeerTimeout, LookupError):
+                uri = self._master.node(node)
+                for topic, publishes, transport in self._master.transports(uri, _LOOK):
+                    if transport != "INTRAPROCESS":
+                        key = (node, OUT if publishes else IN, topic)
+                        found.setdefault(key, []).append(transport)
+
+        if nodes:
+            with ThreadPoolExecutor(max_workers=min(_WORKERS, len(nodes))) as pool:
+                list(pool.map(look, nodes))
         return found
 
     def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:

@@ -129,6 +129,11 @@ class Master:
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
         return {int(port.group(1)) for port in ports if port}
 
+    def transports(self, uri: str, timeout: float) -> list[tuple[str, bool, str]]:
+        """Query the connections of a node: topics, whether it publishes them, transports."""
+        infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
+        return [(str(info[4]), info[2] == "o", str(info[3])) for info in infos]
+
     def shut_down(self, name: str, uri: str, reason: str, timeout: float) -> None:
         """Shut a node down, as the master does when another one takes its name."""
         self._ask_node(name, uri, timeout, "shutdown", reason)

@@ -11,7 +11,7 @@ import re
 import shlex
 import textwrap
 from dataclasses import dataclass
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Collection, Sequence
 
 from clocks import HandClock
 from unit.manager.world import LIBRARY, World
@@ -46,6 +46,7 @@ class FakeClient(SimulatedManagerClient):
         asked: called with the name of each method that asks the manager or a nodelet.
         hung: nodelets that do not answer.
         ordinary: topics that ordinary nodes publish on.
+        links: transports to other processes, by node, direction and topic.
     """
 
     namespace = "/"
@@ -60,6 +61,7 @@ class FakeClient(SimulatedManagerClient):
         self.hung: set[str] = set()
         self.uncounted: set[str] = set()
         self.ordinary: set[str] = set()
+        self.links: dict[tuple[str, str, str], list[str]] = {}
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], object]] = []
 
@@ -75,6 +77,9 @@ class FakeClient(SimulatedManagerClient):
                 for port in ports
             ),
         )
+
+    def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
+        return {key: names for key, names in self.links.items() if key[0] in nodes}
 
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)

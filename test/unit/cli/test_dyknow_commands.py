@@ -272,25 +272,33 @@ def test_graph_as_json_and_of_a_namespace(chain):
     assert '"n/cam"' not in run(chain, "graph --dot --namespace robot").out
 
 
-HEAD = "NODELET PORT HZ MESSAGES DROPPED UNSENT MEAN MAX ERRORS TOPIC".split()
+HEAD = "NODELET PORT HZ MESSAGES DROPPED UNSENT MEAN MAX ERRORS TOPIC OUTSIDE".split()
 
 
 def test_stats(chain):
     head, camera, relay, _ = [line.split() for line in run(chain, "stats").lines]
     assert head == HEAD
-    assert camera == "/cam image out 5.0 300 - 4 1.00 2.50 2 /raw".split()
+    assert camera == "/cam image out 5.0 300 - 4 1.00 2.50 2 /raw -".split()
     assert relay[4:7] == ["300", "4", "-"]
 
 
 def test_stats_of_a_nodelet_that_counts_nothing(chain):
     chain.uncounted.add("/cam")
     line = run(chain, "stats").lines[1].split()
-    assert line == ["/cam", "image", "out", *"-------", "/raw"]
+    assert line == ["/cam", "image", "out", *"-------", "/raw", "-"]
     nodelet = run(chain, "stats --json").json["nodelets"][0]
     assert nodelet["callback_errors"] is None
     uncounted = ("messages", "dropped", "rate", "mean_callback", "max_callback")
     port = {"name": "image", "direction": "out", "topic": "/raw", **dict.fromkeys(uncounted)}
-    assert nodelet["ports"] == [port]
+    assert nodelet["ports"] == [{**port, "transports": []}]
+
+
+def test_stats_show_the_transports_to_other_processes(chain):
+    process = run(chain, "info cam --json").json["nodelets"][0]["manager"]
+    chain.links[process, "out", "/raw"] = ["TCPROS", "SHMROS", "TCPROS"]
+    assert run(chain, "stats cam").lines[1].endswith("/raw   SHMROS, 2 TCPROS")
+    port = run(chain, "stats cam --json").json["nodelets"][0]["ports"][0]
+    assert port["transports"] == ["SHMROS", "TCPROS", "TCPROS"]
 
 
 def test_stats_name_a_nodelet_that_does_not_answer(chain):
