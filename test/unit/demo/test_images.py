@@ -27,7 +27,7 @@ def test_an_array_is_a_view_of_the_message():
 )
 def test_pixels_survive_the_way_to_another_process(encoding, shape):
     pixels = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
-    sent, wire = images.blank(Header(), *shape[:2], encoding), io.BytesIO()
+    sent, wire = images.blank(Header(), shape[0], shape[1], encoding), io.BytesIO()
     images.array_of(sent)[...] = pixels
     sent.serialize(wire)
     assert np.array_equal(images.array_of(Image().deserialize(wire.getvalue())), pixels)

@@ -82,6 +82,8 @@ def test_a_formula_reads_as_it_is_written(seed: int) -> None:
 class Message:
     """Has a value, and the time at which it was made, if that is known."""
 
+    stamp: float  # of a header
+
     def __init__(self, value: float, stamp: Optional[float]) -> None:
         self.value = value
         if stamp is not None:
@@ -232,7 +234,8 @@ def all_completions(formula: Node, states: List[State], limit: int = 8) -> Optio
     """What all completions agree on in each state; None if there are too many."""
     later = horizon(formula, SECOND)
     names = ports(formula)
-    whole: List[State] = [*states, *({name: None for name in names} for _ in range(later))]
+    nothing: State = dict.fromkeys(names)
+    whole = [*states, *(dict(nothing) for _ in range(later))]
     unknown = [(n, name) for n, state in enumerate(whole) for name in names if state[name] is None]
     if len(unknown) > limit:
         return None

@@ -64,7 +64,9 @@ def exactly(sock, size):
 
 
 def share(number, size=WINDOW):
-    return Share(frame(number), ARENA.write(bytes(size)))
+    region = ARENA.write(bytes(size))
+    assert region is not None
+    return Share(frame(number), region)
 
 
 def greet(connection, outbound):

@@ -42,11 +42,14 @@ def through_memory(message, datatype=None):
     """The message as a subscriber receives it."""
     packed = Packed(message, 7)
     region = ARENA.write(packed.content)
+    assert region is not None
     frame = packed.frame(region)
     _, length, place, number, *where = FRAME.unpack_from(frame)
     text = frame[FRAME.size :]
     assert len(text) == length
-    return assembled(datatype or type(message), text, place, number, READER.read(*where))
+    content = READER.read(*where)
+    assert content is not None
+    return assembled(datatype or type(message), text, place, number, content)
 
 
 def image(size=LARGE, fill=b"\7"):
