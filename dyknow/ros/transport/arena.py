@@ -26,7 +26,7 @@ import socket
 import struct
 import time
 import uuid
-from typing import Any, Sequence
+from typing import Any, Callable, Sequence
 
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
@@ -75,7 +75,8 @@ class Arena:
         address: of the socket that hands it out.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._file = os.memfd_create("dyknow", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         fcntl.fcntl(self._file, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL)
         self._process = os.getpid()
@@ -125,7 +126,7 @@ class Arena:
     def linger(self, regions: Sequence[ArenaRegion]) -> None:
         """Keep regions for a while: somebody may be about to read them, and cannot say so."""
         if regions:
-            self._lingering.append((time.monotonic() + LINGER, regions))
+            self._lingering.append((self._clock(), regions))
 
     def held(self) -> int:
         """Return the bytes of memory that the file takes."""
@@ -156,7 +157,7 @@ class Arena:
 
     def _sort_returned(self) -> None:
         with self._lock:
-            while self._lingering and self._lingering[0][0] < time.monotonic():
+            while self._lingering and self._lingering[0][0] + LINGER < self._clock():
                 self._lingering.popleft()
             returned = [self._returned.popleft() for _ in range(len(self._returned))]
         for offset, room in returned:
@@ -218,9 +219,9 @@ class ArenaReader:
         is_it = pages[offset:begin] == _NUMBER.pack(number)
         return data if is_it and len(data) == size else None
 
-    def __del__(self) -> None:
-        if self._file >= 0:
-            os.close(self._file)
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
+        if self._file >= 0:  # at the end of the interpreter the module may have no ``os`` any more
+            close(self._file)
 
 
 def _room(size: int) -> int:

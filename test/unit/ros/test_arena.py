@@ -95,10 +95,12 @@ def test_the_memory_of_many_free_regions_is_given_back(arena, monkeypatch):
     assert copy(ArenaReader(arena.address), last) == b"x" * MB
 
 
-def test_regions_linger_for_readers_that_cannot_answer(arena, monkeypatch):
-    reader, now = ArenaReader(arena.address), [100.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+def test_regions_linger_for_readers_that_cannot_answer():
+    now = [100.0]
+    arena = Arena(lambda: now[0])
+    reader = ArenaReader(arena.address)
     region = arena.write(b"late" * MB)
+    assert region is not None
     where = (region.offset, region.number, region.size)
     arena.linger((region,))
     del region
@@ -179,6 +181,19 @@ except OSError:
 """
     assert "no descriptor is free" in run(code + READ, arena.address)
     assert run(READ, arena.address) == ""
+
+
+def test_an_interpreter_that_ends_says_nothing(arena):
+    code = """
+reader, own = ArenaReader(sys.argv[1]), Arena()
+region = own.write(b"mine")
+own.linger((own.write(b"late"),))
+"""
+    program = f"import sys\nfrom dyknow.ros.transport.arena import Arena, ArenaReader\n{code}"
+    ended = subprocess.run(
+        [sys.executable, "-c", program, arena.address], stderr=subprocess.PIPE, timeout=120
+    )
+    assert (ended.returncode, ended.stderr) == (0, b"")
 
 
 def test_an_address_that_nobody_has():
