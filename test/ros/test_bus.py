@@ -198,6 +198,7 @@ class OrdinaryHandleTest(BusTest):
             becomes(heard.copy, list(range(numbers[-1] + 1)))
         speaker = self.publisher("/a", Header)
         eventually(lambda: is_linked("/a", 2), 5.0, "connected both ways")
+        eventually(lambda: speaker.get_num_connections() == 2, 5.0, "to this process as well")
         speaker.publish(Header(seq=4))
         for label in self.SUBSCRIBERS:
             self.all_come(label, range(5))
