@@ -60,6 +60,8 @@ class FormulaNodelet(dyknow.Nodelet):
                 callback = partial(self.on_message, port, "")
                 self.nh.Subscriber(port, types[port], callback, queue_size=100)
         self.individuals: IndividualStreams | None = None
+        #: Whether the monitor knows the first individuals.
+        self.is_complete = not tags
         if tags:
             client = ManagerClient(self.nh.get_param("~manager", "dyknow_manager"), self.name)
             self.individuals = IndividualStreams(client, tags, types, self.subscribe, self.name)
@@ -77,19 +79,24 @@ class FormulaNodelet(dyknow.Nodelet):
 
     def on_message(self, port: str, individual: str, message: Any) -> None:
         """Publish the verdicts that the message decides."""
-        if self.individuals is not None and not self.individuals.is_known:
-            return  # no state begins before
-        self.publish(self.monitor.feed(port, message, self.nh.Time.now(), individual))
+        now = self.nh.Time.now()
+        if self.is_complete or self.note_individuals(now):  # no state begins before
+            self.publish(self.monitor.feed(port, message, now, individual))
 
     def on_timer(self, event: Any) -> None:
         """Close the states that are due."""
         now = self.nh.Time.now()
-        present = {} if self.individuals is None else self.individuals.present()
-        if present is not None:
-            for variable, names in present.items():
-                self.publish(self.monitor.individuals(variable, names, now))
+        if self.note_individuals(now):
             self.publish(self.monitor.advance(now))
         self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
+
+    def note_individuals(self, now: Any) -> bool:
+        """Note the individuals that are present; False before the first look for them."""
+        present = {} if self.individuals is None else self.individuals.present()
+        for variable, names in (present or {}).items():
+            self.publish(self.monitor.individuals(variable, names, now))
+        self.is_complete = present is not None
+        return self.is_complete
 
     def wait(self) -> float:
         """Return the seconds until a state closes that no message has closed."""

@@ -59,6 +59,7 @@ def test_more_work_is_refused_before_descriptors_run_out():
     descriptors.check_left()
 
     def refusal():
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
         with socket.socket(), socket.socket():
             resource.setrlimit(resource.RLIMIT_NOFILE, (used() + 1, hard))
             try:
