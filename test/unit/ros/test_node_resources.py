@@ -61,13 +61,15 @@ def test_more_work_is_refused_before_descriptors_run_out():
     def refusal():
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
         with socket.socket(), socket.socket():
-            resource.setrlimit(resource.RLIMIT_NOFILE, (used() + 1, hard))
-            try:
-                descriptors.check_left()
-            except LimitExceeded as refused:
-                return str(refused)
-            except OSError as error:
-                assert error.errno == errno.EMFILE
+            taken = used()
+            for room in (1, 2, 4, 8):
+                resource.setrlimit(resource.RLIMIT_NOFILE, (taken + room, hard))
+                try:
+                    descriptors.check_left()
+                except LimitExceeded as refused:
+                    return str(refused)
+                except OSError as error:
+                    assert error.errno == errno.EMFILE
         return ""  # a thread of an earlier test has closed some, or opened one
 
     eventually(lambda: re.search(r"file descriptors .*ulimit -n", refusal()))
