@@ -223,15 +223,6 @@ sys.stdin.read()
         ArenaReader(address)
 
 
-def test_a_child_that_was_forked_writes_nothing(arena):
-    kept = arena.write(b"parent" * MB)
-    child = os.fork()
-    if not child:
-        os._exit(0 if arena.write(bytes(MB)) is None else 1)
-    assert os.waitpid(child, 0)[1] == 0
-    assert copy(ArenaReader(arena.address), kept) == b"parent" * MB
-
-
 def test_a_reader_can_only_read(arena):
     reader = ArenaReader(arena.address)
     with pytest.raises(OSError, match="Bad file descriptor"):
