@@ -22,15 +22,17 @@ import itertools
 import logging
 import mmap
 import os
+import select
 import socket
 import struct
 import time
 import uuid
-from typing import Any, Callable, Sequence
+from typing import Callable, Sequence
 
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
 from dyknow.periodic import in_background
+from dyknow.ros.process.descriptors import PatientSocket
 
 #: Bytes of free regions that are kept for the next messages; the memory of further ones is freed.
 IDLE = 64 << 20
@@ -99,11 +101,11 @@ class Arena:
         self._socket.listen(64)
         in_background("handing out shared memory", self._hand_out)
 
-    def write(self, *parts: Any) -> ArenaRegion | None:
-        """Write a message, given as bytes in parts; None if there is no memory for it."""
+    def write(self, content: bytes | bytearray) -> ArenaRegion | None:
+        """Write a message; None if there is no memory for it."""
         if os.getpid() != self._process:  # a child that was forked: the regions are its parent's
             return None
-        size = sum(map(len, parts))
+        size = len(content)
         room = _room(size + _NUMBER.size)
         try:
             offset = self._allot(room)
@@ -114,9 +116,7 @@ class Arena:
         pages, at = self._pages, offset + _NUMBER.size
         # The number first: who reads what was here before is to see that it is gone.
         pages[offset:at] = _NUMBER.pack(region.number)
-        for part in parts:
-            pages[at : at + len(part)] = part
-            at += len(part)
+        pages[at : at + size] = content
         return region
 
     def take_back(self, offset: int, room: int) -> None:
@@ -127,10 +127,6 @@ class Arena:
         """Keep regions for a while: somebody may be about to read them, and cannot say so."""
         if regions:
             self._lingering.append((self._clock(), regions))
-
-    def held(self) -> int:
-        """Return the bytes of memory that the file takes."""
-        return os.fstat(self._file).st_blocks * 512
 
     def _allot(self, room: int) -> int:
         self._sort_returned()
@@ -171,15 +167,18 @@ class Arena:
     def _hand_out(self) -> None:
         read_only = os.open(f"/proc/self/fd/{self._file}", os.O_RDONLY | os.O_CLOEXEC)
         message = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [read_only]))]
+        listener, poll = PatientSocket(self._socket), select.poll()
+        poll.register(self._socket, select.POLLIN)
         while True:
-            peer, _ = self._socket.accept()
-            with peer:
-                try:
+            poll.poll()  # an accept that waits has taken a descriptor, which no list of them shows
+            try:
+                peer, _ = listener.accept()
+                with peer:
                     if _user(peer) == os.geteuid():
                         peer.settimeout(_PATIENCE)
                         peer.sendmsg([b"1"], message)
-                except OSError as error:
-                    _log.debug("a peer did not take the shared memory: %s", error)
+            except OSError as error:
+                _log.debug("a peer did not take the shared memory: %s", error)
 
 
 class ArenaReader:
