@@ -287,7 +287,8 @@ def _unread(connection: Any) -> int:
 
 
 def _is_idle(connection: Any) -> bool:
-    """Whether all was sent, and taken; of rospy's own queues only the end of that is known."""
+    """Whether all was sent, and copied; rospy's own queue is empty, and its thread waits."""
     if isinstance(connection, Outbound):
         return connection.is_idle()
-    return bool(connection.done) or not getattr(connection, "_queue", None)
+    waiters = getattr(getattr(connection, "_cond_data_available", None), "_waiters", True)
+    return connection.done or not (getattr(connection, "_queue", None) or not waiters)
