@@ -204,7 +204,7 @@ def _live(
 
 
 def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:
-    """Return the ROS type of a topic; waits for its first publisher or subscriber until then."""
+    """Return the ROS type of a topic; waits until ``latest`` for a first node with it."""
     is_late = False
     while True:
         found = shell.client.datatypes().get(topic, "*")

@@ -22,6 +22,8 @@ from dyknow.locks import state_lock
 from dyknow.periodic import in_background
 from dyknow.ros.transport.arena import Arena, ArenaRegion
 
+#: The transport of a subscriber that has our memory open.
+SHMROS = "SHMROS"
 #: Bytes that a subscriber may have yet to copy, or one message, before it is sent more.
 WINDOW = 1 << 20
 #: Seconds between two looks whether a connection has ended.
@@ -45,16 +47,12 @@ class Outbound:
         connection: rospy's.
         queue_size: messages that wait at most; 0 or None for any number.
         arena: of this process; None if it shares no memory.
-        shared: name of the transport as soon as the subscriber has our memory open.
     """
 
-    def __init__(
-        self, connection: Any, queue_size: int | None, arena: Arena | None, shared: str
-    ) -> None:
+    def __init__(self, connection: Any, queue_size: int | None, arena: Arena | None) -> None:
         self._connection = connection
         self._queue_size = queue_size or 0
         self._arena = arena
-        self._shared = shared
         self._lock = state_lock("connection to a subscriber")
         self._queue: collections.deque[bytes | Share] = collections.deque()
         #: What is left of a frame that was begun.
@@ -202,7 +200,7 @@ class Outbound:
             said = self._greeting[len(expected) :]
             self.is_shared = self._greeting.startswith(expected)
             if self.is_shared:
-                self._connection.transport_type = self._shared
+                self._connection.transport_type = SHMROS
             else:
                 self._greeting = self._greeting[: len(expected)]  # whatever a stranger sends
         for _ in range(min(len(said), len(self._uncopied))):

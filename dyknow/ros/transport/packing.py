@@ -85,13 +85,18 @@ def _with_field(message: Any, path: Path, value: Any) -> Any:
     return changed
 
 
-def has_large_field(message: Any) -> bool:
-    """Whether a field of a message is worth a region; quick, for each message."""
-    for path in _bytes_fields(message):
+def largest_field(message: Any) -> tuple[int, Path, bytes | bytearray]:
+    """Return the number, path and content of the largest field that is worth a region.
+
+    Without one, that is the whole message: the content is empty.
+    """
+    number, content = _ALL, b""
+    found: Path = ()
+    for index, path in enumerate(_bytes_fields(message)):
         value = _field(message, path)
-        if value.__class__ in _BYTES and len(value) >= LARGE:
-            return True
-    return False
+        if value.__class__ in _BYTES and len(value) >= max(LARGE, len(content)):
+            number, found, content = index, path, value
+    return number, found, content
 
 
 class Packed:
@@ -103,15 +108,9 @@ class Packed:
 
     def __init__(self, message: Any, number: int) -> None:
         """Serialise a message; ``number`` is for its header."""
-        self._number = _ALL
         self._before: bytes = b""
         self._after: bytes = b""
-        self.content: bytes | bytearray = b""
-        path: Path = ()
-        for index, each in enumerate(_bytes_fields(message)):
-            value = _field(message, each)
-            if value.__class__ in _BYTES and len(value) >= max(LARGE, len(self.content)):
-                self._number, path, self.content = index, each, value
+        self._number, path, self.content = largest_field(message)
         if path:
             message = _with_field(message, path, _MARK)
         buffer = io.BytesIO()

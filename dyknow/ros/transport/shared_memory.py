@@ -36,7 +36,7 @@ import rospy.impl.transport
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
 from dyknow.ros.transport.arena import Arena, ArenaReader
-from dyknow.ros.transport.outbound import Outbound, Share
+from dyknow.ros.transport.outbound import SHMROS, Outbound, Share
 from dyknow.ros.transport.packing import (
     ELSEWHERE,
     FRAME,
@@ -44,10 +44,9 @@ from dyknow.ros.transport.packing import (
     LENGTH,
     Packed,
     assembled,
-    has_large_field,
+    largest_field,
 )
 
-SHMROS = "SHMROS"
 TCPROS: str = rospy.impl.tcpros_base.TCPROS
 #: What a subscriber says of each message that it has copied.
 _COPIED = b"\6"
@@ -241,7 +240,7 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
 
     def outbound(self, connection: Any, queue_size: int | None) -> Outbound:
         """Return what is to take the place of a subscriber's connection, and of its queue."""
-        return Outbound(connection, queue_size, self._arena, SHMROS)
+        return Outbound(connection, queue_size, self._arena)
 
     def publish(self, publisher: Any, message: Any, peer: Any, size: int) -> bool:
         """Publish a large message, through memory where it is shared.
@@ -255,7 +254,7 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
         Returns:
             Whether it was published; if not, that is left to rospy.
         """
-        if self._arena is None or not (size >= LARGE or has_large_field(message)):
+        if self._arena is None or not (size >= LARGE or largest_field(message)[2]):
             return False
         connections: Sequence[Any] = (peer,) if peer is not None else publisher.connections or ()
         sharing = [each for each in connections if isinstance(each, Outbound) and each.shares()]

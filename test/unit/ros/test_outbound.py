@@ -75,7 +75,7 @@ def greet(connection, outbound):
 
 
 def test_a_message_is_sent_by_the_thread_that_publishes_it(connection):
-    outbound = Outbound(connection, 1, ARENA, "SHMROS")
+    outbound = Outbound(connection, 1, ARENA)
     threads = threading.active_count()
     for number in range(100):
         outbound.write_data(frame(number))
@@ -86,7 +86,7 @@ def test_a_message_is_sent_by_the_thread_that_publishes_it(connection):
 
 
 def test_what_a_slow_subscriber_does_not_take_waits_and_the_oldest_goes(connection):
-    outbound = Outbound(connection, 3, ARENA, "SHMROS")
+    outbound = Outbound(connection, 3, ARENA)
     for number in range(50):
         outbound.write_data(frame(number, 1 << 18))
     assert not outbound.is_idle()
@@ -100,14 +100,14 @@ def test_what_a_slow_subscriber_does_not_take_waits_and_the_oldest_goes(connecti
 
 
 def test_without_a_bound_nothing_goes(connection):
-    outbound = Outbound(connection, None, ARENA, "SHMROS")
+    outbound = Outbound(connection, None, ARENA)
     for number in range(50):
         outbound.write_data(frame(number, 1 << 18))
     assert [read(connection) for _ in range(50)] == list(range(50))
 
 
 def test_a_subscriber_that_has_gone_is_an_error_of_the_next_message(connection):
-    outbound = Outbound(connection, 3, ARENA, "SHMROS")
+    outbound = Outbound(connection, 3, ARENA)
     connection.other.close()
     with pytest.raises(TransportTerminated):
         outbound.write_data(frame(1))
@@ -115,7 +115,7 @@ def test_a_subscriber_that_has_gone_is_an_error_of_the_next_message(connection):
 
 
 def test_a_subscriber_that_goes_while_messages_wait(connection):
-    outbound = Outbound(connection, 3, ARENA, "SHMROS")
+    outbound = Outbound(connection, 3, ARENA)
     for number in range(5):
         outbound.write_data(frame(number, 1 << 20))
     connection.other.close()
@@ -123,7 +123,7 @@ def test_a_subscriber_that_goes_while_messages_wait(connection):
 
 
 def test_only_who_greets_with_our_address_shares(connection):
-    outbound = Outbound(connection, 3, ARENA, "SHMROS")
+    outbound = Outbound(connection, 3, ARENA)
     assert not outbound.shares()
     for _ in range(3):
         connection.other.sendall(b"\6" * len(ARENA.address))
@@ -132,7 +132,7 @@ def test_only_who_greets_with_our_address_shares(connection):
 
 
 def test_a_greeting_in_pieces(connection):
-    outbound = Outbound(connection, 3, ARENA, "SHMROS")
+    outbound = Outbound(connection, 3, ARENA)
     address = ARENA.address.encode()
     connection.other.sendall(address[:5])
     assert not outbound.shares()
@@ -142,7 +142,7 @@ def test_a_greeting_in_pieces(connection):
 
 
 def test_a_subscriber_is_sent_no_more_than_it_can_copy(connection):
-    outbound = Outbound(connection, 10, ARENA, "SHMROS")
+    outbound = Outbound(connection, 10, ARENA)
     greet(connection, outbound)
     for number in range(4):
         outbound.write_data(share(number))
@@ -162,7 +162,7 @@ def test_a_subscriber_is_sent_no_more_than_it_can_copy(connection):
 def test_a_region_is_free_when_its_last_subscriber_has_copied_it(connection):
     second = Connection()
     try:
-        both = [Outbound(each, 1, ARENA, "SHMROS") for each in (connection, second)]
+        both = [Outbound(each, 1, ARENA) for each in (connection, second)]
         for each, outbound in zip((connection, second), both):
             greet(each, outbound)
         one = share(0)
@@ -184,7 +184,7 @@ def test_a_region_is_free_when_its_last_subscriber_has_copied_it(connection):
 
 def test_what_a_lost_subscriber_may_still_copy_lingers():
     connection = Connection()
-    outbound = Outbound(connection, 1, ARENA, "SHMROS")
+    outbound = Outbound(connection, 1, ARENA)
     greet(connection, outbound)
     one = share(0)
     offset = one.region.offset
@@ -199,7 +199,7 @@ def test_what_a_lost_subscriber_may_still_copy_lingers():
 @given(st.lists(st.tuples(st.booleans(), st.sampled_from([8, 1 << 12, 1 << 18, WINDOW]))))
 def test_any_mixture_arrives_in_order(messages):
     connection = Connection()
-    outbound = Outbound(connection, None, ARENA, "SHMROS")
+    outbound = Outbound(connection, None, ARENA)
     greet(connection, outbound)
     received = []
 
