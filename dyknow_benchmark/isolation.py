@@ -26,9 +26,7 @@ from dyknow_benchmark.results import ARRIVALS, Results, Row, Summary
 from dyknow_benchmark.session import Session
 
 _ISOLATED, _NODE = "isolated", "node"
-_KINDS = (_ISOLATED, _NODE)
-#: Parts in C++ send time stamps alone.
-_BESIDE = {"time": ("cpp_node", "cpp_nodelet")}
+_KINDS = (_ISOLATED, _NODE, "cpp_node", "cpp_nodelet")
 #: An image of 65,280 bytes, and of 1080p.
 _MIDDLE, _LARGE = "160x136", "1920x1080"
 _SIZES = [_MIDDLE, "640x480", _LARGE, "3840x2160"]
@@ -80,8 +78,7 @@ def shared(arguments: argparse.Namespace, results: Results) -> None:
     rows: list[Row] = []
     with Session() as session:
         for payload in ("time", *arguments.sizes):
-            kinds = (*_KINDS, *_BESIDE.get(payload, ()))
-            cases = {kind: _Case(session, kind, 1, payload, ChainPart) for kind in kinds}
+            cases = {kind: _Case(session, kind, 1, payload, ChainPart) for kind in _KINDS}
             found = _measured(cases, orders)
             rows += [(payload, *row) for row in found.values()]
             _judge(results, payload, found[_ISOLATED], found[_NODE])
@@ -90,9 +87,7 @@ def shared(arguments: argparse.Namespace, results: Results) -> None:
             for number in _RECEIVERS
         }
         several = _measured(fans, orders)
-        chains = {
-            kind: _Case(session, kind, _CHAIN, _LARGE, ChainPart) for kind in (_ISOLATED, _NODE)
-        }
+        chains = {kind: _Case(session, kind, _CHAIN, _LARGE, ChainPart) for kind in _KINDS}
         pipeline = _measured(chains, blocks_of(arguments.messages, 30.0))
     header = (*ARRIVALS, "cpu_ms")
     title = "from process to process"

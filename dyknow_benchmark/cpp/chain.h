@@ -1,12 +1,13 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-// A chain of hops in C++: the peer that the benchmark compares DyKnow with. What its parts do, their parameters and
-// their topics are described in parts.py.
+// A chain of hops in C++: the peer that the benchmark compares DyKnow with. What its parts do, their parameters,
+// payloads and topics are described in parts.py.
 #ifndef DYKNOW_BENCHMARK_CHAIN_H
 #define DYKNOW_BENCHMARK_CHAIN_H
 
 #include <ros/ros.h>
+#include <sensor_msgs/Image.h>
 #include <std_msgs/Float64MultiArray.h>
 #include <std_msgs/Time.h>
 #include <std_srvs/Trigger.h>
@@ -15,7 +16,9 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstdio>
 #include <iomanip>
+#include <memory>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -30,17 +33,55 @@ inline std::string controlName(const ros::NodeHandle& private_nh, const std::str
   return private_nh.param<std::string>("control", "/benchmark") + "/" + name;
 }
 
-/// Publishes time stamps on `out` as ordered.
-class Source
+inline const ros::Time& stampOf(const std_msgs::Time& message)
+{
+  return message.data;
+}
+
+inline const ros::Time& stampOf(const sensor_msgs::Image& message)
+{
+  return message.header.stamp;
+}
+
+/// A time stamp; it has no size.
+inline void fill(std_msgs::Time& message, const std::string&)
+{
+  message.data = ros::Time::now();
+}
+
+/// An image of a size such as 640x480.
+inline void fill(sensor_msgs::Image& message, const std::string& size)
+{
+  unsigned width = 0, height = 0;
+  std::sscanf(size.c_str(), "%ux%u", &width, &height);
+  message.width = width;
+  message.height = height;
+  message.encoding = "rgb8";
+  message.step = 3 * width;
+  message.header.frame_id = "camera";
+  message.data.assign(message.step * height, 0x7f);
+  message.header.stamp = ros::Time::now();
+}
+
+class Part
+{
+public:
+  virtual ~Part() = default;
+};
+
+/// Publishes stamped messages on `out` as ordered.
+template <class Message>
+class Source : public Part
 {
 public:
   Source(ros::NodeHandle nh, ros::NodeHandle private_nh)
-    : out_(nh.advertise<std_msgs::Time>("out", 10))
+    : payload_(private_nh.param<std::string>("payload", "time"))
+    , out_(nh.advertise<Message>("out", 10))
     , send_(nh.subscribe(controlName(private_nh, "send"), 10, &Source::onSend, this))
   {
   }
 
-  ~Source()
+  ~Source() override
   {
     stopped_ = true;
     join();
@@ -68,12 +109,13 @@ private:
     {
       const std::chrono::duration<double> due(start + sent / frequency);
       std::this_thread::sleep_until(Clock::time_point(std::chrono::duration_cast<Clock::duration>(due)));
-      auto message = boost::make_shared<std_msgs::Time>();
-      message->data = ros::Time::now();
+      auto message = boost::make_shared<Message>();
+      fill(*message, payload_);
       out_.publish(message);
     }
   }
 
+  std::string payload_;
   ros::Publisher out_;
   ros::Subscriber send_;
   std::atomic<bool> stopped_{false};
@@ -81,13 +123,14 @@ private:
 };
 
 /// Forwards what it receives on `in` to `out`; with ~record it reports how long that was on its way.
-class Hop
+template <class Message>
+class Hop : public Part
 {
 public:
   Hop(ros::NodeHandle nh, ros::NodeHandle private_nh)
     : hop_(private_nh.param("hop", 0))
     , record_(private_nh.param("record", false))
-    , out_(nh.advertise<std_msgs::Time>("out", 10))
+    , out_(nh.advertise<Message>("out", 10))
   {
     if (record_)
     {
@@ -97,14 +140,15 @@ public:
   }
 
 private:
-  void onMessage(const std_msgs::TimeConstPtr& message)
+  void onMessage(const boost::shared_ptr<const Message>& message)
   {
-    const ros::Duration latency = ros::Time::now() - message->data;
+    const ros::Time& stamp = stampOf(*message);
+    const ros::Duration latency = ros::Time::now() - stamp;
     if (!record_)
     {
       arrivals_.clear();
     }
-    arrivals_.emplace_back(message->data.toSec(), latency.toNSec() / 1e3);
+    arrivals_.emplace_back(stamp.toSec(), latency.toNSec() / 1e3);
     out_.publish(message);
   }
 
@@ -129,6 +173,17 @@ private:
   ros::ServiceServer report_;
   ros::Subscriber in_;
 };
+
+/// Makes a part for its payload.
+template <template <class> class Kind>
+std::unique_ptr<Part> makePart(const ros::NodeHandle& nh, const ros::NodeHandle& private_nh)
+{
+  if (private_nh.param<std::string>("payload", "time") == "time")
+  {
+    return std::make_unique<Kind<std_msgs::Time>>(nh, private_nh);
+  }
+  return std::make_unique<Kind<sensor_msgs::Image>>(nh, private_nh);
+}
 
 }  // namespace dyknow_benchmark
 

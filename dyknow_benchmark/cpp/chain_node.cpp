@@ -4,16 +4,12 @@
 // One part of the chain as a node: benchmark_chain source | hop
 #include "chain.h"
 
-template <class Part>
-void run()
-{
-  Part part{ros::NodeHandle(), ros::NodeHandle("~")};
-  ros::spin();
-}
+using namespace dyknow_benchmark;
 
 int main(int argc, char** argv)
 {
   ros::init(argc, argv, "benchmark_chain", ros::init_options::AnonymousName);
   const bool is_source = argc == 2 && std::string(argv[1]) == "source";
-  (is_source ? run<dyknow_benchmark::Source> : run<dyknow_benchmark::Hop>)();
+  const auto part = (is_source ? makePart<Source> : makePart<Hop>)(ros::NodeHandle(), ros::NodeHandle("~"));
+  ros::spin();
 }

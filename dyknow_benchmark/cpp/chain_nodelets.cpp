@@ -12,12 +12,12 @@
 namespace dyknow_benchmark
 {
 
-template <class Part>
+template <template <class> class Kind>
 class ChainNodelet : public nodelet::Nodelet
 {
   void onInit() override
   {
-    part_ = std::make_unique<Part>(getNodeHandle(), getPrivateNodeHandle());
+    part_ = makePart<Kind>(getNodeHandle(), getPrivateNodeHandle());
   }
 
   std::unique_ptr<Part> part_;
