@@ -23,6 +23,8 @@ from sensor_msgs.msg import Image
 MB = 1 << 20
 #: Bytes of one image that goes through shared memory, and of one that does not.
 LARGE, SMALL = MB, 1000
+#: Processes that receive the same images.
+RECEIVERS = int(os.environ.get("DYKNOW_TEST_RECEIVERS", "4"))
 
 
 def transports(node, topic):
@@ -228,15 +230,16 @@ class FaultTest(SharedMemoryCase):
 
     def test_many_receivers_share_one_copy(self):
         self.talks(queue_size=2)
-        managers = [self.enter(Manager(f"/m{number}", wait=False)) for number in range(4)]
-        for number, each in enumerate(managers):
+        names = [f"/l{number}" for number in range(RECEIVERS)]
+        managers = [self.enter(Manager(f"/m{name[1:]}", wait=False)) for name in names]
+        for name, each in zip(names, managers):
             each.wait_until_up()
-            self.listens(f"/l{number}", "/a", each)
-        self.is_linked(*["SHMROS"] * 4)
+            self.listens(name, "/a", each)
+        self.is_linked(*["SHMROS"] * RECEIVERS)
         for number in range(5):
             call("/talker", "publish", 1, 8 * LARGE)
-            for each in range(4):
-                self.received(range(number + 1), f"/l{each}")
+            for name in names:
+                self.received(range(number + 1), name)
         self.assertLess(sum(files(self.source.pid).values()), 30 * MB)
 
 
