@@ -23,6 +23,8 @@ TIMEOUT = 3.0
 _PORT = re.compile(r"\bto \[[^]]*:(\d+) on socket")
 #: What every node of rospy and roscpp subscribes to when it logs, and keeps to its end.
 _LOG_PARAMETER = "/rosout_disable_topics_generation"
+#: Connections that are kept for the next question; each takes a thread of the master.
+_KEPT = 2
 #: Seconds for a node to list its subscriptions, while a switch waits for them.
 _AT_ONCE = 0.2
 
@@ -48,7 +50,7 @@ class _Transport(xmlrpc.client.Transport):
 
 
 class _Server:
-    """The XML-RPC API of the master or of a node; connections are kept for the next question."""
+    """The XML-RPC API of the master or of a node; some connections are kept."""
 
     def __init__(self, uri: str, peer: str, timeout: float) -> None:
         self._uri = uri
@@ -72,13 +74,18 @@ class _Server:
             transport.close()
             raise LookupError(f"{self._peer}: {error}") from error
         self._idle.append(transport)
+        self._close(_KEPT)
         if code != 1:
             raise LookupError(message)
         return value
 
     def close(self) -> None:
-        while self._idle:
-            self._idle.pop().close()
+        self._close()
+
+    def _close(self, kept: int = 0) -> None:
+        while len(self._idle) > kept:
+            with contextlib.suppress(IndexError):  # another thread closed them
+                self._idle.pop().close()
 
 
 class Master:

@@ -5,9 +5,15 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from urllib.parse import urlsplit
+
+import psutil
 import pytest
 import rosmaster.master
 
+from dyknow.ros.wire import master as module
 from dyknow.ros.wire.master import Master
 
 URI = "http://localhost:9/"
@@ -54,3 +60,23 @@ def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     assert node.datatype("/space/other") == ""
     node.ask("unregisterPublisher", "/space/topic", URI)
     assert node.datatype("/space/topic") == ""
+
+
+def test_many_questions_at_a_time_leave_two_connections(uri, monkeypatch):
+    """Each would keep a descriptor here, and a thread of the master, for good."""
+    count = 8
+    together = threading.Barrier(count)
+    connect = module._Connection.connect
+
+    def connect_together(self):
+        together.wait(20.0)
+        connect(self)
+
+    monkeypatch.setattr(module._Connection, "connect", connect_together)
+    node = Master("/node", uri)
+    with ThreadPoolExecutor(count) as pool:
+        assert [*pool.map(node.node, ["/none"] * count)] == [""] * count
+    port = urlsplit(uri).port
+    connections = psutil.Process().connections("tcp")
+    kept = [each for each in connections if each.raddr and each.raddr.port == port]
+    assert 0 < len(kept) <= 2
