@@ -14,11 +14,13 @@ import os
 import time
 from pathlib import Path
 from typing import Any, Callable
+from urllib.parse import urlsplit
 
 import graph
 import psutil
+import rosgraph
 from cpp_suite import RUN
-from manager_suite import ManagerCase, everything
+from manager_suite import MANAGER, ManagerCase, everything
 from processes import Ended, eventually, run
 from stream_suite import transformation
 from test_boot import LIBRARY, TAGS, Promises, Work
@@ -216,9 +218,10 @@ class SoakTest(ManagerCase):
         pids.update({name: child.pid for name, child in sorted(children.items())})
         for name, pid in pids.items():
             process = psutil.Process(pid)
+            asked = self.asked(process, self.manager.node if name == "manager" else name)
             found[f"{name} memory"] = process.memory_info().rss
-            found[f"{name} descriptors"] = process.num_fds()
-            found[f"{name} threads"] = process.num_threads()
+            found[f"{name} descriptors"] = process.num_fds() - asked
+            found[f"{name} threads"] = process.num_threads() - asked
         found["at the master"] = len(everything())
         found["state files"] = len(list(Path(self.manager.state).rglob("*")))
         logs = Path(os.environ["ROS_HOME"], "log")
@@ -226,6 +229,19 @@ class SoakTest(ManagerCase):
         outputs = [file for each in logs.glob("dyknow-*") for file in each.iterdir()]
         found["outputs of children"] = max(0, len(outputs) - KEPT_OUTPUTS)
         return found
+
+    def asked(self, process: psutil.Process, node: str) -> int:
+        """Count the connections that clients keep open to a node's XML-RPC server.
+
+        Each takes a descriptor and a thread of it. The ROS master keeps up to three, one for each
+        of its own threads, to the nodes that it informed lately.
+        """
+        port = urlsplit(rosgraph.Master(MANAGER).lookupNode(node)).port
+        connections = process.connections("tcp")
+        return sum(
+            each.laddr.port == port and each.status == psutil.CONN_ESTABLISHED
+            for each in connections
+        )
 
 
 if __name__ == "__main__":
