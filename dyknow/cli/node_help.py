@@ -22,11 +22,13 @@ It starts a nodelet manager of its own.
 Private parameters (default):
   ~num_nodelet_managers  nodelet managers of its own (1)
   ~nodelet_managers      names of further nodelet managers, Python or C++ (none)
-  ~transformations       specification files to add at the start (none)
+  ~transformations       specification files (none)
   ~ontologies            ontology files for templates and tags (none)
   ~catalogues            XML catalogues of the ontologies that these import, beside the
                          catalog-v001.xml next to each file (none)
   ~language              language of the labels that are preferred as names (en)
+  ~use_exports           whether specification files and ontologies that packages export
+                         in package.xml are used too (true)
   ~spawn_timeout         seconds that a nodelet may take to come up (10)
   ~orphan_timeout        seconds that its nodelet managers go on when it was killed;
                          0: for ever (300)
@@ -39,8 +41,8 @@ Private parameters (default):
   ~allowed_topics        patterns of the only topics that ports may be connected to (all)
   ~allowed_programs      patterns, such as my_robot/*, of the only programs and scripts
                          that may be started (all)
-  ~remote_programs       whether services may start programs that no file of
-                         ~transformations names (true)
+  ~remote_programs       whether services may start programs that no specification file
+                         of the manager names (true)
   ~read_only             refuse every change (false)
   ~limits/string_length, ~limits/array_length, ~limits/nodelets, ~limits/text_size,
   ~limits/transformations

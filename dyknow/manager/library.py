@@ -51,7 +51,6 @@ class Library:
         """
         self._store = store
         self._concepts = ontology
-        self.ontology: Subsumption = NO_ONTOLOGY if ontology is None else ontology
         self._limits = limits
         #: Describes message types.
         self.types = types
@@ -63,6 +62,19 @@ class Library:
         self._nodes: dict[str, Transformation] = {}
         self._described_at = -1
         self._follow_schema()
+
+    @property
+    def ontology(self) -> Subsumption:
+        """How names are related at present."""
+        return NO_ONTOLOGY if self._concepts is None else self._concepts
+
+    def relate(self, ontology: Concepts | None) -> None:
+        """Use another ontology from now on; transformations stay as they are."""
+        with self._turn:
+            self._write({})
+            with self._state_lock:
+                self._concepts = ontology
+                self.revision += 1
 
     def __len__(self) -> int:
         return len(self._by_label)

@@ -125,7 +125,7 @@ class Lifecycle:
         self._guards = context.guards
         self._clock = context.clock
         self._timeout = context.spawn_timeout
-        self._ontology = context.library.ontology
+        self._library = context.library
         self._pause = state_condition("ports of nodes that start")
         self.fitting = context.keeper.fitting
         #: Nodelets that are isolated since they crashed their processes.
@@ -150,7 +150,7 @@ class Lifecycle:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
         if transformation.type == NODE:
             self._guards.check_program(Program.of(transformation.source).name, is_own=True)
-        parameters = completed(transformation, request.parameters, self._ontology)
+        parameters = completed(transformation, request.parameters, self._library.ontology)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation)

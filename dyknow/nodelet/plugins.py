@@ -51,8 +51,8 @@ def plugin_files() -> Iterator[PluginFile]:
     return exported_files("dyknow")
 
 
-def exported_files(tag: str) -> Iterator[PluginFile]:
-    """List the files that packages name in ``<export><TAG plugin="…"/>``."""
+def exported_files(tag: str, attribute: str = "plugin") -> Iterator[PluginFile]:
+    """List the files that packages name in ``<export><TAG ATTRIBUTE="…"/>``."""
     import rospkg  # here: what is declared is known without ROS's packages too
 
     rospack = rospkg.RosPack()
@@ -69,9 +69,9 @@ def exported_files(tag: str) -> Iterator[PluginFile]:
         if root is None:
             continue
         for export in root.iterfind(f"export/{tag}"):
-            plugin = export.get("plugin")
-            if plugin:
-                file = Path(plugin.replace("${prefix}", str(directory)))
+            text = export.get(attribute)
+            if text:
+                file = Path(text.replace("${prefix}", str(directory)))
                 yield PluginFile(package, directory, directory / file)
 
 

@@ -6,8 +6,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
+from unittest import mock
 
 import rosnode
 import rospy
@@ -25,10 +27,11 @@ from manager_suite import (
     registrations,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
-from processes import BUSY, becomes, eventually, run
+from processes import BUSY, DYKNOW, becomes, eventually, finished, run
 
 from dyknow.errors import Refused
 from dyknow.model.graph import State
+from dyknow.model.streams import StreamRequest
 
 WORKSHOP = Path(__file__).resolve().parents[2] / "examples" / "ontologies" / "workshop.ttl"
 LABEL = "<http://www.w3.org/2000/01/rdf-schema#label>"
@@ -37,6 +40,28 @@ TEMPLATE = """
   <label>view(${Observer})</label><source>dyknow/Source</source>
   <args><arg label="Observer">http://dyknow.example.org/workshop#Observer</arg></args>
 </transformation>
+"""
+PACKAGE = """
+<package format="2">
+  <name>lab</name><version>0.1.0</version><description>Cameras of a lab</description>
+  <maintainer email="lab@example.org">Lab</maintainer><license>BSD</license>
+  <export><dyknow transformations="${prefix}/views.xml" ontology="lab.ttl"/></export>
+</package>
+"""
+VIEWS = """
+<transformation>
+  <label>view of ${Camera}</label><source>dyknow/Source</source>
+  <args><arg label="Camera">http://lab.example.org#Camera</arg></args>
+  <ports><port type="out" datatype="std_msgs/Header">out</port></ports>
+  <tags><tag port="out">View(${Camera})</tag></tags>
+</transformation>
+"""
+LAB = """
+@prefix : <http://lab.example.org#> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+:Camera a owl:Class ; rdfs:label "Camera" .
+:left a :Camera ; rdfs:label "left" .
 """
 
 
@@ -248,6 +273,35 @@ class StartTest(ManagerCase):
         owl.write_text(f'<u:a> a <u:C>; {LABEL} "arm" . <u:b> a <u:C>; {LABEL} "arm" .')
         manager.start(wait=False)
         self.assertIn("the individuals <u:a> and <u:b> share the label 'arm'", manager.fails())
+
+    def test_a_package_brings_transformations_and_individuals(self):
+        folder = self.make_folder()
+        path = f"{folder}:{os.environ['ROS_PACKAGE_PATH']}"
+        with mock.patch.dict(os.environ, ROS_PACKAGE_PATH=path):
+            self.manager = self.started(own=True)
+        (folder / "views.xml").write_text(VIEWS)
+        (folder / "lab.ttl").write_text(LAB)
+        (folder / "package.xml").write_text(PACKAGE)
+        self.assertIn("view of left", self.tagged("View(left)"))
+        claim = self.manager.client.acquire_stream(StreamRequest("View(left)"))
+        with (folder / "lab.ttl").open("a") as file:
+            file.write(':right a :Camera ; rdfs:label "right" .\n')
+        self.tagged("View(right)")
+        (stream,) = self.manager.client.list_streams()
+        self.assertEqual((stream.claim_id, stream.topic), (claim.claim_id, claim.topic))
+        (folder / "package.xml").unlink()
+        becomes(self.views, [])
+
+    def views(self):
+        labels = [each.label for each in self.manager.client.get_model().transformations]
+        return [label for label in labels if label.startswith("view of")]
+
+    def tags(self):
+        return finished([*DYKNOW, "tags"])[1]
+
+    def tagged(self, tag):
+        eventually(lambda: tag in self.tags(), 20.0, f"there is {tag}", self.tags)
+        return self.tags()
 
     def test_a_second_manager_of_that_name_does_not_end_the_first(self):
         manager = self.started(own=True)

@@ -502,6 +502,9 @@ class ClaimPlanner:
     @contextlib.contextmanager
     def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:
         """Let rounds pass while a request plans with transformations, and say whether they may."""
+        ontology = self._manager.library.ontology
+        if ontology is not self._ontology:
+            self._ontology, self._planner, self._planned_with = ontology, Planner(ontology), {}
         before = self._planned_with
         if before is not known:
             gone = [label for label in before if label not in known]

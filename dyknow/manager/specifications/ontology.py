@@ -29,6 +29,7 @@ class Ontology:
 
     Attributes:
         warnings: statements that were skipped, and doubtful ones.
+        files: paths of the files that were read, imported ones included.
     """
 
     def __init__(
@@ -38,9 +39,11 @@ class Ontology:
         classes: Naming,
         individuals: Naming,
         warnings: Sequence[Problem] = (),
+        files: Iterable[str] = (),
     ) -> None:
         """Use `load_ontology`, which reads the files."""
         self.warnings: tuple[Problem, ...] = tuple(warnings)
+        self.files: tuple[str, ...] = tuple(files)
         self._hierarchy = statements.hierarchy
         self._labels = labels
         self._classes = classes
@@ -196,4 +199,5 @@ def load_ontology(
     for uri, importer in imported.missing:
         remarks.not_imported(importer, uri)
     remarks.names(labels, classes, individuals)
-    return Ontology(statements, labels, classes, individuals, remarks.problems())
+    files = (file.path for file in imported.files)
+    return Ontology(statements, labels, classes, individuals, remarks.problems(), files)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from typing import TYPE_CHECKING, Any, Collection, Mapping, Sequence
+from typing import Any, Collection, Mapping, Sequence
 
 import rosgraph.names
 import rospy
@@ -25,7 +25,7 @@ from dyknow_msgs.msg import NodeletChanges
 
 import dyknow
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError, PeerTimeout, StoreError
+from dyknow.errors import BadParameter, PeerTimeout, StoreError
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import open_reconciler
@@ -44,8 +44,8 @@ from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
-from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
@@ -57,9 +57,6 @@ from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
 from dyknow.ros.wire.model_messages import ModelMessages
-
-if TYPE_CHECKING:
-    from dyknow.manager.specifications.ontology import Ontology
 
 #: Seconds between two backups of the state, if it changes.
 _BACKUP_PERIOD = 10.0
@@ -76,6 +73,7 @@ _OBSERVE = "looking at the nodelet managers"
 _RECONCILE = "reconciling streams"
 _PUBLISH = "publishing the model"
 _BACK_UP = "backup"
+_FOLLOW = "looking at the files of the library"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
@@ -122,13 +120,11 @@ class ManagerNode(Closable):
             settings.nodelet_managers,
             lambda: loop.wake(_RECONCILE),
         )
-        ontology = _ontology(settings)
-        for warning in ontology.warnings if ontology is not None else ():
-            rospy.logwarn("%s", warning)
+        self._files = LibraryFiles(settings)
         self._reconciler = open_reconciler(
             self._host,
             self._store,
-            Library(self._store, ontology, settings.limits, message_type),
+            Library(self._store, self._files.ontology(), settings.limits, message_type),
             settings.guards,
             ManagerOptions(names.parent(node), settings.spawn_timeout, settings.recover),
             loop.once,
@@ -151,7 +147,7 @@ class ManagerNode(Closable):
         self._host.start()
         self._children.adopt()
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
-        self._load_transformations()
+        self._files.look(self.manager.library)
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
         self._model = ModelTopic(self.manager.graph_model, self._messages, self._fixed.follow)
         self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
@@ -173,6 +169,7 @@ class ManagerNode(Closable):
         self._loop.add(_OBSERVE, self._observe, PERIOD)
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
+        self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._host.listen_for_nodes()
 
     def close(self) -> None:
@@ -221,6 +218,15 @@ class ManagerNode(Closable):
         self._store.back_up()
         return _BACKUP_PERIOD
 
+    def _follow_files(self) -> float:
+        return self._files.look(self.manager.library, self._on_files)
+
+    def _on_files(self, labels: Collection[str]) -> None:
+        self._host.look_for_nodes(self.manager.library.nodes())
+        for label in labels:
+            self.manager.lifecycle.suspects.acquit_transformation(label)
+        self._on_change()
+
     def _on_change(self) -> None:
         self._loop.wake(_PUBLISH)
         self._loop.wake(_RECONCILE)
@@ -253,18 +259,6 @@ class ManagerNode(Closable):
             self._settings.state_path("sqlite3"),
             ", ".join(f"{count} {what}" for what, count in found.items()),
         )
-
-    def _load_transformations(self) -> None:
-        for path in self._settings.transformations:
-            try:
-                with open(path, encoding="utf-8") as file:
-                    text = file.read(self._settings.limits.text_size + 1)
-                found = self.manager.library.add(text, path)
-            except (OSError, ValueError, DyKnowError) as error:
-                rospy.logerr("transformations of '%s' are not added: %s", path, error)
-                continue
-            for warning in (*found.warnings, *missing_here(path, found.transformations)):
-                rospy.logwarn("%s", warning)
 
     def _forget_transformations(self) -> None:
         """Delete ``~transformations``: they are in the durable library, until they are removed.
@@ -315,18 +309,6 @@ def _is_running(name: str) -> bool:
     if pid:
         print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
     return bool(pid)
-
-
-def _ontology(settings: ManagerSettings) -> Ontology | None:
-    if not settings.ontologies:
-        return None
-    from dyknow.manager.specifications.ontology import (
-        load_ontology,  # rdflib takes its time to import
-    )
-
-    return load_ontology(
-        settings.ontologies, language=settings.language, catalogues=settings.catalogues
-    )
 
 
 def run(argv: Sequence[str]) -> int:

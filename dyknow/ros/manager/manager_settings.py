@@ -30,6 +30,7 @@ PARAMETERS = (
     "catalogues",
     "language",
     "transformations",
+    "use_exports",
     "spawn_timeout",
     "orphan_timeout",
     "recover",
@@ -54,7 +55,8 @@ class ManagerSettings:
         ontologies: files with the concepts of templates and tags.
         catalogues: files with the places of imported ontologies.
         language: preferred language of labels that become names.
-        transformations: files of specifications to add at the start.
+        transformations: files of specifications, which are followed.
+        use_exports: whether the files that packages export are used too.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
         recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
@@ -70,6 +72,7 @@ class ManagerSettings:
     catalogues: tuple[str, ...] = ()
     language: str = "en"
     transformations: tuple[str, ...] = ()
+    use_exports: bool = True
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     recover: float = 2.0
@@ -93,6 +96,7 @@ class ManagerSettings:
             catalogues=_strings("catalogues"),
             language=_string("language", cls.language),
             transformations=_strings("transformations"),
+            use_exports=_bool("use_exports", cls.use_exports),
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             recover=_seconds("recover", cls.recover, least=0.0),

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The files behind the library: those of the manager's parameters, and those of packages.
+
+A package exports ``<dyknow transformations="${prefix}/FILE.xml"/>`` and
+``<dyknow ontology="${prefix}/FILE.ttl"/>``. The manager looks at all of them again and again. What
+a file has lost goes from the library, what is wrong with it is logged once, and the library stays
+as it was. A changed ontology changes the transformations of templates too, so that every
+specification is read again then.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Callable, Collection, Iterable, Mapping, Sequence
+
+import rospy
+
+from dyknow.errors import DyKnowError
+from dyknow.manager.library import Library
+from dyknow.nodelet.module_files import Stamp, stamps
+from dyknow.nodelet.plugins import exported_files
+from dyknow.ros.hosting.installed import missing_here
+from dyknow.ros.manager.manager_settings import ManagerSettings
+
+if TYPE_CHECKING:
+    from dyknow.manager.specifications.ontology import Ontology
+
+#: Seconds between two looks, and how many times as long as a look the pause is at least.
+LOOK_PERIOD, _REST = 1.0, 50.0
+
+#: Lists the paths that packages export in an attribute of ``<dyknow>``.
+Exported = Callable[[str], Iterable[str]]
+
+
+def exported(attribute: str) -> list[str]:
+    """List the files that packages on ROS_PACKAGE_PATH export, by package."""
+    found = exported_files("dyknow", attribute)
+    return [str(each.file) for each in sorted(found, key=lambda each: each.package)]
+
+
+class LibraryFiles:
+    """Follows the files.
+
+    Args:
+        settings: with the files that parameters name.
+        exported: lists those of packages.
+    """
+
+    def __init__(
+        self,
+        settings: ManagerSettings,
+        exported: Exported = exported,
+    ) -> None:
+        self._settings = settings
+        self._exported = exported if settings.use_exports else lambda attribute: ()
+        #: The files of the ontology that is used or refused, with their stamps.
+        self._related: tuple[Sequence[str], Mapping[str, Stamp]] = ((), {})
+        #: By specification file: its stamp, None if it is not there, and its labels.
+        self._stamps: dict[str, Stamp | None] = {}
+        self._labels: dict[str, frozenset[str]] = {}
+
+    def ontology(self) -> Ontology | None:
+        """Read the ontology at the start; None without files.
+
+        Raises:
+            OntologyError: a file that a parameter names cannot be used. With one of a package, the
+                others are used.
+        """
+        own, paths = self._settings.ontologies, self._ontologies()
+        try:
+            return self._read(paths)
+        except DyKnowError as error:
+            if len(paths) == len(own):
+                raise
+            rospy.logerr("ontologies of packages are not used: %s", error)
+        found = self._read(own)
+        self._related = paths, stamps(paths)
+        return found
+
+    def look(
+        self,
+        library: Library,
+        on_change: Callable[[Collection[str]], object] = lambda labels: None,
+    ) -> float:
+        """Bring a library up to date; returns the seconds until the next look.
+
+        ``on_change`` is called after a change, with the labels that were read again.
+        """
+        began = time.monotonic()
+        before = library.revision
+        labels: set[str] = set()
+        is_related = self._relate(library)
+        wanted = dict.fromkeys(
+            (*self._settings.transformations, *self._exported("transformations"))
+        )
+        now = stamps(wanted)
+        for path in wanted:
+            is_new = path not in self._stamps or self._stamps[path] != now.get(path)
+            self._stamps[path] = now.get(path)
+            if is_new or is_related:
+                labels |= self._add(library, path, is_new)
+        for path in self._stamps.keys() - wanted.keys():
+            del self._stamps[path]
+            self._forget(library, self._labels.pop(path, frozenset()))
+        if library.revision != before:
+            on_change(labels)
+        return max(LOOK_PERIOD, _REST * (time.monotonic() - began))
+
+    def _ontologies(self) -> Sequence[str]:
+        return tuple(dict.fromkeys((*self._settings.ontologies, *self._exported("ontology"))))
+
+    def _relate(self, library: Library) -> bool:
+        """Read the ontology again if a file has changed; returns whether there is another one."""
+        paths = self._ontologies()
+        known, before = self._related
+        if paths == known and stamps(before.keys() | set(paths)) == before:
+            return False
+        try:
+            library.relate(self._read(paths))
+        except DyKnowError as error:
+            self._related = paths, stamps(before.keys() | set(paths))
+            rospy.logerr("the ontology stays as it was: %s", error)
+            return False
+        rospy.loginfo("read the ontology again: %s", ", ".join(paths) or "no file is left")
+        return True
+
+    def _read(self, paths: Sequence[str]) -> Ontology | None:
+        if not paths:
+            self._related = (), {}
+            return None
+        from dyknow.manager.specifications.ontology import (
+            load_ontology,  # rdflib takes its time to import
+        )
+
+        before = stamps(paths)
+        found = load_ontology(
+            paths, language=self._settings.language, catalogues=self._settings.catalogues
+        )
+        self._related = paths, {**stamps(found.files), **before}
+        for warning in found.warnings:
+            rospy.logwarn("%s", warning)
+        return found
+
+    def _add(self, library: Library, path: str, is_new: bool) -> frozenset[str]:
+        """Read a specification file; returns the labels that it has."""
+        try:
+            with open(path, encoding="utf-8") as file:
+                text = file.read(self._settings.limits.text_size + 1)
+            found = library.add(text, path)
+        except (OSError, ValueError, DyKnowError) as error:
+            rospy.logerr("transformations of '%s' are not added: %s", path, error)
+            return frozenset()
+        if is_new:
+            for warning in (*found.warnings, *missing_here(path, found.transformations)):
+                rospy.logwarn("%s", warning)
+        labels = frozenset(each.label for each in found.transformations)
+        gone = self._labels.get(path, frozenset()) - labels
+        self._labels[path] = labels
+        self._forget(library, gone)
+        return labels
+
+    def _forget(self, library: Library, labels: Collection[str]) -> None:
+        """Remove transformations that no file has any more."""
+        kept = frozenset().union(*self._labels.values())
+        for label in sorted(set(labels) - kept):
+            if label in library:
+                library.remove(label)
+                rospy.loginfo("transformation '%s' is removed: no file has it any more", label)

@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The library follows the files of parameters and packages, and no client of a stream notices."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from unit.manager.field import LIBRARY, Field, transformation
+
+from dyknow.errors import OntologyFileError
+from dyknow.model.streams import ClaimState
+from dyknow.ros.manager import library_files
+from dyknow.ros.manager.library_files import LibraryFiles
+from dyknow.ros.manager.manager_settings import ManagerSettings
+
+ONTOLOGY = """
+@prefix : <http://x#> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+:Camera a owl:Class ; rdfs:label "Camera" .
+:Lens a owl:Class ; rdfs:label "Lens" .
+:left a :Camera ; rdfs:label "left" .
+"""
+RIGHT = ':right a :Camera ; rdfs:label "right" .\n'
+VIEWS = """
+<transformation><label>view of ${Camera}</label><source>soccer/Camera</source>
+  <args><arg label="Camera">http://x#Camera</arg></args>
+  <ports><port type="out">image</port></ports>
+  <tags><tag port="image">View(${Camera})</tag></tags></transformation>
+"""
+
+
+class Files:
+    """A manager whose library comes from files in a folder."""
+
+    def __init__(self, folder, parameters=(), ontologies=(), **settings):
+        self.folder = folder
+        self.exports = {"transformations": [], "ontology": []}
+        self.files = LibraryFiles(
+            ManagerSettings(
+                transformations=tuple(map(self.path, parameters)),
+                ontologies=tuple(map(self.path, ontologies)),
+                **settings,
+            ),
+            lambda attribute: map(self.path, self.exports[attribute]),
+        )
+        self.changes = []
+
+    def path(self, name):
+        return str(self.folder / name)
+
+    def write(self, name, text):
+        """Write a file; its time differs from that of the file before."""
+        path = self.folder / name
+        before = path.stat().st_mtime_ns if path.exists() else 0
+        path.write_text(text)
+        os.utime(path, ns=(before + 10**9, before + 10**9))
+
+    def begin(self):
+        self.field = Field(library="", ontology=self.files.ontology())
+        self.look()
+
+    def look(self):
+        self.changes.clear()
+        return self.files.look(self.field.manager.library, self.changes.append)
+
+    @property
+    def labels(self):
+        return [each.label for each in self.field.manager.library.all()]
+
+
+def simple(*labels):
+    made = (transformation(each, "soccer/Camera", "out image", "image T(x)") for each in labels)
+    return f"<transformations>{''.join(made)}</transformations>"
+
+
+@pytest.fixture
+def files(tmp_path):
+    return Files(tmp_path, ["own.xml"])
+
+
+def test_files_of_parameters_and_packages_are_followed(files):
+    files.write("own.xml", simple("a", "b"))
+    files.begin()
+    assert files.labels == ["a", "b"]
+    assert (files.look(), files.changes) == (library_files.LOOK_PERIOD, [])
+    files.write("package.xml", simple("c"))
+    files.exports["transformations"] = ["package.xml"]
+    files.look()
+    assert (files.labels, files.changes) == (["a", "b", "c"], [{"c"}])
+    files.write("own.xml", simple("b", "d"))
+    files.look()
+    assert (files.labels, files.changes) == (["b", "c", "d"], [{"b", "d"}])
+    files.exports["transformations"] = []
+    files.look()
+    assert (files.labels, files.changes) == (["b", "d"], [set()])
+
+
+def test_what_another_file_has_stays(files):
+    files.write("own.xml", simple("a", "b"))
+    files.write("package.xml", simple("b"))
+    files.exports["transformations"] = ["package.xml"]
+    files.begin()
+    files.write("own.xml", simple("a"))
+    files.look()
+    assert files.labels == ["a", "b"]
+
+
+def test_exports_can_be_left_out(tmp_path):
+    files = Files(tmp_path, use_exports=False)
+    files.write("package.xml", simple("a"))
+    files.write("x.ttl", ONTOLOGY)
+    files.exports = {"transformations": ["package.xml"], "ontology": ["x.ttl"]}
+    files.begin()
+    assert files.labels == []
+
+
+def test_what_is_wrong_is_said_once_and_changes_nothing(files, logged):
+    files.write("own.xml", simple("a"))
+    files.begin()
+    files.write("own.xml", "<transformations>")
+    for _ in range(2):
+        files.look()
+    assert [text for text in logged if "own.xml" in text] == [logged[0]]
+    assert "are not added" in logged[0]
+    os.remove(files.path("own.xml"))
+    for _ in range(2):
+        files.look()
+    assert "No such file" in logged[1]
+    assert (len(logged), files.labels) == (2, ["a"])
+    files.write("own.xml", simple("e"))
+    files.look()
+    assert files.labels == ["e"]
+
+
+@pytest.fixture
+def logged(monkeypatch):
+    found = []
+    monkeypatch.setattr(
+        library_files.rospy, "logerr", lambda text, *words: found.append(text % words)
+    )
+    return found
+
+
+def test_an_individual_appears_and_claims_stay(tmp_path):
+    files = Files(tmp_path, ["own.xml", "views.xml"], ["lab.ttl"])
+    files.write("own.xml", LIBRARY)
+    files.write("views.xml", VIEWS)
+    files.write("lab.ttl", ONTOLOGY)
+    files.begin()
+    assert "view of left" in files.labels
+    field = files.field
+    claims = [field.acquire(), field.acquire("View(left)")]
+    field.settle(2.0)
+    before = sorted(field.host.running)
+    files.write("lab.ttl", ONTOLOGY + RIGHT)
+    files.look()
+    assert "view of right" in files.labels
+    field.settle(2.0)
+    assert sorted(field.host.running) == before
+    assert {field.state(each.claim.claim_id) for each in claims} == {ClaimState.ACTIVE}
+    for tag in ("View(right)", "View(?which:Camera)"):
+        assert field.acquire(tag).claim.topic
+    field.settle(2.0)
+    files.write("lab.ttl", ONTOLOGY)
+    files.look()
+    assert "view of right" not in files.labels
+
+
+def test_types_of_variables_follow_the_ontology(tmp_path):
+    files = Files(tmp_path, ["own.xml"], ["lab.ttl"])
+    files.write("own.xml", simple("a").replace("T(x)", "View(left)"))
+    files.write("lab.ttl", ONTOLOGY)
+    files.begin()
+    field = files.field
+    with pytest.raises(Exception, match="Lens"):
+        field.acquire("View(?what:Lens)")
+    files.write("lab.ttl", ONTOLOGY + ":left a :Lens .\n")
+    files.look()
+    assert field.acquire("View(?what:Lens)").claim.topic
+
+
+def test_an_ontology_that_becomes_wrong_is_not_used(tmp_path, logged):
+    files = Files(tmp_path, ["views.xml"], ["lab.ttl"])
+    files.write("views.xml", VIEWS)
+    files.write("lab.ttl", ONTOLOGY)
+    files.begin()
+    files.write("lab.ttl", ONTOLOGY + "nonsense")
+    for _ in range(2):
+        files.look()
+    assert len(logged) == 1
+    assert "the ontology stays as it was" in logged[0]
+    assert files.labels == ["view of left"]
+    files.write("lab.ttl", ONTOLOGY + RIGHT)
+    files.look()
+    assert files.labels == ["view of left", "view of right"]
+
+
+def test_at_the_start_a_wrong_ontology_of_a_parameter_is_an_error(tmp_path, logged):
+    files = Files(tmp_path, ["views.xml"], ["lab.ttl"])
+    files.write("views.xml", VIEWS)
+    files.write("lab.ttl", "nonsense")
+    with pytest.raises(OntologyFileError):
+        files.begin()
+    files.write("lab.ttl", ONTOLOGY)
+    files.write("package.ttl", "nonsense")
+    files.exports["ontology"] = ["package.ttl"]
+    files.begin()
+    assert files.labels == ["view of left"]
+    assert len(logged) == 1
+    assert "of packages are not used" in logged[0]
+    files.write(
+        "package.ttl",
+        "@prefix : <http://x#> .\n@prefix rdfs: "
+        "<http://www.w3.org/2000/01/rdf-schema#> .\n" + RIGHT,
+    )
+    files.look()
+    assert files.labels == ["view of left", "view of right"]
