@@ -25,6 +25,7 @@ OTHER_STATE_LOCKS = "every other state lock"
 
 #: Every turn, the outermost first.
 TURNS: dict[str, str] = {
+    "black box": "one bag at a time",
     "end of a script": "the node of a script in a process of its own, until it is withdrawn",
     "simulated manager": "one call at a time to the simulated manager",
     "claim request": "one request for a stream at a time",

@@ -66,24 +66,29 @@ class Shell:
                 self.out.write(line + "\n")
 
     def for_each(
-        self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], object]
+        self,
+        kind: str,
+        done: str,
+        subjects: Iterable[str],
+        act: Callable[[str], str | None],
     ) -> int | None:
         """Act on every subject, also after one was refused; return the exit code.
 
-        In JSON, ``done`` is the key of the subjects, and ``kind`` that of each in a failure.
+        In JSON, ``done`` is the key of the subjects, or of what ``act`` returns for them, and
+        ``kind`` that of each in a failure.
         """
         acted: list[str] = []
         failed: list[dict[str, str]] = []
         for subject in subjects:
             try:
-                act(subject)
+                result = act(subject)
             except ManagerUnreachable:
                 raise
             except DyKnowError as error:
                 self.error(error)
                 failed.append({kind: subject, "message": str(error)})
             else:
-                acted.append(subject)
+                acted.append(result or subject)
         self.show({done: acted, "failed": failed}, [f"{done} {each}" for each in acted])
         return FAILED if failed else None
 

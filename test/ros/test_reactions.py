@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 from dyknow_msgs.msg import Verdict
 from graph import Battery, Heard
@@ -18,7 +19,9 @@ from stream_suite import CAMERA, GOAL, SPARE_FILTER, StreamCase
 import dyknow
 from dyknow.errors import StreamRefused
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import Parameter
 
+SHIPPED = Path(__file__).resolve().parents[2] / "examples" / "transformations" / "relay.xml"
 CHARGED = "Holds(charged, nao)"
 FORMULAS = """
 <transformations>
@@ -89,6 +92,32 @@ class RequiresTest(StreamCase):
                 manager.client.release_stream(claim.claim_id)
         self.is_cleared(manager)
         self.assertEqual([each for each in manager.claims() if not each.state.ended], [])
+
+    def test_a_black_box_has_what_happened_and_why(self):
+        manager, source = self.guarded(), self.enter(Battery(0.5))
+        folder = self.make_folder()
+        manager.client.add_transformation(SHIPPED.read_text())
+        given = {"topics": "['*']", "folder": str(folder), "after": "0.5"}
+        parameters = tuple(Parameter(name, "", value) for name, value in given.items())
+        manager.client.spawn("black box", "/box", parameters=parameters)
+        got = manager.client.acquire_stream(StreamRequest(GOAL))
+        heard = self.enter(Heard(got.topic))
+        heard.flows()
+        events = self.events()
+        source.percentage = 0.19
+        events.mended("/camera_1 is not available")
+        eventually(lambda: list(folder.glob("box_*.bag")), 20.0, "a bag is written")
+        code, story = finished([*DYKNOW, "why", got.claim_id])
+        self.assertEqual(code, 0, story)
+        self.assertRegex(story, r"verdict false: battery\.percentage = 0\.19 at ")
+        self.assertRegex(story, rf"{got.claim_id} .* active → recovering: /camera_1 is not")
+        self.assertRegex(story, rf"{got.claim_id} .*: mended: /camera_1 is not available")
+        self.assertRegex(story, r"/ceiling_1 +is running")
+        bags = sorted(folder.glob("box_*.bag"))
+        self.assertIn(str(bags[-1]), story)
+        code, output = finished(["rosbag", "info", "-y", "-k", "topics", str(bags[0])])
+        self.assertIn(got.topic, output)
+        self.assertIn("topic: /battery", output)
 
     def test_a_manager_that_is_killed_goes_on_with_the_verdicts(self):
         manager, source = self.guarded(), self.enter(Battery(0.5))

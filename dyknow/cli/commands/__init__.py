@@ -15,6 +15,7 @@ from dyknow.cli.commands import (
     library,
     nodelets,
     programs,
+    record,
     save_load,
     streams,
 )
@@ -22,7 +23,7 @@ from dyknow.cli.shell import Command
 
 _MODULES = (
     *(inspect, graph, nodelets, programs, launch),
-    *(connect, streams, acquire, holds, library, save_load),
+    *(connect, streams, acquire, holds, record, library, save_load),
 )
 _FOUND = (each for module in _MODULES for each in vars(module).values())
 _BY_NAME = {each.name: each for each in _FOUND if isinstance(each, Command)}
@@ -35,6 +36,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = tuple(
         ("Nodelets and nodes", "spawn destroy protect unprotect run launch"),
         ("Connections", "connect disconnect"),
         ("Streams on request", "tags acquire plan streams release replan holds"),
+        ("What happened", "record why"),
         ("Transformations", "library import export remove check probe"),
         ("Whole wirings", "save load"),
     )

@@ -19,6 +19,7 @@ from typing import Any, Callable, Collection, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs import msg
+from std_srvs.srv import Trigger
 
 from dyknow import names
 from dyknow.errors import ManagerUnreachable, NodeletUnreachable, PeerTimeout, Refused
@@ -37,6 +38,8 @@ _UNSET = object()
 
 #: Seconds that a node may take to say how it is connected, and nodes that are queried at once.
 _LOOK, _WORKERS = 1.0, 16
+#: The service of a black box, and seconds that a bag may take.
+_WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
 FOLLOW_TIMEOUT = 2.0
 _OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
@@ -145,6 +148,17 @@ class ShellClient(ManagerClient):
         """Whether the master knows a nodelet or node with ports of this name."""
         service = names.join(name, "get_config")
         return bool(self._on_master(lambda: self._looked_up("lookupService", service)))
+
+    def black_boxes(self) -> list[str]:
+        """Names of the nodelets that keep the last seconds of streams."""
+        return self._nodes_with(_WRITE)
+
+    def write_bag(self, nodelet: str) -> str:
+        """Let a black box write a bag, and return its path on the nodelet's host."""
+        answer = self._call(nodelet + _WRITE, Trigger, _WRITING)
+        if not answer.success:
+            raise Refused(f"'{nodelet}' writes no bag: {answer.message}")
+        return str(answer.message)
 
     def is_own_manager(self, name: str) -> bool:
         """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""

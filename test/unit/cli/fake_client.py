@@ -18,7 +18,7 @@ from unit.manager.world import LIBRARY, World
 
 from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
-from dyknow.errors import NodeletUnreachable
+from dyknow.errors import DyKnowError, NodeletUnreachable
 from dyknow.model.graph import Model
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import StreamEvent
@@ -61,9 +61,20 @@ class FakeClient(SimulatedManagerClient):
         self.hung: set[str] = set()
         self.uncounted: set[str] = set()
         self.ordinary: set[str] = set()
+        #: Black boxes, and the bag that each writes; an error for one that cannot.
+        self.boxes: dict[str, str | DyKnowError] = {}
         self.links: dict[tuple[str, str, str], list[str]] = {}
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], object]] = []
+
+    def black_boxes(self) -> list[str]:
+        return sorted(self.boxes)
+
+    def write_bag(self, nodelet: str) -> str:
+        found = self.boxes[nodelet]
+        if isinstance(found, DyKnowError):
+            raise found
+        return found
 
     def get_statistics(self, nodelet: str) -> NodeletStatistics:
         ports = self.get_config(nodelet)

@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The last messages of some topics, within a time and a size, and bags of them."""
+
+from __future__ import annotations
+
+import collections
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple, Sequence
+
+import genpy
+import rosbag
+import rospy
+
+from dyknow.locks import state_lock
+
+#: Bytes that a message takes besides its content, and that a number takes.
+OVERHEAD, _NUMBER = 1000, 32
+#: Entries of a list that are looked at.
+_SAMPLE = 16
+_HEADER = ("type", "md5sum", "message_definition")
+_ENDING = ".bag"
+
+
+class KeptMessage(NamedTuple):
+    """A message: its topic, itself, when it was received (s, ROS time), and its size in bytes."""
+
+    topic: str
+    message: Any
+    received: float
+    size: int
+
+
+class Recording:
+    """Messages of the last seconds, as references; safe from any thread.
+
+    Of each latched topic the message before them is kept, too, so that its state is known.
+
+    Args:
+        seconds: age from which on a message goes.
+        size: bytes of all messages, as estimated; beyond it the oldest go.
+    """
+
+    def __init__(self, seconds: float, size: float) -> None:
+        self._seconds = seconds
+        self._most = size
+        self._lock = state_lock("recording")
+        self._kept: collections.deque[KeptMessage] = collections.deque()
+        self._latched: set[str] = set()
+        self._before: dict[str, KeptMessage] = {}
+        #: Bytes of all messages, as estimated.
+        self.size = 0
+
+    def add(self, topic: str, message: Any, now: float, is_state: bool = False) -> None:
+        """Keep a message; ``is_state``: the topic is latched."""
+        with self._lock:
+            kept = self._kept
+            if kept and now < kept[-1].received:  # simulated time was set back
+                kept.clear()
+                self._before.clear()
+                self.size = 0
+            new = KeptMessage(topic, message, now, size_of(message) + OVERHEAD)
+            kept.append(new)
+            self.size += new.size
+            if is_state:
+                self._latched.add(topic)
+            while kept[0].received < now - self._seconds or self.size > self._most:
+                gone = kept.popleft()
+                self.size -= gone.size
+                if gone.topic in self._latched:
+                    self._before[gone.topic] = gone
+                if not kept:
+                    return
+
+    def taken(self) -> list[KeptMessage]:
+        """Return the messages in the order of their receipt."""
+        with self._lock:
+            if not self._kept:
+                return []
+            begin = self._kept[0].received
+            states = [each._replace(received=begin) for each in self._before.values()]
+            return [*states, *self._kept]
+
+
+def size_of(value: Any) -> int:
+    """Estimate the bytes of a message: of a long list from its first entries."""
+    if isinstance(value, (bytes, str)):
+        return len(value)
+    if isinstance(value, rospy.AnyMsg):
+        return len(value._buff)
+    if isinstance(value, genpy.Message):
+        return sum(size_of(getattr(value, slot)) for slot in value.__slots__)
+    if isinstance(value, (list, tuple)):
+        some = value[:_SAMPLE]
+        return sum(map(size_of, some)) * len(value) // max(1, len(some))
+    return getattr(value, "nbytes", _NUMBER)  # an array of numpy, or a number or time
+
+
+def write_bag(path: str, kept: Sequence[KeptMessage]) -> None:
+    """Write messages into a bag, which has its name once it is complete.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    unfinished = f"{path}.active"
+    try:
+        with rosbag.Bag(unfinished, "w") as bag:
+            for topic, message, received, _ in kept:
+                when = genpy.Time.from_sec(max(received, 1e-9))
+                if isinstance(message, rospy.AnyMsg):
+                    header = message._connection_header
+                    kind, md5sum, text = (header[key] for key in _HEADER)
+                    datatype = SimpleNamespace(_md5sum=md5sum, _full_text=text)
+                    bag.write(topic, (kind, message._buff, md5sum, datatype), when, raw=True)
+                else:
+                    bag.write(topic, message, when)
+        os.replace(unfinished, path)
+    except BaseException:
+        Path(unfinished).unlink(missing_ok=True)
+        raise
+
+
+def remove_all_but(folder: str, prefix: str, count: int) -> None:
+    """Remove the oldest bags of a folder whose names begin so."""
+    found = sorted(Path(folder).glob(f"{prefix}*{_ENDING}"))
+    for path in found[: max(0, len(found) - count)]:
+        path.unlink()

@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`record` and `why`, with bags of what a black box keeps."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
+from unit.cli import fake_client
+
+from dyknow.errors import Refused
+from dyknow.nodelets.recording import KeptMessage, write_bag
+
+DETAIL = "its process is gone"
+ACTIVE, RECOVERING = StreamStatus.ACTIVE, StreamStatus.RECOVERING
+
+
+def run(client, line):
+    outcome = fake_client.run(client, line)
+    return outcome.code, outcome.out, outcome.err
+
+
+def event(claim, before, after, reason, *nodelets):
+    def status(state):
+        return StreamStatus(claim_id=claim, tag="Ball(x)", state=state, nodelets=list(nodelets))
+
+    return StreamEvent(before=status(before), after=status(after), reason=reason)
+
+
+def model(**states):
+    return Model(
+        nodelets=[
+            Nodelet(
+                name=f"/{name}", state=state, detail="its process is gone" if state > 1 else ""
+            )
+            for name, state in states.items()
+        ]
+    )
+
+
+@pytest.fixture
+def bag(tmp_path):
+    happened = [
+        ("/m", model(camera=Nodelet.RUNNING, other=Nodelet.RUNNING)),
+        ("/close", Verdict(value=Verdict.TRUE, why="distance = 0.9")),
+        ("/close", Verdict(value=Verdict.TRUE)),
+        ("/m", model(camera=Nodelet.LOST, other=Nodelet.LOST)),
+        ("/e", event("c1", ACTIVE, RECOVERING, "/camera died", "/camera")),
+        ("/e", event("c2", ACTIVE, RECOVERING, "/other died", "/other")),
+        ("/close", Verdict(value=Verdict.FALSE, why="distance = 3.5")),
+        ("/m", model(other=Nodelet.RUNNING)),
+        ("/e", event("c1", RECOVERING, ACTIVE, "mended: ceiling instead", "/ceiling")),
+    ]
+    path = str(tmp_path / "box.bag")
+    write_bag(path, [KeptMessage(topic, m, 10.5 + n, 0) for n, (topic, m) in enumerate(happened)])
+    return path
+
+
+def test_why_tells_the_story_of_a_claim(client, bag):
+    client.boxes["/box"] = bag
+    code, out, _ = run(client, "why c1")
+    assert code == 0
+    assert [line.split(maxsplit=1)[1] for line in out.splitlines()] == [
+        "/close   verdict true: distance = 0.9",
+        "/camera  is lost: its process is gone",
+        "c1       Ball(x) active → recovering: /camera died",
+        "/close   verdict false: distance = 3.5",
+        "/camera  is gone",
+        "c1       Ball(x) recovering → active: mended: ceiling instead",
+        bag,
+    ]
+    found = json.loads(run(client, f"why c2 --bag {bag} --json")[1])
+    assert {each["subject"] for each in found["moments"]} == {"/close", "/other", "c2"}
+    assert found["moments"][0]["when"] == pytest.approx(11.5)
+    subjects = {each["subject"] for each in json.loads(run(client, "why --json")[1])["moments"]}
+    assert subjects == {"/close", "/camera", "/other", "c1", "c2"}
+
+
+def test_why_says_what_a_bag_does_not_have(client, bag, tmp_path):
+    code, _, err = run(client, f"why c3 --bag {bag}")
+    assert (code, "has no event of claim 'c3'; it has c1, c2" in err) == (1, True)
+    (tmp_path / "no.bag").write_text("nothing")
+    for name in ("no.bag", "gone.bag"):
+        code, _, err = run(client, f"why c1 --bag {tmp_path / name}")
+        assert (code, f"{name}' cannot be read" in err) == (1, True)
+
+
+def test_record_writes_the_bags_of_all_or_of_some(client):
+    refused = "'/b' writes no bag: disk full"
+    client.boxes = {"/a": "/bags/a.bag", "/b": Refused(refused)}
+    assert run(client, "record") == (1, "wrote /bags/a.bag\n", f"dyknow: {refused}\n")
+    assert run(client, "record a") == (0, "wrote /bags/a.bag\n", "")
+
+
+@pytest.mark.parametrize("command", ["record", "why"])
+def test_without_a_black_box_the_way_to_one_is_named(client, command):
+    code, _, err = run(client, command)
+    assert code == 1
+    assert "no black box runs; load one: rosrun dyknow nodelet load dyknow/BlackBox" in err

@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The black box: what it keeps, when it writes a bag, and what the bag has."""
+
+from __future__ import annotations
+
+import io
+import threading
+
+import pytest
+import rosbag
+import rospy
+from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
+from geometry_msgs.msg import TransformStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import String
+from std_srvs.srv import TriggerRequest
+from tf2_msgs.msg import TFMessage
+
+from dyknow.errors import LoadFailed
+from dyknow.nodelets.black_box import CAUSE, BlackBox
+from dyknow.nodelets.recording import OVERHEAD, KeptMessage, Recording, size_of, write_bag
+
+EVENTS, MODEL = "/dyknow_manager/stream_events", "/dyknow_manager/model"
+SECONDS, MOST = 10.0, 50_000
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from("abc"), st.floats(0.0, 4.0), st.integers(0, 20_000)), max_size=60
+    )
+)
+def test_a_recording_has_the_newest_messages_within_its_bounds(steps):
+    recording = Recording(SECONDS, MOST)
+    now, sent = 0.0, []
+    for topic, pause, size in steps:
+        now += pause
+        sent.append(KeptMessage(topic, String("x" * size), now, size + OVERHEAD))
+        recording.add(topic, sent[-1].message, now, is_state=topic == "a")
+        assert recording.size <= MOST
+    recent = [each for each in sent if each.received >= now - SECONDS]
+    while sum(each.size for each in recent) > MOST:
+        recent.pop(0)
+    taken = recording.taken()
+    assert taken[len(taken) - len(recent) :] == recent
+    states = [each.message for each in taken[: len(taken) - len(recent)]]
+    gone = [each.message for each in sent[: len(sent) - len(recent)] if each.topic == "a"]
+    assert states == (gone[-1:] if recent else [])
+
+
+def test_sizes_are_close_to_those_on_the_wire():
+    for message in (
+        Image(data=bytes(10_000), encoding="rgb8"),
+        JointState(name=["joint"] * 40, position=[0.5] * 100),
+        TFMessage([TransformStamped(child_frame_id="x" * 100)] * 30),
+    ):
+        buffer = io.BytesIO()
+        message.serialize(buffer)
+        assert buffer.tell() / 2 <= size_of(message) <= buffer.tell() * 5
+        assert size_of(any_message(message)) == buffer.tell()
+
+
+def test_old_messages_go_and_the_state_before_stays():
+    recording = Recording(SECONDS, 1e6)
+    for when, topic in ((0.0, "state"), (1.0, "other"), (5.0, "state"), (12.0, "other")):
+        recording.add(topic, String(str(when)), when, is_state=topic == "state")
+    assert [each.message.data for each in recording.taken()] == ["0.0", "5.0", "12.0"]
+    recording.add("other", String("20.0"), 20.0)
+    assert [(each.topic, each.message.data, each.received) for each in recording.taken()] == [
+        ("state", "5.0", 12.0),
+        ("other", "12.0", 12.0),
+        ("other", "20.0", 20.0),
+    ]
+
+
+def test_time_that_is_set_back_begins_again():
+    recording = Recording(SECONDS, 1e6)
+    recording.add("a", String("old"), 100.0)
+    recording.add("a", String("new"), 1.0)
+    assert [each.message.data for each in recording.taken()] == ["new"]
+
+
+def test_images_count_with_their_size():
+    recording = Recording(SECONDS, 25e6)
+    for number in range(10):
+        recording.add("a", Image(height=number, data=bytes(6_000_000)), float(number) / 10)
+    assert [each.message.height for each in recording.taken()] == [6, 7, 8, 9]
+
+
+def any_message(message):
+    """The message as a subscriber of any type receives it."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    found = rospy.AnyMsg()
+    found._buff = buffer.getvalue()
+    found._connection_header = {
+        "type": message._type,
+        "md5sum": message._md5sum,
+        "message_definition": message._full_text,
+    }
+    return found
+
+
+def test_a_bag_has_messages_of_classes_and_of_any_type(tmp_path):
+    recording = Recording(SECONDS, 1e6)
+    recording.add("/typed", String("a"), 0.0)
+    recording.add("/any", any_message(String("b")), 1.0)
+    path = str(tmp_path / "x.bag")
+    write_bag(path, recording.taken())
+    with rosbag.Bag(path) as bag:
+        found = [(topic, m.data, when.to_sec()) for topic, m, when in bag.read_messages()]
+    assert found == [("/typed", "a", pytest.approx(0.0, abs=1e-6)), ("/any", "b", 1.0)]
+
+
+class Box:
+    """A black box in the harness, with the topics that a master would list."""
+
+    def __init__(self, harness, folder, **parameters):
+        self.harness = harness
+        self.folder = folder
+        self.box = harness.load(
+            BlackBox,
+            parameters={"topics": ["/kept/*"], "folder": str(folder), **parameters},
+        )
+
+    def send(self, topic, message):
+        self.harness.publish(topic, message)
+        self.harness.drain()
+
+    def pass_time(self, seconds):
+        self.harness.advance(seconds)
+        for thread in threading.enumerate():
+            if thread.name == "writing a bag":
+                thread.join(20.0)
+
+    def bags(self):
+        found = []
+        for path in sorted(self.folder.glob("*.bag")):
+            with rosbag.Bag(str(path)) as bag:
+                found.append([(topic, message) for topic, message, _ in bag.read_messages()])
+        return found
+
+    def causes(self):
+        return [[m.data for topic, m in bag if topic == CAUSE] for bag in self.bags()]
+
+
+@pytest.fixture
+def box(nodelet_harness, tmp_path, monkeypatch):
+    types = {"/kept/a": "std_msgs/String", "/kept/v": "dyknow_msgs/Verdict", "/not": "x/Y"}
+    monkeypatch.setattr(BlackBox, "published", lambda self: types)
+    return lambda **parameters: Box(nodelet_harness, tmp_path, **parameters)
+
+
+def verdict(value, why=""):
+    return Verdict(value=value, why=why)
+
+
+def test_a_violated_formula_writes_what_was_before_and_after(box):
+    box = box()
+    box.send("/kept/a", String("before"))
+    box.send("/kept/v", verdict(Verdict.TRUE))
+    box.pass_time(1.0)
+    box.send("/kept/v", verdict(Verdict.FALSE, "speed = 3.1 at 0.5"))
+    box.send("/kept/v", verdict(Verdict.FALSE))
+    box.pass_time(1.0)
+    box.send("/kept/a", String("after"))
+    assert box.bags() == []
+    box.pass_time(1.5)
+    (bag,) = box.bags()
+    assert [m.data for topic, m in bag if topic == "/kept/a"] == ["before", "after"]
+    assert box.causes() == [["the formula of /kept/v is violated: speed = 3.1 at 0.5"]]
+
+
+def test_a_repair_and_a_lost_nodelet_are_causes(box):
+    box = box()
+    before = StreamStatus(claim_id="c1", tag="Ball(x)", state=StreamStatus.ACTIVE)
+    after = StreamStatus(claim_id="c1", tag="Ball(x)", state=StreamStatus.RECOVERING)
+    box.send(EVENTS, StreamEvent(before=before, after=after, reason="/camera died"))
+    for state in (Nodelet.RUNNING, Nodelet.LOST, Nodelet.LOST):
+        box.box.readable = 0.0
+        nodelets = [Nodelet(name="/camera", state=state, detail="its process is gone")]
+        box.send(MODEL, Model(nodelets=nodelets))
+    box.pass_time(3.0)
+    assert box.causes() == [
+        [
+            "stream Ball(x) of claim c1: /camera died",
+            "nodelet /camera is lost: its process is gone",
+        ]
+    ]
+    topics = {topic for topic, _ in box.bags()[0]}
+    assert topics == {EVENTS, MODEL, CAUSE}
+
+
+def test_causes_in_a_row_make_few_bags_and_old_bags_go(box):
+    box = box(pause=10.0, bags=2)
+    for _ in range(40):
+        box.send("/kept/v", verdict(Verdict.FALSE))
+        box.send("/kept/v", verdict(Verdict.TRUE))
+        box.pass_time(1.0)
+    box.pass_time(15.0)
+    assert len(box.bags()) == 2
+
+
+def test_a_request_writes_at_once(box):
+    box = box()
+    box.send("/kept/a", String("x"))
+    answer = box.harness.call("/nodelet/write_bag", TriggerRequest())
+    assert answer.success
+    assert answer.message.startswith(str(box.folder))
+    assert [[topic for topic, _ in bag] for bag in box.bags()] == [["/kept/a"]]
+
+
+def test_a_folder_that_cannot_be_written_is_an_answer(box, tmp_path):
+    box = box()
+    box.box.folder = str(tmp_path / "file" / "folder")
+    (tmp_path / "file").write_text("")
+    answer = box.harness.call("/nodelet/write_bag", TriggerRequest())
+    assert not answer.success
+    assert "file" in answer.message
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("topics", "/a", "a list of topics or patterns, such as"),
+        ("topics", [1], "a list of topics or patterns, such as"),
+        ("memory", 0, "a number above 0, in MB"),
+        ("seconds", "long", "a number above 0, in s"),
+    ],
+)
+def test_a_bad_parameter_is_an_error_at_the_load(nodelet_harness, name, value, expected):
+    with pytest.raises(LoadFailed, match=expected):
+        nodelet_harness.load(BlackBox, parameters={name: value})
