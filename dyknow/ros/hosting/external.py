@@ -105,11 +105,11 @@ class External(Peer):
     def _find(self) -> None:
         known = self.presence
         try:
-            uri = self._master.node(self.name)
+            uri = self._master.bearer(self.name)
         except PeerTimeout as error:
             if known.trouble:
                 self._miss(error, away=True)
-            return  # a master that is away says nothing of the process
+            return  # a master that is away, or new, says nothing of the process
         self._named = time.monotonic()
         if uri and not known.trouble and _address_of(known.state) == uri:
             return

@@ -269,8 +269,8 @@ class RosHost(Host):
         if not wanted:
             return wanted
         with host_errors():
-            publishers, _, _ = self._master.ask("getSystemState")
-        return wanted & {topic for topic, nodes in publishers if nodes}
+            publishers = self._master.publications()
+        return wanted & {topic for topic, nodes in publishers.items() if nodes}
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]

@@ -10,7 +10,7 @@ import http.client
 import os
 import re
 import xmlrpc.client
-from typing import Any
+from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from dyknow import names
 from dyknow.errors import PeerTimeout
@@ -27,6 +27,9 @@ _LOG_PARAMETER = "/rosout_disable_topics_generation"
 _KEPT = 2
 #: Seconds for a node to list its subscriptions, while a switch waits for them.
 _AT_ONCE = 0.2
+
+Question = Tuple[Any, ...]
+"""A function of the master's API and its arguments, of which the first is the caller."""
 
 
 class _Connection(http.client.HTTPConnection):
@@ -49,24 +52,55 @@ class _Transport(xmlrpc.client.Transport):
         return made
 
 
+class _ComparingTransport(_Transport):
+    """One that parses no answer that has the text of the one before: parsing takes the most."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(seconds)
+        self._text = b""
+        self._value: Any = None
+
+    def parse_response(self, response: Any) -> Any:
+        text = response.read()
+        if response.getheader("Content-Encoding", "") == "gzip":
+            text = xmlrpc.client.gzip_decode(text, -1)
+        if text != self._text:
+            parser, unmarshaller = self.getparser()
+            parser.feed(text)
+            parser.close()
+            self._text, self._value = text, unmarshaller.close()
+        return self._value
+
+
 class _Server:
     """The XML-RPC API of the master or of a node; some connections are kept."""
 
-    def __init__(self, uri: str, peer: str, timeout: float) -> None:
+    def __init__(self, uri: str, peer: str, timeout: float, compares: bool = False) -> None:
         self._uri = uri
         self._peer = peer
         self._timeout = timeout
+        self._transport = _ComparingTransport if compares else _Transport
         self._idle: list[_Transport] = []
 
     def ask(self, question: str, *args: Any) -> Any:
+        code, message, value = self._call(_one, question, *args)
+        if code != 1:
+            raise LookupError(message)
+        return value
+
+    def ask_all(self, questions: Iterable[Question]) -> list[Any]:
+        calls = [{"methodName": each[0], "params": list(each[1:])} for each in questions]
+        return self._call(_all, "system.multicall", calls) if calls else []
+
+    def _call(self, read: Callable[[Any], Any], question: str, *args: Any) -> Any:
         assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
             transport = self._idle.pop()
         except IndexError:
-            transport = _Transport(self._timeout)
+            transport = self._transport(self._timeout)
         server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
         try:
-            code, message, value = getattr(server, question)(*args)
+            answer = read(getattr(server, question)(*args))
         except (OSError, http.client.HTTPException) as error:
             transport.close()
             raise PeerTimeout(self._peer, self._timeout) from error
@@ -75,9 +109,7 @@ class _Server:
             raise LookupError(f"{self._peer}: {error}") from error
         self._idle.append(transport)
         self._close(_KEPT)
-        if code != 1:
-            raise LookupError(message)
-        return value
+        return answer
 
     def close(self) -> None:
         self._close()
@@ -88,6 +120,16 @@ class _Server:
                 self._idle.pop().close()
 
 
+def _one(answer: Sequence[Any]) -> tuple[Any, Any, Any]:
+    code, message, value = answer
+    return code, message, value
+
+
+def _all(answers: Sequence[Any]) -> list[Any]:
+    """Read a list with a list of one answer, or a description of a fault, for each question."""
+    return [each[0][2] if isinstance(each, list) and each[0][0] == 1 else None for each in answers]
+
+
 class Master:
     """The master at ``uri``, by default ``ROS_MASTER_URI``, queried in the name of one node.
 
@@ -95,15 +137,33 @@ class Master:
     and `LookupError` when it answers with an error, for instance to an unknown name.
     """
 
-    def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
+    def __init__(
+        self, caller: str, uri: str = "", timeout: float = TIMEOUT, compares: bool = False
+    ) -> None:
+        """Prepare; with ``compares`` an answer like the one before is the same object."""
         self.caller = caller
         self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
         self.timeout = timeout
-        self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout)
+        self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout, compares)
 
     def ask(self, question: str, *args: Any) -> Any:
         """Call a function of the master's API and return its value."""
         return self._server.ask(question, self.caller, *args)
+
+    def ask_all(self, questions: Iterable[Question]) -> list[Any]:
+        """Call functions in one request; the value of one that fails is None."""
+        return self._server.ask_all(questions)
+
+    def publications(self) -> dict[str, list[str]]:
+        """Return the publishers of each topic.
+
+        Raises `PeerTimeout` if the master does not know the caller, a node: the master is new, and
+        the DyKnow manager registers all nodes again (``dyknow.ros.manager.keeper``), itself last.
+        """
+        publishers = dict(self.ask("getSystemState")[0])
+        if not any(self.caller in nodes for nodes in publishers.values()):
+            raise PeerTimeout(f"the new ROS master at {self.uri}", self.timeout)
+        return publishers
 
     def publishers(self, topic: str) -> set[str]:
         return self._nodes(topic, 0)
@@ -127,6 +187,13 @@ class Master:
         except LookupError:
             return ""
 
+    def bearer(self, name: str) -> str:
+        """Return the address of a node; raises `PeerTimeout` as `publications` does."""
+        uri = self.node(name)
+        if not uri and not self.node(self.caller):
+            raise PeerTimeout(f"the new ROS master at {self.uri}", self.timeout)
+        return uri or self.node(name)
+
     def pid(self, name: str, uri: str, timeout: float) -> int:
         return int(self._ask_node(name, uri, timeout, "getPid"))
 
@@ -140,6 +207,18 @@ class Master:
         """Query the connections of a node: topics, whether it publishes them, transports."""
         infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
         return [(str(info[4]), info[2] == "o", str(info[3])) for info in infos]
+
+    def topics(self, name: str, uri: str, timeout: float) -> tuple[dict[str, str], dict[str, str]]:
+        """Query the topics that a node publishes, and subscribes to, with their types."""
+        with contextlib.closing(_Server(uri, f"node {name}", timeout)) as server:
+            published = dict(server.ask("getPublications", self.caller))
+            return published, dict(server.ask("getSubscriptions", self.caller))
+
+    def update(
+        self, name: str, uri: str, topic: str, publishers: Sequence[str], timeout: float
+    ) -> None:
+        """Notify a subscriber of the addresses of all publishers of a topic."""
+        self._ask_node(name, uri, timeout, "publisherUpdate", topic, list(publishers))
 
     def shut_down(self, name: str, uri: str, reason: str, timeout: float) -> None:
         """Shut a node down, as the master does when another one takes its name."""

@@ -22,7 +22,7 @@ from nodelet.srv import NodeletList, NodeletListResponse
 _pids = itertools.count(1000)
 
 
-class _XmlRpc:
+class XmlRpc:
     """Answers the functions of an object, in the form of ROS."""
 
     def __init__(self, functions):
@@ -46,17 +46,28 @@ def _in_form(function):
 
 
 class SmallMaster:
-    """A master that looks up nodelet managers by name."""
+    """A master that looks up nodelet managers by name.
+
+    Attributes:
+        knows_callers: whether its callers have registered.
+        looked_up: the nodes that were looked up.
+    """
 
     def __init__(self):
+        self.knows_callers = True
+        self.looked_up: List[str] = []
         self.nodes: Dict[str, SmallManager] = {}
-        self._served = _XmlRpc(
+        self._served = XmlRpc(
             {
-                "lookupNode": lambda caller, name: self._of(name, "uri"),
+                "lookupNode": self._look_up,
                 "lookupService": lambda caller, name: self._service(*name.rsplit("/", 1)),
             }
         )
         self.uri = self._served.uri
+
+    def _look_up(self, caller, name):
+        self.looked_up.append(name)
+        return self.uri if name == caller and self.knows_callers else self._of(name, "uri")
 
     def _service(self, name, service):
         kind = getattr(self.nodes.get(name), "kind", "")
@@ -94,7 +105,7 @@ class SmallManager:
         self.error = ""
         self._listener = socket.create_server(("127.0.0.1", 0))
         where = self._listener.getsockname()
-        self._node = _XmlRpc(
+        self._node = XmlRpc(
             {
                 "getPid": lambda caller: self.goes_on.wait() and self.pid,
                 "shutdown": lambda caller, reason: self.ended.set() or 0,

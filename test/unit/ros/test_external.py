@@ -56,7 +56,7 @@ def test_no_call_waits_for_one_that_was_never_seen():
         def node(self, name):
             asked.set()
             answer.wait()
-            return ""
+            return "" if name == FAR else self.uri
 
     peers = Externals(PeerContext(SilentMaster("/test", "http://127.0.0.1:9")), [FAR])
     peers.start()
@@ -126,6 +126,20 @@ def test_a_successor_is_never_taken_for_its_predecessor(graph, peer):
     with pytest.raises(HostError, match="another process"):
         peer.nodelets(incarnation=before)
     assert peer.nodelets() == {}
+
+
+def test_a_new_master_says_nothing_of_it(graph, peer):
+    """The manager is not registered either: both will be again."""
+    before, manager = peer.state.incarnation, graph.nodes.pop(FAR)
+    graph.knows_callers = False
+    del graph.looked_up[:]
+    eventually(lambda: graph.looked_up.count(FAR) > 3)
+    assert (peer.state.responsive, peer.state.incarnation) == (True, before)
+    graph.nodes[FAR] = manager
+    graph.knows_callers = True
+    manager.lose_connections()
+    eventually(lambda: sorted(peer.presence.nodelets) == ["/a", "/b"] and peer.state.responsive)
+    assert peer.state.incarnation == before
 
 
 @pytest.mark.parametrize("hangs", [False, True])

@@ -13,6 +13,7 @@ import psutil
 import pytest
 import rosmaster.master
 
+from dyknow.errors import PeerTimeout
 from dyknow.ros.wire import master as module
 from dyknow.ros.wire.master import Master
 
@@ -80,3 +81,36 @@ def test_many_questions_at_a_time_leave_two_connections(uri, monkeypatch):
     connections = psutil.Process().connections("tcp")
     kept = [each for each in connections if each.raddr and each.raddr.port == port]
     assert 0 < len(kept) <= 2
+
+
+def test_many_questions_are_one_request(uri):
+    asking = Master("/asking", uri)
+    asking.ask("setParam", "/a", 1)
+    questions = [("getParam", "/asking", name) for name in ("/a", "/b", "")]
+    assert asking.ask_all([*questions, ("nothing",)]) == [1, None, None, None]
+    assert asking.ask_all([]) == []
+
+
+def test_a_master_that_does_not_know_the_caller_is_new(uri):
+    """What it lacks, it lacks for a moment."""
+    Master("/node", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    asking = Master("/asking", uri)
+    with pytest.raises(PeerTimeout, match="new"):
+        asking.publications()
+    with pytest.raises(PeerTimeout, match="new"):
+        asking.bearer("/unknown")
+    assert asking.bearer("/node") == URI
+    asking.ask("registerPublisher", "/rosout", "rosgraph_msgs/Log", "http://localhost:10/")
+    assert asking.publications() == {"/topic": ["/node"], "/rosout": ["/asking"]}
+    assert asking.bearer("/unknown") == ""
+
+
+def test_an_answer_like_the_one_before_is_not_parsed(uri):
+    asking = Master("/asking", uri, compares=True)
+    question = [("getParam", "/asking", "/")]
+    asking.ask("setParam", "/words", ["long " * 1000])
+    asking.ask_all(question)
+    first, second = (asking.ask_all(question)[0] for _ in range(2))
+    assert first is second and first == {"words": ["long " * 1000]}
+    Master("/other", uri).ask("setParam", "/words", ["short"])
+    assert asking.ask_all(question) == [{"words": ["short"]}]
