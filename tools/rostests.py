@@ -27,6 +27,7 @@ SLOW = (
     "hosts",
     "scripts",
     "streams",
+    "new_master",
     "nodelet_manager",
     "rqt_window",
     "rewiring",

@@ -91,7 +91,7 @@ class Contact:
             advice = "; nothing new can be asked for"
         elif not self._is_known and manager.is_well:
             complaints.append(f"the ROS master at {self._master} does not know {self._manager}")
-            advice = ": a new roscore? Start the manager and its nodes again"
+            advice = ": a new roscore; its nodes are registered again within seconds"
         if manager.is_well:
             if not complaints:
                 moment = time.strftime("%H:%M:%S", time.localtime(self._since))

@@ -45,8 +45,9 @@ from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.manager.keeper import MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
-from dyknow.ros.manager.manager_settings import ManagerSettings
+from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
 from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -84,7 +85,7 @@ _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 class ManagerNode(Closable):
     """The manager and its surroundings; the node must be initialised."""
 
-    def __init__(self, settings: ManagerSettings, loop: ControlLoop) -> None:
+    def __init__(self, settings: ManagerSettings, loop: ControlLoop, kept: MasterKeeper) -> None:
         """Open the state and put the parts together; they work in rounds of the ``loop``.
 
         Raises:
@@ -93,6 +94,7 @@ class ManagerNode(Closable):
         node = rospy.get_name()
         self._settings = settings
         self._loop = loop
+        self._keeper = kept
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         self._master = Master(node)
@@ -168,6 +170,7 @@ class ManagerNode(Closable):
         self._loop.wake(_PUBLISH)
         self._loop.add(_OBSERVE, self._observe, PERIOD)
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
+        self._keeper.watch(self._loop)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._host.listen_for_nodes()
@@ -203,6 +206,7 @@ class ManagerNode(Closable):
             self._forget_transformations()
         self._host.close()
         self._store.close()
+        self._keeper.close()
         self._owner.release()
 
     # Rounds and changes
@@ -320,8 +324,10 @@ def run(argv: Sequence[str]) -> int:
     tenure.take()
 
     def start() -> ManagerNode:
+        kept = MasterKeeper(Master(name), mirror_path())
+        kept.look()  # first: a new master may lack our own parameters
         parameters = rospy.get_param("~", {})
-        node = _start(loop)
+        node = _start(loop, kept)
         back = functools.partial(come_back, parameters)
         tenure.watch(loop, rospy.get_node_uri(), functools.partial(leave, node), back)
         return node
@@ -342,11 +348,11 @@ def run(argv: Sequence[str]) -> int:
     return code
 
 
-def _start(loop: ControlLoop) -> ManagerNode:
+def _start(loop: ControlLoop, kept: MasterKeeper) -> ManagerNode:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings = ManagerSettings.read()
     try:
-        node = ManagerNode(settings, loop)
+        node = ManagerNode(settings, loop, kept)
     except StoreError as error:
         cause = error.__cause__
         if not isinstance(cause, OSError):

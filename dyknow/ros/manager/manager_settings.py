@@ -119,6 +119,11 @@ class ManagerSettings:
         return state_path(self.state_dir, rosgraph.get_master_uri(), rospy.get_name(), ending)
 
 
+def mirror_path() -> str:
+    """Return the file with the mirror of the master, which is used before the parameters are."""
+    return state_path(_string("state_dir"), rosgraph.get_master_uri(), rospy.get_name(), "master")
+
+
 def state_path(folder: str, master: str, node: str, ending: str) -> str:
     """Return a file of the durable state of a DyKnow manager.
 

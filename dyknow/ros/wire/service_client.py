@@ -126,6 +126,21 @@ class TcprosConnection:
         self._socket.settimeout(max(_LEAST_WAIT, deadline - time.monotonic()))
 
 
+def is_offered(service: str, address: str, caller: str, timeout: float) -> bool:
+    """Whether the process at an address offers a service; one that is late may do so."""
+    host, port = rosgraph.network.parse_http_host_and_port(address.replace("rosrpc:", "http:"))
+    fields = {"probe": "1", "service": service, "md5sum": "*", "callerid": caller}
+    try:
+        connection = TcprosConnection(host, port, timeout)
+        connection.shake_hands(service, fields, time.monotonic() + timeout)
+    except socket.timeout:
+        return True
+    except (OSError, ConnectionRefused):
+        return False
+    connection.close()
+    return True
+
+
 class ServiceFailed(HostError):
     """The service answered that it failed; the text is its own."""
 

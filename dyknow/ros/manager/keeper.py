@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Registers all nodes again when a new ROS master has taken the place of the last one.
+
+A ROS master keeps its contents in memory, and nodes of ROS 1 register once. The DyKnow manager
+looks at the master every second, and keeps a mirror of it: in memory, and in a file for its next
+life. A master that does not know the manager, or is another process than before, is new. What it
+lacks of the mirror is put back, of each node that still answers at its address: parameters first,
+then services and publishers, then subscribers. Each node lists its topics itself, so those that it
+has given up meanwhile stay away; a node that does not answer in time gets back those that it had.
+
+Connections between nodes outlive a master. Since all publishers are registered before the first
+subscriber, no subscriber ever hears of some of its publishers alone, which would make it close its
+connections to the rest. A subscriber is notified only of publishers that it does not know yet.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Callable, Mapping
+
+from dyknow.errors import PeerTimeout
+from dyknow.periodic import ControlLoop
+from dyknow.ros.hosting.external import may_be_there
+from dyknow.ros.manager.mirror import MasterLoss, MasterMirror, NodeAddress, NodeTopics
+from dyknow.ros.process.os_process import only_for_owner
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import is_offered
+
+#: Seconds between two looks, and while there is no master.
+_PERIOD, _AWAY_PERIOD = 1.0, 0.25
+#: Least seconds between two writes of the file.
+_SAVE_PERIOD = 5.0
+#: Seconds for each answer of a node.
+_PATIENCE = 1.0
+_ASKERS = 32
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class MasterKeeper:
+    """Keeps the mirror of a master; for one thread at a time."""
+
+    def __init__(
+        self, master: Master, path: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Read the mirror of an earlier life from a file, if there is one."""
+        self._master = master
+        #: For the two questions of each look, whose answers seldom change.
+        self._contents, self._names = (
+            Master(master.caller, master.uri, compares=True) for _ in range(2)
+        )
+        self._path = path
+        self._clock = clock
+        self._kept = self._saved = self._load()
+        self._save_at = clock()
+
+    def look(self) -> float:
+        """Put back what a new master lacks, or mirror it; returns the seconds until the next."""
+        try:
+            present = self._read()
+            kept = self._kept
+            if kept is not None and self._is_new(kept, present):
+                self._heal(kept, present)
+                present = self._read()
+        except (PeerTimeout, LookupError):
+            self._save()
+            return _AWAY_PERIOD
+        self._kept = self._with_processes(present)
+        self._save()
+        return _PERIOD
+
+    def watch(self, loop: ControlLoop) -> None:
+        """Look periodically."""
+        loop.add("mirroring the ROS master", self.look, 0.0)
+
+    def close(self) -> None:
+        """Forget the mirror: the manager ends on purpose."""
+        with contextlib.suppress(OSError):
+            os.remove(self._path)
+
+    # The mirror
+
+    def _read(self) -> MasterMirror:
+        """Read the contents of the master, with the process ids of nodes that are known.
+
+        The types of topics and the addresses of services, of which a node has one for life, are
+        looked up once.
+        """
+        me, known = self._master.caller, self._kept or MasterMirror(0)
+        asked = ("getPid",), ("getSystemState",), ("getParam", "/")
+        pid, state, parameters = self._contents.ask_all((each[0], me, *each[1:]) for each in asked)
+        if state is None:
+            raise LookupError("the ROS master does not list its registrations")
+        publishers, subscribers, offered = map(dict, state)
+        services = {service: nodes[0] for service, nodes in offered.items()}
+        names = sorted({each for part in state for _, nodes in part for each in nodes})
+        uris = self._names.ask_all(("lookupNode", me, each) for each in names)
+        nodes = {node: NodeAddress(uri) for node, uri in zip(names, uris) if uri}
+        same = {node: at for node, at in known.nodes.items() if _uri(nodes, node) == at.uri}
+        addresses = {
+            service: address
+            for service, address in known.addresses.items()
+            if services.get(service) == known.services.get(service) and services[service] in same
+        }
+        new = [each for each in services if each not in addresses]
+        types = known.types
+        if not (known.publishers.keys() | known.subscribers.keys()).issuperset(
+            publishers.keys() | subscribers.keys()
+        ):
+            types = dict(self._master.ask("getTopicTypes"))
+        found = self._master.ask_all(("lookupService", me, each) for each in new)
+        addresses.update((service, at) for service, at in zip(new, found) if at)
+        return MasterMirror(
+            pid or 0,
+            {**nodes, **same},
+            publishers,
+            subscribers,
+            services,
+            addresses,
+            types,
+            known.parameters if parameters is None else parameters,
+        )
+
+    def _with_processes(self, present: MasterMirror) -> MasterMirror:
+        """Add the process ids of nodes that are new, by asking them."""
+        unknown = [each for each, at in present.nodes.items() if not at.pid]
+        if not unknown:
+            return present
+        with ThreadPoolExecutor(_ASKERS) as pool:
+            asked = pool.map(lambda each: self._ask_pid(each, present.nodes[each].uri), unknown)
+            found = {
+                each: NodeAddress(present.nodes[each].uri, pid)
+                for each, pid in zip(unknown, asked)
+            }
+        return replace(present, nodes={**present.nodes, **found})
+
+    def _ask_pid(self, node: str, uri: str) -> int:
+        try:
+            return self._master.pid(node, uri, _PATIENCE)
+        except (PeerTimeout, LookupError):
+            return 0
+
+    def _load(self) -> MasterMirror | None:
+        try:
+            with open(self._path, encoding="utf-8") as file:
+                return MasterMirror.from_text(file.read())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            _log.warning("the mirror of the ROS master in '%s' is not used: %s", self._path, error)
+            return None
+
+    def _save(self) -> None:
+        """Write the file if that is due; a reboot, which may lose it, ends all nodes."""
+        mirror = self._kept
+        if mirror is None or mirror == self._saved or self._clock() < self._save_at:
+            return
+        self._saved, self._save_at = mirror, self._clock() + _SAVE_PERIOD
+        made = self._path + ".new"
+        try:
+            os.makedirs(os.path.dirname(self._path), 0o700, exist_ok=True)
+            with open(made, "w", encoding="utf-8", opener=only_for_owner) as file:
+                file.write(mirror.to_text())
+            os.replace(made, self._path)
+        except OSError as error:
+            _log.debug("the mirror of the ROS master is not on disk: %s", error)
+
+    # A new master
+
+    def _is_new(self, kept: MasterMirror, present: MasterMirror) -> bool:
+        return self._master.caller not in present.nodes or not present.is_of_the_same_master(kept)
+
+    def _heal(self, kept: MasterMirror, present: MasterMirror) -> None:
+        missing = {
+            node: at
+            for node, at in kept.nodes.items()
+            if _uri(present.nodes, node) in ("", at.uri)
+        }
+        with ThreadPoolExecutor(_ASKERS) as pool:
+            asked = list(pool.map(lambda each: self._ask_topics(each, missing[each]), missing))
+            living = {node: found for node, found in zip(missing, asked) if found is not None}
+            if not living:
+                return  # of an earlier session
+            loss = MasterLoss(kept, present, living, self._master.caller)
+            services = loss.services()
+            there = pool.map(lambda each: self._is_offered(each, kept.addresses[each]), services)
+            offered = [service for service, is_there in zip(services, there) if is_there]
+            parameters = loss.parameters()
+            self._master.ask_all(
+                ("setParam", self._master.caller, name, value) for name, value in parameters
+            )
+            publishers = loss.publisher_registrations()
+            self._master.ask_all([*loss.service_registrations(offered), *publishers])
+            subscribers = loss.subscriber_registrations()
+            heard = self._master.ask_all(subscribers)
+            news = [
+                (node, uri, topic, found)
+                for (_, node, topic, _, uri), found in zip(subscribers, heard)
+                if found and loss.is_news(node, topic, found)
+            ]
+            list(pool.map(self._notify, news))
+        if not (offered or publishers or subscribers or parameters):
+            return  # another keeper was first
+        _log.warning(
+            "the ROS master at %s is a new one; registered with it again: %d nodes, with %d "
+            "publishers, %d subscribers, %d services, and %d parameters or namespaces",
+            self._master.uri,
+            len(living),
+            len(publishers),
+            len(subscribers),
+            len(offered),
+            len(parameters),
+        )
+        dead = sorted(missing.keys() - living.keys())
+        if dead:
+            _log.warning("nodes that have ended are not registered again: %s", ", ".join(dead))
+
+    def _ask_topics(self, node: str, at: NodeAddress) -> NodeTopics | None:
+        """Ask a node for its topics; None if it has ended."""
+        try:
+            if at.pid not in (0, self._master.pid(node, at.uri, _PATIENCE)):
+                return None  # another process is there
+            return NodeTopics(*self._master.topics(node, at.uri, _PATIENCE))
+        except LookupError:
+            return NodeTopics()
+        except PeerTimeout as error:
+            return NodeTopics() if may_be_there(error) else None
+
+    def _is_offered(self, service: str, address: str) -> bool:
+        return is_offered(service, address, self._master.caller, _PATIENCE)
+
+    def _notify(self, news: tuple[str, str, str, list[str]]) -> None:
+        node, uri, topic, publishers = news
+        with contextlib.suppress(PeerTimeout, LookupError):
+            self._master.update(node, uri, topic, publishers, _PATIENCE)
+
+
+def _uri(nodes: Mapping[str, NodeAddress], node: str) -> str:
+    return nodes[node].uri if node in nodes else ""
