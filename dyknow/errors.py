@@ -14,7 +14,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
     ├── NodeletError
     │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
-    │   ├── LoadFailed, ScriptEnded, UnloadedMeanwhile, SpawnFailed
+    │   ├── LoadFailed, ScriptEnded, UnloadedMeanwhile, SpawnFailed, RestartFailed
     │   └── Busy, Protected, ProtectedFromUnloading
     ├── PortError
     │   └── UnknownPort, DuplicatePort, PortConflict, InvalidConfiguration
@@ -313,6 +313,19 @@ class SpawnFailed(NodeletError):
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(name, f"cannot spawn '{name}': {reason}")
+
+
+class RestartFailed(NodeletError):
+    """A nodelet did not come up again after it was ended for a restart.
+
+    Attributes:
+        is_back: whether it runs again as it was made before.
+    """
+
+    def __init__(self, name: str, reason: object, is_back: bool) -> None:
+        self.is_back = is_back
+        now = "it runs as its former specification says" if is_back else "it is tried again"
+        super().__init__(name, f"'{name}' did not come up again: {reason}; {now}")
 
 
 class Busy(NodeletError):

@@ -9,6 +9,7 @@ They ask the manager and the master, and offer nothing if these do not answer qu
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import re
 import signal
@@ -149,6 +150,25 @@ def nodelets(cursor: _Cursor) -> Iterable[str]:
     """Nodelets that the command line does not name yet."""
     named = {cursor.resolve(name) for name in cursor.given("names") or ()}
     return cursor.as_typed(each.name for each in cursor.nodelets() if each.name not in named)
+
+
+@_completer
+def restartable(cursor: _Cursor) -> Iterable[str]:
+    """Nodelets and nodelet managers that the command line does not name yet."""
+    found = {*(each.name for each in cursor.nodelets()), *cursor.client.nodelet_managers()}
+    return cursor.as_typed(found - {cursor.resolve(name) for name in cursor.given("names") or ()})
+
+
+@_completer
+def parameters_of_nodelet(cursor: _Cursor) -> Iterable[str]:
+    """Parameters that were given to a nodelet, or that its transformation declares."""
+    name = cursor.resolve(cursor.given("name") or "")
+    for nodelet in cursor.nodelets():
+        if nodelet.name == name:
+            declared = [e for e in cursor.transformations() if e.label == nodelet.transformation]
+            given = [nodelet.parameters, *(each.parameters for each in declared)]
+            return [each.name for each in itertools.chain(*given) if each.name[:1] != "?"]
+    return []
 
 
 @_completer

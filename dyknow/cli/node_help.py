@@ -53,6 +53,7 @@ A list is YAML, or words separated by white space.
 Services:
   ~add_transformation, ~remove_transformation      the library
   ~spawn, ~destroy, ~set_protection, ~connect      nodelets
+  ~restart, ~set_parameter
   ~get_model                                       what runs, and the library
   ~acquire_stream, ~renew_stream, ~release_stream  streams on request
   ~replan_stream, ~list_streams, ~find_bindings

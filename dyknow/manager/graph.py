@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Callable, Iterator, Mapping
+from typing import Callable, Iterable, Iterator, Mapping
 
 from dyknow.errors import Busy, NameTaken, UnknownNodelet
 from dyknow.locks import state_condition, turn_lock
@@ -21,6 +21,8 @@ from dyknow.manager.store import Store
 from dyknow.model.graph import State
 from dyknow.periodic import STEADY, Clock
 
+#: Seconds to wait for a look, or another operation, to be done with a nodelet.
+PATIENCE = 5.0
 #: Revisions that are reserved on disk at a time, so that not every change has to be written.
 _BLOCK = 1000
 
@@ -51,6 +53,8 @@ class Graph:
         self.records: Mapping[str, Record] = {}
         self._lives: dict[str, _Life] = {}
         self._busy: set[str] = set()
+        #: Nodelets that are being restarted: claims wait for them.
+        self.restarting: frozenset[str] = frozenset()
         self.revision = store.number("revision")
         self._reserved = self.revision
         #: Called after every change of nodelets or transformations, outside the locks.
@@ -114,6 +118,24 @@ class Graph:
             with self._changed:
                 self._busy.discard(name)
                 self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def restart(self, names: Iterable[str]) -> Iterator[list[Record]]:
+        """Reserve nodelets for a restart; yields the records of those that are there."""
+        with contextlib.ExitStack() as held:
+            found = [
+                held.enter_context(self.changing(name, patience=PATIENCE))
+                for name in sorted(names)
+            ]
+            records = [record for record in found if record is not None]
+            marked = frozenset(record.name for record in records)
+            with self._changed:
+                self.restarting |= marked
+            try:
+                yield records
+            finally:
+                with self._changed:
+                    self.restarting -= marked
 
     def put(self, *records: Record, soon: bool = False) -> None:
         """Show records, all in one step; those that are stored are written first.

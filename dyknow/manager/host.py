@@ -230,6 +230,22 @@ class Host(ABC):
         """End an isolated nodelet manager, by force if need be."""
 
     @abstractmethod
+    def renew(self, manager: str) -> None:
+        """End a shared nodelet manager of ours, and return when its successor is up."""
+
+    @abstractmethod
+    def code_of(self, manager: str, transformation: Transformation, anew: bool = False) -> str:
+        """Return a text that differs when the files of a nodelet's code do, for a load there.
+
+        It is empty if they are not known; with ``anew`` they are looked for first, else it may be
+        half a second old.
+        """
+
+    @abstractmethod
+    def check_code(self, transformation: Transformation) -> None:
+        """Raise HostError if a file that has changed since the last load cannot be run."""
+
+    @abstractmethod
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         """Set the parameters and load the nodelet, or start the node."""
 
@@ -239,6 +255,10 @@ class Host(ABC):
 
         If its process dies of that, ``states`` shows it by the time that this raises.
         """
+
+    @abstractmethod
+    def set_parameter(self, name: str, parameter: Parameter) -> bool:
+        """Set a private parameter of a nodelet; returns whether it has read it already."""
 
     @abstractmethod
     def forget(self, name: str, parameters: Sequence[str]) -> None:

@@ -105,12 +105,16 @@ class Library:
             self._find_described()
             return self._nodes.get(name)
 
+    def find(self, label: str) -> Transformation | None:
+        with self._state_lock:
+            return self._by_label.get(label)
+
     def get(self, label: str) -> Transformation:
         """Return the transformation of that label; UnknownTransformation names similar labels."""
+        found = self.find(label)
+        if found is not None:
+            return found
         with self._state_lock:
-            found = self._by_label.get(label)
-            if found is not None:
-                return found
             labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
         raise UnknownTransformation(label, did_you_mean(label, labels))
 

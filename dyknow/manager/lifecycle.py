@@ -32,7 +32,7 @@ from dyknow.errors import (
 )
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_condition
-from dyknow.manager.graph import Graph
+from dyknow.manager.graph import PATIENCE, Graph
 from dyknow.manager.host import Host, LoadRequest
 from dyknow.manager.library import Library
 from dyknow.manager.record import (
@@ -51,8 +51,6 @@ from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
 from dyknow.model.transformation import NODE, Port, Program, Transformation
 from dyknow.periodic import STEADY, Clock
 
-#: Seconds to wait for a look, or another operation, to be done with a nodelet.
-PATIENCE = 5.0
 #: Seconds without a further port after which those of a node that are missing come later: it is
 #: lazy, and makes them once it has a subscriber or receives a message.
 _SETTLED = 1.0
@@ -174,7 +172,7 @@ class Lifecycle:
                 record = self._judged(record)
             place = self._place(record, near)
             detail = f"it is being started{'' if kind.is_node else f' in {place}'}"
-            record = replace(record, manager=place, detail=detail)
+            record = self._with_code(replace(record, manager=place, detail=detail))
             try:
                 self._graph.put(record)
                 running = self._bring_up(record)
@@ -192,13 +190,14 @@ class Lifecycle:
             self._graph.put(running, soon=claimed)  # with the claim; the next life clears it
             return running
 
-    def restore(self, record: Record) -> None:
+    def restore(self, record: Record) -> DyKnowError | None:
         """Bring back a nodelet that died, where it was or, if it is isolated, in a new process.
 
         It is isolated from now on if it is suspected of having crashed its process, and placed
         like a new one if its nodelet manager is gone. If that does not work, its record says
-        FAILED, with the reason.
+        FAILED, with the reason, which is returned too.
         """
+        problem: DyKnowError | None = None
         record = self._judged(record)
         why = (record.detail, "" if record.suspicion in record.detail else record.suspicion)
         detail = "; ".join(filter(None, why))
@@ -206,22 +205,29 @@ class Lifecycle:
         self._graph.put(starting)
         try:
             # Its place is on disk before it is there: the manager's next life finds it.
-            starting = replace(starting, manager=self._place(starting))
+            starting = self._with_code(replace(starting, manager=self._place(starting)))
             self._graph.put(starting)
             starting = replace(starting, topics=self.fitting(starting))
             running = self._bring_up(starting)
         except NameTaken as error:  # if it is a nodelet of ours, the next look finds it
             running = replace(starting, detail=error.holder)
         except DyKnowError as error:
+            problem = error
             self._take_down(starting)
             _log.warning("%s is not back: %s", record.name, error)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
             running = replace(
-                record, manager=starting.manager, state=State.FAILED, detail=detail, ports=()
+                record,
+                manager=starting.manager,
+                code=starting.code,
+                state=State.FAILED,
+                detail=detail,
+                ports=(),
             )
         else:
             _log.info("%s is back", record.name)
         self._graph.put(running)
+        return problem
 
     def _judged(self, record: Record) -> Record:
         """Isolate a nodelet that is suspected of having crashed its process."""
@@ -321,6 +327,24 @@ class Lifecycle:
                 f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
             )
 
+    def _with_code(self, record: Record) -> Record:
+        """Note the code that a load would run; a library in C++ stays loaded with its process."""
+        assert record.transformation is not None
+        source, code = record.transformation.source, ""
+        if record.kind is NodeletKind.CPP:
+            state = self._host.states().get(record.manager)
+            loaded = [
+                each.code
+                for each in self._graph.all()
+                if each.transformation is not None
+                and (each.transformation.source, each.manager) == (source, record.manager)
+                and state is not None
+                and each.incarnation == state.incarnation
+            ]
+            code = next(filter(None, loaded), "")
+        code = code or self._host.code_of(record.manager, record.transformation, anew=True)
+        return replace(record, code=code)
+
     # Loading
 
     def _bring_up(self, record: Record) -> Record:
@@ -408,6 +432,17 @@ class Lifecycle:
                 raise HostTimeout(f"'{name}' is not destroyed yet: {error}; {later}") from error
             self.forget(record)
 
+    def end(self, record: Record) -> None:
+        """End a nodelet that stays in the graph, with its parameters and a process of its own.
+
+        Raises HostError if it may still run.
+        """
+        if record.state in (State.RUNNING, State.LOST):
+            self._unload(record)
+            self.dispose(record)
+        else:
+            self._take_down(record)
+
     def finish_destroying(self, record: Record) -> None:
         """Destroy a nodelet whose nodelet manager did not answer when it should be destroyed."""
         try:
@@ -425,7 +460,7 @@ class Lifecycle:
 
     def forget(self, record: Record) -> None:
         """Forget a nodelet that is gone, with its parameters and its process."""
-        self._dispose(record)
+        self.dispose(record)
         self._graph.remove(record.name)
 
     def _unload(self, record: Record) -> None:
@@ -451,9 +486,10 @@ class Lifecycle:
             self._host.unload(record.manager, record.name)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
-        self._dispose(record)
+        self.dispose(record)
 
-    def _dispose(self, record: Record) -> None:
+    def dispose(self, record: Record) -> None:
+        """Delete the parameters of a nodelet that is gone, and end its own process."""
         if record.is_spawned and record.transformation is not None:
             declared = [each.name for each in record.transformation.parameters]
             self._host.forget(record.name, [*declared, *names_of(record.parameters)])

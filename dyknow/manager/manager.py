@@ -15,20 +15,31 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import (
     Iterable,
+    Iterator,
     Mapping,
     NamedTuple,
     Sequence,
 )
 
 from dyknow import names
-from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
-from dyknow.manager.lifecycle import PATIENCE, Lifecycle, ManagerContext, show_ports
+from dyknow.errors import (
+    Busy,
+    DyKnowError,
+    FixedTopics,
+    HostError,
+    HostTimeout,
+    InvalidParameters,
+)
+from dyknow.manager.graph import PATIENCE
+from dyknow.manager.lifecycle import Lifecycle, ManagerContext, show_ports
 from dyknow.manager.observer import Observer
 from dyknow.manager.record import Record
+from dyknow.manager.restarts import Restarts
+from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
-from dyknow.model.graph import Model, SpawnRequest
-from dyknow.model.transformation import NODE, Program, Transformation
+from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest
+from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 
 
 @dataclass(frozen=True)
@@ -70,6 +81,7 @@ class Manager:
         self.graph = context.graph
         self._namespace = context.namespace
         self.lifecycle = Lifecycle(context)
+        self._restarts = Restarts(context, self.lifecycle)
         self.observer = Observer(context, self.lifecycle)
 
     def start(self) -> None:
@@ -132,14 +144,46 @@ class Manager:
         self.lifecycle.destroy(name)
         self.lifecycle.suspects.acquit(name)
 
-    def set_protection(self, name: str, is_protected: bool) -> None:
-        """Protect a nodelet from being destroyed, or release it."""
+    def restart(self, name: str) -> Restarted:
+        """Restart a nodelet, or a nodelet manager with all its nodelets."""
         name = self.resolve(name)
-        self.guards.check_writable(f"changing the protection of '{name}'")
+        self.guards.check_writable(f"restarting '{name}'")
+        return self._restarts.restart(name)
+
+    def set_parameter(self, name: str, parameter: Parameter) -> ParameterSet:
+        """Set a private parameter of a nodelet, from now on and whenever it is brought back."""
+        name = self.resolve(name)
+        self.guards.check_writable(f"setting parameters of '{name}'")
+        with self._changing_spawned(name) as record:
+            assert record.transformation is not None
+            if parameter.name[:1] == "?":
+                what = f"'{name}' keeps its {parameter.name} for life; spawn another nodelet"
+                raise InvalidParameters(record.label, [what])
+            others = [each for each in record.parameters if each.name != parameter.name]
+            given = completed(record.transformation, [*others, parameter], self.library.ontology)
+            (typed,) = (each for each in given if each.name == parameter.name)
+            self.graph.put(replace(record, parameters=given))
+            try:
+                is_read = self.host.set_parameter(name, typed)
+            except HostError:
+                self.graph.put(record)
+                raise
+            return ParameterSet(is_read, "\n".join(undeclared(record.transformation, [typed])))
+
+    @contextlib.contextmanager
+    def _changing_spawned(self, name: str) -> Iterator[Record]:
+        """Reserve a nodelet that this manager made."""
         self.graph.get(name)
         with self.graph.changing(name, patience=PATIENCE) as record:
             if record is None or not record.is_spawned:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
+            yield record
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        """Protect a nodelet from being destroyed, or release it."""
+        name = self.resolve(name)
+        self.guards.check_writable(f"changing the protection of '{name}'")
+        with self._changing_spawned(name) as record:
             self.graph.put(replace(record, is_protected=is_protected))
 
     def connect(self, moves: Sequence[tuple[str, Mapping[str, str]]]) -> None:

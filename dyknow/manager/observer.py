@@ -31,6 +31,7 @@ from dyknow.manager.record import (
     seen_ports,
     with_present_ports,
 )
+from dyknow.manager.restarts import outdated
 from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
 from dyknow.periodic import PAUSE
@@ -70,7 +71,7 @@ class Observer:
         self._graph = context.graph
         self._lifecycle = lifecycle
         self._suspects = lifecycle.suspects
-        self._described = context.library.of_node
+        self._library = context.library
         self._run = context.run
         self._keeper = context.keeper
         self._turn = turn_lock("look at nodelet managers")
@@ -115,6 +116,7 @@ class Observer:
                 (record, fate)
                 for record, fate in ((each, _fate(each, report)) for each in records)
                 if self._description(record) != record.transformation
+                or record.outdated != outdated(record, self._library, self._host)
                 or (fate, record.state) != (Fate.RUNS, State.RUNNING)
                 or record.incarnation != report.processes[record.manager].incarnation
                 or not self._is_shown(record)
@@ -131,9 +133,19 @@ class Observer:
                     if not self._graph.is_busy(name):
                         self._adopt_unknown(name, report.processes[manager])
         for name in dead:
+            if self._is_mended(name):
+                self._backoff.forgive(name)
             if self._backoff.allows(name):
                 self._run(f"bringing back {name}", partial(self._bring_back, name))
         return PAUSE if is_held_up else PERIOD
+
+    def _is_mended(self, name: str) -> bool:
+        """Whether a nodelet that could not be brought back has other code now."""
+        record = self._graph.find(name)
+        if record is None or record.state is not State.FAILED or record.transformation is None:
+            return False
+        code = self._host.code_of(record.manager, record.transformation)
+        return code not in ("", record.code)
 
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
@@ -254,6 +266,7 @@ class Observer:
             incarnation=state.incarnation,
             heard=record.heard if record.incarnation == state.incarnation else NOTHING_HEARD,
             host=state.host,
+            outdated=outdated(record, self._library, self._host),
         )
         reported = self._host.reported(record.manager, record.name)
         if reported is not None:
@@ -326,7 +339,7 @@ class Observer:
         """Return the blueprint of a spawned nodelet, or the description of an external node."""
         if record.is_spawned or not record.kind.is_node:
             return record.transformation
-        return self._described(record.name)
+        return self._library.of_node(record.name)
 
     def _is_unlisted(self, record: Record) -> bool:
         """Whether the process of a nodelet runs on without it.

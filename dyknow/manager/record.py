@@ -61,6 +61,9 @@ class Record:
         host: its machine, as ROS names it.
         heard: values of its variables in its messages.
         awaited: declared ports that it has not made yet, or not at present.
+        code: a text that differs when its files do, as they were when it was loaded; empty if
+            unknown.
+        outdated: why a restart would make it differently; empty if it would not.
     """
 
     name: str
@@ -82,6 +85,8 @@ class Record:
     host: str = ""
     heard: Heard = NOTHING_HEARD
     awaited: Tuple[str, ...] = ()
+    code: str = ""
+    outdated: str = ""
 
     @cached_property
     def given(self) -> Dict[str, str]:
@@ -124,7 +129,7 @@ class Record:
             self.isolated,
             self.is_fixed,
             self.state,
-            self.detail,
+            "; ".join(filter(None, (self.detail, self.outdated))),
             self.ports,
             self.parameters,
             self.kind,
@@ -134,10 +139,16 @@ class Record:
     def body(self) -> str:
         """Return what is stored of it, as JSON."""
         body = {each.name: getattr(self, each.name) for each in fields(self)}
-        for name in ("name", "ports", "awaited"):  # the key, and observations of each life
+        for name in (
+            "name",
+            "ports",
+            "awaited",
+            "outdated",
+        ):  # the key, and observations of each life
             del body[name]
-        if not self.heard.ways:
-            del body["heard"]  # earlier versions do not read it
+        for name, is_needed in (("heard", self.heard.ways), ("code", self.code)):
+            if not is_needed:
+                del body[name]  # earlier versions do not read it
         body["transformation"] = pack(self.transformation) if self.transformation else None
         body.update(topics=dict(self.topics), state=int(self.state), kind=self.kind.value)
         return json.dumps(body, sort_keys=True)

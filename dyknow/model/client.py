@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Mapping, Optional, Sequence, Tuple
 
-from dyknow.model.graph import Model, PortState, SpawnRequest
+from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added, Parameter
@@ -70,6 +70,21 @@ class BaseManagerClient(ABC):
     @abstractmethod
     def destroy(self, name: str) -> None:
         """Destroy a nodelet."""
+
+    @abstractmethod
+    def restart(self, name: str) -> Restarted:
+        """Restart a nodelet, or a nodelet manager of the manager's with all its nodelets.
+
+        They run today's code, as the library specifies them today, with their parameters,
+        connections and protection. Messages that come meanwhile are lost to them.
+        """
+
+    @abstractmethod
+    def set_parameter(self, name: str, parameter: Parameter) -> ParameterSet:
+        """Set a private parameter of a nodelet for life, as if it were given at the spawn.
+
+        An empty type is the transformation's, or follows from the text.
+        """
 
     @abstractmethod
     def set_protection(self, name: str, is_protected: bool) -> None:

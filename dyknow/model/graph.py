@@ -65,6 +65,10 @@ _TITLES = {
 }
 
 
+#: How the part of a nodelet's detail begins that says why a restart would make it differently.
+OUTDATED = "outdated: "
+
+
 @dataclass(frozen=True)
 class PortState:
     """A port of a running nodelet.
@@ -110,7 +114,7 @@ class NodeletStatus:
         is_fixed: whether its topics are fixed since its start: a C++ nodelet in a nodelet manager
             without live ports.
         state: whether it runs.
-        detail: why it does not, in words.
+        detail: why it does not, or is outdated, in words.
         ports: in the order in which the nodelet made them.
         parameters: those that were given to it when it was spawned, by name.
         kind: Python or C++, nodelet, script or node.
@@ -134,6 +138,11 @@ class NodeletStatus:
     def node(self) -> str:
         """Global name of the node that it is, or is in."""
         return self.manager or self.name
+
+    @property
+    def outdated(self) -> str:
+        """Why a restart would make it differently, in words; empty if it would not."""
+        return self.detail.partition(OUTDATED)[2]
 
     @property
     def connections(self) -> Dict[str, str]:
@@ -178,6 +187,27 @@ class Model:
     def nodelet(self, name: str) -> Optional[NodeletStatus]:
         """Return the nodelet of that global name, or None."""
         return next((each for each in self.nodelets if each.name == name), None)
+
+
+@dataclass(frozen=True)
+class Restarted:
+    """Names of the nodelets that were restarted, and remarks for people, one a line."""
+
+    names: Tuple[str, ...]
+    remarks: str = ""
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """The outcome of setting a parameter.
+
+    Attributes:
+        is_read: whether the nodelet has read it already; else a restart lets it.
+        remarks: for people, one a line.
+    """
+
+    is_read: bool
+    remarks: str = ""
 
 
 @dataclass(frozen=True)

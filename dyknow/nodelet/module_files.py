@@ -10,12 +10,14 @@ to these. There is one way to find a package, for shared modules and for copies:
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import importlib.util
 import os
 import re
 import sys
 import sysconfig
+import time
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -36,6 +38,9 @@ _THIRD_PARTY = ("site-packages", "dist-packages")
 _LEFT_OUT = frozenset(("msg", "srv", "cfg", "test", "tests", "__pycache__"))
 #: A package with more files than this is not a library for ROS.
 _MOST_FILES = 100
+
+#: Nanoseconds.
+_JUST_NOW = 2_000_000_000
 
 Stamp = Tuple[int, int]
 
@@ -200,6 +205,18 @@ def stamps(files: Collection[str]) -> dict[str, Stamp]:
             continue
         found[file] = (status.st_mtime_ns, status.st_size)
     return found
+
+
+def forget_bytecode(files: Mapping[str, Stamp]) -> None:
+    """Delete the bytecode of files that were saved just now.
+
+    Python knows a version by the second of its time and its size, and two may have been saved
+    within one.
+    """
+    for file, (saved, _) in files.items():
+        if time.time_ns() - saved < _JUST_NOW:
+            with contextlib.suppress(OSError, NotImplementedError):
+                os.remove(importlib.util.cache_from_source(file))
 
 
 class Dependents:

@@ -30,7 +30,13 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.importer import Importer, Module
-from dyknow.nodelet.module_files import CatkinFinder, Stamp, source_files, stamps
+from dyknow.nodelet.module_files import (
+    CatkinFinder,
+    Stamp,
+    forget_bytecode,
+    source_files,
+    stamps,
+)
 
 _BASE_CLASS = "dyknow.Nodelet"
 #: The runtime's own package, which is never loaded again.
@@ -223,6 +229,7 @@ class ClassImports:
             return importlib.import_module(name)
         importlib.invalidate_caches()  # files may be new
         package = Package.find(top, library)
+        forget_bytecode(stamps(package.files.values()))
         importer = self._library_importer(context, name, package)
         if importer is None:
             importer = self._generation(top, package)

@@ -21,10 +21,10 @@ from dyknow import names
 from dyknow.errors import Refused
 from dyknow.locks import state_lock
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import Model, PortState, SpawnRequest
+from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
-from dyknow.model.transformation import Added
+from dyknow.model.transformation import Added, Parameter
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import (
     acquire_message,
@@ -43,9 +43,11 @@ from dyknow.ros.wire.service_client import ServiceClient
 ASK_TIMEOUT = 5.0
 #: Seconds for calls that change something; a spawn may start a nodelet manager first.
 CHANGE_TIMEOUT = 60.0
+#: Seconds for the restart of a nodelet manager with all its nodelets.
+RESTART_TIMEOUT = 300.0
 
 #: Services whose answers say more than that it is done; their callers are given it.
-_SPOKEN_OF = ("add_transformation", "replan_stream")
+_SPOKEN_OF = ("add_transformation", "replan_stream", "set_parameter")
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -123,6 +125,15 @@ class ManagerClient(ProxyClient, BaseManagerClient):
 
     def destroy(self, name: str) -> None:
         self._change("destroy", srv.Destroy, name=name)
+
+    def restart(self, name: str) -> Restarted:
+        answer = _accepted(self._ask("restart", srv.Restart, RESTART_TIMEOUT, name=name))
+        return Restarted(tuple(answer.restarted), answer.message)
+
+    def set_parameter(self, name: str, parameter: Parameter) -> ParameterSet:
+        given = msg.Parameter(*parameter)
+        answer = self._change("set_parameter", srv.SetParameter, name=name, parameter=given)
+        return ParameterSet(answer.is_read, answer.message)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         self._change("set_protection", srv.SetProtection, name=name, is_protected=is_protected)

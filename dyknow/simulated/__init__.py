@@ -31,7 +31,7 @@ from dyknow.manager.library import Library
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import Model, PortState, SpawnRequest
+from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -40,7 +40,7 @@ from dyknow.model.streams import (
     StreamRequest,
     StreamStatus,
 )
-from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
+from dyknow.model.transformation import IN, OUT, TOPIC, Added, Parameter, Transformation
 from dyknow.periodic import STEADY, Clock, ControlLoop
 from dyknow.simulated.host import FakeHost
 
@@ -200,6 +200,14 @@ class SimulatedManagerClient(BaseManagerClient):
         with self._request("destroy", name):
             self.core.destroy(name)
             self._altered.pop(self.core.resolve(name), None)
+
+    def restart(self, name: str) -> Restarted:
+        with self._request("restart", name):
+            return self.core.restart(name)
+
+    def set_parameter(self, name: str, parameter: Parameter) -> ParameterSet:
+        with self._request("set_parameter", name):
+            return self.core.set_parameter(name, parameter)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         with self._request("set_protection", name):

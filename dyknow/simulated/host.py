@@ -37,7 +37,14 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
-from dyknow.model.transformation import FORMULA_CLASS, NODE, VERDICT, Program, Transformation
+from dyknow.model.transformation import (
+    FORMULA_CLASS,
+    NODE,
+    VERDICT,
+    Parameter,
+    Program,
+    Transformation,
+)
 
 
 @dataclass
@@ -136,6 +143,11 @@ class FakeHost(Host):
         self.unstamped: set[str] = set()
         #: Nodelets whose connections fail with a timeout, and are made by ``arrive``.
         self.slow: set[str] = set()
+        #: Code by source, and sources whose changed files cannot be run.
+        self.code: dict[str, str] = {}
+        self.broken: set[str] = set()
+        #: Nodelets that read their parameters while they run.
+        self.reconfigurable: set[str] = set()
         #: Problems by nodelet.
         self.details: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
@@ -397,6 +409,19 @@ class FakeHost(Host):
         self._step("retire", manager)
         self.processes.pop(manager, None)
 
+    def renew(self, manager: str) -> None:
+        self._step("renew", manager)
+        state = self.processes[manager].state
+        self.kill(manager)
+        self._start(manager, state.kind, state.isolated_for)
+
+    def code_of(self, manager: str, transformation: Transformation, anew: bool = False) -> str:
+        return self.code.get(transformation.source, "")
+
+    def check_code(self, transformation: Transformation) -> None:
+        if transformation.source in self.broken:
+            raise HostError(f"{transformation.source}: line 1: invalid syntax")
+
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         self._step("load", request.name)
         if request.kind.is_node:
@@ -441,6 +466,11 @@ class FakeHost(Host):
         if self._alive(manager).nodelets.pop(name, None) is None:
             raise HostError(f"no nodelet named '{name}' is loaded")
         self.on_change()
+
+    def set_parameter(self, name: str, parameter: Parameter) -> bool:
+        self._step("set_parameter", f"{name} {parameter.name}")
+        self.parameters[f"{name}/{parameter.name}"] = value_of(parameter)
+        return name in self.reconfigurable
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
         for parameter in parameters:

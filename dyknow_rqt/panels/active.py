@@ -91,6 +91,7 @@ class ActivePanel(Panel):
         for nodelet in snapshot.nodelets:
             inputs = sum(port.direction == IN for port in nodelet.ports)
             words = [nodelet.state.name.lower()] if nodelet.state is not State.RUNNING else []
+            words += ["outdated"] if nodelet.outdated else []
             words += ["protected"] if nodelet.is_protected else []
             words += [] if nodelet.kind is NodeletKind.PYTHON else [nodelet.kind.title]
             cells = (

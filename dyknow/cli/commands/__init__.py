@@ -16,13 +16,14 @@ from dyknow.cli.commands import (
     nodelets,
     programs,
     record,
+    restart,
     save_load,
     streams,
 )
 from dyknow.cli.shell import Command
 
 _MODULES = (
-    *(inspect, graph, nodelets, programs, launch),
+    *(inspect, graph, nodelets, restart, programs, launch),
     *(connect, streams, acquire, holds, record, library, save_load),
 )
 _FOUND = (each for module in _MODULES for each in vars(module).values())
@@ -33,7 +34,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = tuple(
     (title, tuple(_BY_NAME[name] for name in names.split()))
     for title, names in (
         ("What runs", "list info stats graph doctor"),
-        ("Nodelets and nodes", "spawn destroy protect unprotect run launch"),
+        ("Nodelets and nodes", "spawn destroy restart set protect unprotect run launch"),
         ("Connections", "connect disconnect"),
         ("Streams on request", "tags acquire plan streams release replan holds"),
         ("What happened", "record why"),

@@ -73,7 +73,11 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
     ]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
-        marks = ",protected" * each.is_protected + ",isolated" * each.isolated
+        marks = (
+            ",outdated" * bool(each.outdated)
+            + ",protected" * each.is_protected
+            + ",isolated" * each.isolated
+        )
         made_from, ends = (
             each.transformation or None,
             (directions.count(IN), directions.count(OUT)),

@@ -236,7 +236,8 @@ class FlowMeter:
                 asked.setdefault(record.manager, {}).setdefault(name, []).append(place)
         for topic in self._unheard(wanted, records):
             topics.setdefault(topic, [])
-        for place, count in {**self._listen(topics), **self._ask(asked, wanted)}.items():
+        counts = self._ask(asked, wanted, records)
+        for place, count in {**self._listen(topics), **counts}.items():
             flow = self.flows.get(place)
             if flow is None or count.messages < flow.last.messages:  # the nodelet is a new one
                 flow = self.flows[place] = Flow(count, count.answered, count.asked)
@@ -278,7 +279,10 @@ class FlowMeter:
         return found
 
     def _ask(
-        self, asked: Mapping[str, Mapping[str, list[Place]]], wanted: Mapping[Place, Watch]
+        self,
+        asked: Mapping[str, Mapping[str, list[Place]]],
+        wanted: Mapping[Place, Watch],
+        records: Mapping[str, Record],
     ) -> dict[Place, Count]:
         now, began = self._clock(), self._running()
         periods = {
@@ -298,6 +302,9 @@ class FlowMeter:
                         self.flows.pop(place, None)
                 found.update({each: counts[each[1]] for each in places if each[1] in counts})
             elif name in answers:  # its process answers, and does not run it
+                is_same = self._graph.find(name) is records[name]
+                if name in self._graph.restarting or not is_same:
+                    continue  # it may have been restarted meanwhile
                 self._unanswered[name] = _Unanswered(places, began, began, is_listed=False)
             else:
                 since = began if before is None else before.since

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Hashable, Iterable
+from typing import Callable, Collection, Hashable, Iterable
 
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
@@ -163,8 +163,8 @@ class StreamMonitor:
 
     # Judging
 
-    def read(self) -> None:
-        """Count messages, hear verdicts, and judge the streams by them."""
+    def read(self, held: Collection[str] = ()) -> None:
+        """Count messages, hear verdicts, and judge the streams but those of claims ``held``."""
         self.requirements.read()
         limited = [
             (limit, self._stream(claim))
@@ -175,6 +175,8 @@ class StreamMonitor:
         self._meter.read(self._watched(limited))
         self._forgive({stream.claim.claim_id for _, stream in limited})
         for limit, stream in limited:
+            if stream.claim.claim_id in held:
+                continue
             for judgement in limit.judge(stream, self._meter.flows, self._clock()):
                 self._add(limit, stream, judgement)
 

@@ -257,7 +257,7 @@ class StreamReconciler:
             self._context.connector.ask()
             self._context.connector.remember()
             self._collector.disconnect()
-            self._monitor.read()
+            self._monitor.read(self._repair.hold())
             self._repair.keep(self._table.living)
             for claim in sorted(self._table.living, key=_small_streams_first):
                 if claim.claim_id == self._lock.claim_id:

@@ -52,6 +52,8 @@ class Repair:
         self._failed_label = ""
         #: Claims without a plan: the planner's signature at the time, and the fault.
         self._unplannable: dict[str, tuple[Hashable, str]] = {}
+        #: Claims with nodelets that are being restarted.
+        self._held: frozenset[str] = frozenset()
 
     # Faults
 
@@ -152,12 +154,31 @@ class Repair:
         detail = self._monitor.restart(made.claim, made.claim.wiring)
         return replace(made, claim=replace(made.claim, detail=detail))
 
+    # Restarts
+
+    def hold(self) -> frozenset[str]:
+        """Return the claims with nodelets that are being restarted, which wait for these.
+
+        Afterwards all parts are judged by what they send from then on.
+        """
+        held = frozenset(each.claim_id for each in self._table.living if self._waits(each))
+        for claim_id in sorted(self._held - held):
+            claim = self._table.find(claim_id)
+            if claim is not None and claim.state is ClaimState.ACTIVE:
+                detail = self._monitor.restart(claim, claim.wiring)
+                self._table.change(claim_id, "a part of it was restarted", detail=detail)
+        self._held = held
+        return held
+
+    def _waits(self, claim: Claim) -> bool:
+        return not self._graph.restarting.isdisjoint(claim.nodelets)
+
     # Repairing
 
     def repair(self, claim_id: str) -> None:
         """Repair a claim's stream, if something is wrong with it and there is a way."""
         claim = self._table.find(claim_id)
-        if claim is None:
+        if claim is None or claim_id in self._held or self._waits(claim):
             return
         fault = self.diagnose(claim)
         if fault is None:

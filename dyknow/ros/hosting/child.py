@@ -44,6 +44,7 @@ class Child(Peer):
         record: its record on disk.
         adopted: whether an earlier manager started its process.
         wanted: whether it is to be started again when it dies.
+        is_renewed: whether its process is being ended for another one.
         gone: set when its name is free again.
         stale: address of a dead predecessor at the master; empty if there is none.
         log: its output.
@@ -69,6 +70,7 @@ class Child(Peer):
         self.record = record
         self.adopted = adopted
         self.wanted = True
+        self.is_renewed = False
         self.gone = threading.Event()
         self.stale = ""
         self.log: LogTail | None = None

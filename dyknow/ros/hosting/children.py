@@ -184,6 +184,27 @@ class Children:
         if child is not None:
             self._end([child])
 
+    def renew(self, name: str) -> None:
+        """End a nodelet manager, and return when the one that follows it is up.
+
+        Raises ``HostError`` if none comes up.
+        """
+        child = self.find(name)
+        if child is None:
+            raise HostError(f"nodelet manager '{name}' is not running")
+        before = child.state.incarnation
+        self._deaths.forgive(name)
+        child.is_renewed = True
+        child.end()
+        with self._changed:
+            self._changed.wait_for(
+                lambda: child.gone.is_set() or child.state.incarnation not in ("", before),
+                START_TIMEOUT,
+            )
+            if child.state.incarnation not in ("", before):
+                return
+        raise HostError(f"{child.title}: {child.presence.trouble}")
+
     def end_all(self) -> None:
         """End all children for good, by force if need be."""
         with self._changed:
@@ -294,7 +315,9 @@ class Children:
             if not child.wanted:
                 child.end()
             status = found.wait_for_rest()
-            if child.wanted:
+            if child.is_renewed:
+                _log.info("%s (process %d) is restarted", child.title, found.pid)
+            elif child.wanted:
                 _log.warning("%s (process %d) has died", child.title, found.pid)
                 crash = self._launcher.examine(child.record.kind, child.name, found.pid, status)
                 if crash is not None:  # it is known before its child is shown as dead
@@ -302,7 +325,7 @@ class Children:
                         self._crashes.append(replace(crash, incarnation=incarnation_of(found)))
         finally:
             with self._changed:
-                child.adopted = False
+                child.adopted = child.is_renewed = False
                 child.wanted &= not child.record.isolated_for  # that one is not started again
                 child.record = replace(child.record, process=None)
             child.went_down()

@@ -14,6 +14,7 @@ import contextlib
 import time
 from typing import Callable, Collection, Iterable, Mapping, Sequence
 
+import rosgraph.network
 from dyknow_msgs.msg import NodeletChanges
 from nodelet.srv import NodeletLoad, NodeletUnload
 
@@ -35,6 +36,7 @@ from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.children import Children
+from dyknow.ros.hosting.code_files import CodeFiles
 from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
@@ -84,6 +86,7 @@ class RosHost(Host):
         #: Find re-wirable nodes of these names that run already.
         self.look_for_nodes = self._external.look_for
         self._types = NodeletTypes()
+        self._code = CodeFiles()
         #: Older guards or producers must not replace newer ones.
         self._grants_turn = turn_lock("grants to processes")
         self._counter = MessageCounter(registrar)
@@ -172,6 +175,18 @@ class RosHost(Host):
 
     # Nodelets
 
+    def renew(self, manager: str) -> None:
+        self._children.renew(manager)
+
+    def code_of(self, manager: str, transformation: Transformation, anew: bool = False) -> str:
+        """Look at the files of this machine, for processes that run here."""
+        peer = self._peer(manager)
+        is_here = peer is None or peer.state.host == rosgraph.network.get_host_name()
+        return self._code.of(transformation, anew) if is_here else ""
+
+    def check_code(self, transformation: Transformation) -> None:
+        self._code.check(transformation)
+
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         if request.kind.is_node:
             self._start_node(request, timeout)
@@ -233,6 +248,10 @@ class RosHost(Host):
             if state.own and state.alive:
                 self._children.await_end(manager, state.incarnation, _DEATH_TIMEOUT)
             raise
+
+    def set_parameter(self, name: str, parameter: Parameter) -> bool:
+        self._set_parameters(name, [parameter])
+        return False
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
         """Delete the parameters, and the namespace if nothing is left in it."""

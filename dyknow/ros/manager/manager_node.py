@@ -290,7 +290,9 @@ class ManagerNode(Closable):
                 continue
             producers.setdefault(claim.topic, "")
             record = self.manager.graph.find(claim.goal[0])
-            if record is not None and record.state is State.RUNNING and claim.state in _RELIED_ON:
+            if record is None or claim.state not in _RELIED_ON:
+                continue
+            if record.state is State.RUNNING or record.name in self.manager.graph.restarting:
                 producers[claim.topic] = record.name
                 managers.add(record.manager)
         return producers, managers

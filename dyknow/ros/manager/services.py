@@ -89,6 +89,13 @@ class ManagerServices:
             self._set_protection,
             lambda r: f"{'protecting' if r.is_protected else 'releasing'} '{r.name}'",
         )
+        self._offer("restart", srv.Restart, self._restart, lambda r: f"restarting '{r.name}'")
+        self._offer(
+            "set_parameter",
+            srv.SetParameter,
+            self._set_parameter,
+            lambda r: f"setting parameter '{r.parameter.name}' of '{r.name}'",
+        )
         self._offer(
             "connect",
             srv.Connect,
@@ -217,6 +224,18 @@ class ManagerServices:
     def _set_protection(self, request: Any) -> None:
         self._check_sizes(request.name)
         self._manager.set_protection(request.name, request.is_protected)
+
+    def _restart(self, request: Any) -> Any:
+        self._check_sizes(request.name)
+        done = self._manager.restart(request.name)
+        self._publish()
+        return srv.RestartResponse(True, done.remarks, list(done.names))
+
+    def _set_parameter(self, request: Any) -> Any:
+        (given,) = parameters_from([request.parameter])
+        self._check_sizes(request.name, *given)
+        done = self._manager.set_parameter(request.name, given)
+        return srv.SetParameterResponse(True, done.remarks, done.is_read)
 
     def _connect(self, request: Any) -> None:
         moves = [(each.nodelet, config_pairs(each.config)) for each in request.nodelets]

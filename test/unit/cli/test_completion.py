@@ -83,6 +83,8 @@ def offered(client, text):
         ("spawn relay r --connect in:/raw o", ["out:"]),
         ("spawn tracker r --param ", ["?camera=", "frame="]),
         ("spawn relay r --manager ", ["/fake_0"]),
+        ("restart cam ", ["/fake_0", "/robot/relay"]),
+        ("set cam ", ["rate"]),
         ("connect ", ["/cam:", "/raw", "/robot/relay:", "/rosout"]),
         ("connect cam:", ["image"]),
         ("connect /cam:im", ["image"]),

@@ -110,6 +110,7 @@ def test_list_as_json(chain):
         "host": "",
         "state": "running",
         "detail": "",
+        "outdated": "",
         "ports": [{**port, "datatype": "sensor_msgs/Image"}],
         "parameters": [],
     }

@@ -11,7 +11,10 @@ from __future__ import annotations
 from typing import Any, Optional, Tuple
 
 #: Methods of ``Host`` and of ``Store``.
-ON_HOST = ("ensure", "retire", "load", "unload", "forget", "connect")
+ON_HOST = (
+    *("ensure", "retire", "renew", "load", "unload"),
+    *("forget", "connect", "set_parameter"),
+)
 ON_DISK = ("write", "write_later", "write_pending", "end")
 
 

@@ -95,7 +95,8 @@ class Lives(Field):
     # What users, clients and accidents do
 
     def work(self, dice: random.Random) -> None:
-        action = dice.choice([self.change_nodelet] * 5 + [self.change_claim] * 3 + [self.happen])
+        changes = [self.change_nodelet] * 5 + [self.restart_part] + [self.change_claim] * 3
+        action = dice.choice([*changes, self.happen])
         action(dice)
 
     def change_nodelet(self, dice: random.Random) -> None:
@@ -117,6 +118,14 @@ class Lives(Field):
         elif dice.random() < 0.5:
             new = None
             action = partial(self.manager.destroy, name)
+        elif dice.random() < 0.4:
+            restarted = self.manager.graph.get(name)
+            shared = dice.random() < 0.3 and not restarted.isolated
+            new = old
+            action = partial(self.manager.restart, restarted.manager if shared else name)
+        elif dice.random() < 0.2:
+            new = (*old[:4], given)
+            action = partial(self.manager.set_parameter, name, given[0])
         elif self.manager.graph.get(name).is_fixed:
             return
         else:
@@ -132,6 +141,23 @@ class Lives(Field):
         else:
             self.promised[name] = new
         del self.doubtful[name]
+
+    def restart_part(self, dice: random.Random) -> None:
+        """Restart a nodelet of a claim, perhaps with another specification."""
+        parts = sorted(name for each in self.living() for name in each.nodelets)
+        if not parts:
+            return
+        name = dice.choice(parts)
+        cost = dice.choice(["", ' cost="1"', ' cost="2"'])
+        try:
+            if dice.random() < 0.3:
+                text = LIBRARY.replace(
+                    "<transformation><label>sub", f"<transformation{cost}><label>sub"
+                )
+                self.manager.add_transformation(text)
+            self.manager.restart(name)
+        except DyKnowError:
+            return
 
     def connect(self, name: str, topics: Dict[str, str]) -> None:
         self.host.connect(name, topics)

@@ -139,6 +139,11 @@ class Claims(FaultyLife):
         topics = self.field.host.topics
         (topics.add if there else topics.discard)("/joint_states")
 
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS)
+    def restart(self, number: int) -> None:
+        self.asked(lambda: self.field.manager.restart(self.any_nodelet(number)))
+
     @rule(seconds=st.sampled_from([1.0, 10.0, 100.0]))
     def wait(self, seconds: float) -> None:
         self.field.settle(seconds)

@@ -45,6 +45,8 @@ CHECKSUMS = {
     "srv/Spawn": "72f3dae8304bf4bd46e25b1026736a25",
     "srv/Destroy": "d82dc6474dd88dad5e1615ab1b2ca74c",
     "srv/SetProtection": "85c5b27d9c9dd56f6fa3c25faac7dc4c",
+    "srv/Restart": "cbde73b23c29b2878209d07360910b63",
+    "srv/SetParameter": "5878252b231bd1e0483be0caba4760c8",
     "srv/GetModel": "c572abaf2202ca669154eaa0068924a5",
     "srv/AcquireStream": "e736d267134bf16b636411fbc07bd1c1",
     "srv/RenewStream": "f9ba79302b15003afdf785830dde7ea1",

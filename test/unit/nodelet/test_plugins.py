@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
+import time
 from pathlib import Path
 from typing import Any, List
 
@@ -383,3 +384,16 @@ def test_what_was_generated_for_a_package_in_a_devel_space(
     assert first is not second
     if use != "cfg":  # messages are the same for every module of the process
         assert first.own is second.own is sys.modules[f"{package.name}.msg"].Own
+
+
+def test_versions_that_were_saved_within_a_second_are_distinguished(packages, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    packages.add("fast", GOOD.format(module="fast_module"), fast_module=MODULE)
+    file = packages.folder / "fast" / "src" / "fast_module.py"
+    imports, declared = ClassImports(), packages.plugins.find("good/Nodelet")
+    saved = int(time.time()) + 1000  # it is recent, however long this takes
+    for number in range(3, 7):  # all of the same size
+        file.write_text(MODULE.replace("number = 5", f"number = {number}"))
+        os.utime(file, ns=(0, saved * 1_000_000_000 + number))
+        found = imports.load(declared, None)  # type: ignore[arg-type]
+        assert found.on_init.__globals__["number"] == number

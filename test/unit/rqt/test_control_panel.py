@@ -10,6 +10,8 @@ import time
 from python_qt_binding.QtCore import QPoint, Qt
 from unit.rqt.hands import TRACKER, click, no_boxes, topic, until, vertex_keys
 
+from dyknow.model.graph import OUTDATED
+
 
 def test_active_lists_and_destroys(qtbot, window, remote):
     table = window.active.table
@@ -31,6 +33,13 @@ def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
     remote.client.spawn("tracker", "/a_first_one")
     until(qtbot, lambda: "/a_first_one" in window.active.table.names())
     assert window.active.table.chosen() == ["/nao1/resize"]
+
+
+def test_active_marks_what_is_outdated(qtbot, window, remote):
+    remote.client.alter("/nao1/resize", detail=f"{OUTDATED}its code changed")
+    model = window.active.table.model()
+    row = window.active.table.names().index("/nao1/resize")
+    until(qtbot, lambda: model.index(row, 4).data().startswith("outdated"))
 
 
 def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_path):

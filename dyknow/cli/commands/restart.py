@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`restart` and `set`: nodelets with today's code, specification and parameters."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import TYPE_CHECKING, Iterable, Sequence
+
+from dyknow.cli import completion
+from dyknow.cli.arguments import Group, argument, flag
+from dyknow.cli.shell import FAILED, Shell, command
+from dyknow.errors import DyKnowError, ManagerUnreachable
+from dyknow.model.transformation import Parameter
+
+if TYPE_CHECKING:
+    from dyknow.model.graph import Model, NodeletStatus
+
+
+def _problem(arguments: argparse.Namespace) -> str:
+    if arguments.names and arguments.all_outdated:
+        return "--all-outdated restarts what is outdated; expected it without names"
+    if not (arguments.names or arguments.all_outdated or arguments.watch):
+        return "expected the names of nodelets or nodelet managers, --all-outdated, or --watch"
+    return ""
+
+
+@command(
+    "restart",
+    "restart nodelets with today's code",
+    "Restart nodelets, or nodelet managers with all their nodelets, one after another. They run "
+    "today's code and are made as the library specifies them today; connections, parameters, "
+    "protection and claims stay, and neighbours run on. Messages that come meanwhile are lost.",
+    "dyknow restart detector\ndyknow restart --all-outdated\n"
+    "dyknow restart /dyknow_nodelet_manager_2\ndyknow restart --watch detector",
+    argument(
+        "names",
+        "NAME",
+        "a nodelet or a nodelet manager",
+        nargs="*",
+        completer=completion.restartable,
+    ),
+    Group(
+        (
+            flag(
+                "--all-outdated",
+                "restart the nodelets whose code or specification has changed since their load",
+            ),
+            flag(
+                "--watch",
+                "restart nodelets, all or those that are named, whenever their files or "
+                "specifications change, until Ctrl-C",
+            ),
+        )
+    ),
+    problem=_problem,
+)
+def _restart(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    names = [shell.resolve(name) for name in arguments.names]
+    if arguments.watch:
+        _watch(names, shell)
+    if arguments.all_outdated:
+        names = [each.name for each in shell.client.get_graph().nodelets if each.outdated]
+        if not (names or shell.as_json):
+            shell.show(None, ["nothing is outdated"])
+            return None
+    return FAILED if _restart_all(names, shell) else None
+
+
+def _restart_all(names: Iterable[str], shell: Shell) -> list[str]:
+    """Restart in order, also after one failed; returns the names of those that failed."""
+    restarted: list[str] = []
+    lines: list[str] = []
+    failed: list[dict[str, str]] = []
+    for name in names:
+        began = time.monotonic()
+        try:
+            done = shell.client.restart(name)
+        except ManagerUnreachable:
+            raise
+        except DyKnowError as error:
+            shell.error(error)
+            failed.append({"name": name, "message": str(error)})
+            continue
+        for remark in filter(None, done.remarks.split("\n")):
+            shell.warn(remark)
+        restarted += done.names
+        others = f" with {', '.join(done.names)}" if done.names not in ((), (name,)) else ""
+        lines.append(f"restarted {name}{others} in {time.monotonic() - began:.2f} s")
+    shell.show({"restarted": restarted, "failed": failed}, lines)
+    return [each["name"] for each in failed]
+
+
+def _watch(names: Sequence[str], shell: Shell) -> None:
+    """Restart what becomes outdated; what failed is tried again when it changes once more."""
+    tried: dict[str, tuple[str, int]] = {}
+
+    def due(model: Model) -> list[NodeletStatus]:
+        return [
+            each
+            for each in model.nodelets
+            if each.outdated
+            and (not names or each.name in names or each.manager in names)
+            and tried.get(each.name) != (each.outdated, model.library_revision)
+        ]
+
+    while True:
+        model = shell.client.wait_for_model(lambda model: bool(due(model)))
+        for each in due(model) if model is not None else ():
+            assert model is not None
+            tried[each.name] = each.outdated, model.library_revision
+            if not _restart_all([each.name], shell):
+                del tried[each.name]
+
+
+@command(
+    "set",
+    "set a parameter of a nodelet",
+    "Set a private parameter of a nodelet, as if it had been given at the spawn: it is saved and "
+    "restored. Nodelets read most parameters when they are loaded, so --restart may be needed.",
+    "dyknow set camera rate 5\ndyknow set camera rate 5 --restart",
+    argument("name", "NAME", "a nodelet"),
+    argument(
+        "parameter", "PARAM", "name of the parameter", completer=completion.parameters_of_nodelet
+    ),
+    argument("value", "VALUE", "its value, of the type that its transformation declares"),
+    flag("--restart", "restart the nodelet unless it has read the parameter already"),
+)
+def _set(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    name = shell.resolve(arguments.name)
+    given = Parameter(arguments.parameter, "", arguments.value)
+    done = shell.client.set_parameter(name, given)
+    for remark in filter(None, done.remarks.split("\n")):
+        shell.warn(remark)
+    is_read = done.is_read
+    if arguments.restart and not is_read:
+        for remark in filter(None, shell.client.restart(name).remarks.split("\n")):
+            shell.warn(remark)
+        is_read = True
+    hint = "" if is_read else f"; {name} reads it when it is restarted: dyknow restart {name}"
+    shell.show(
+        {"nodelet": name, "name": given.name, "value": given.text, "is_read": is_read},
+        [f"{name}: {given.name} = {given.text}{hint}"],
+    )
+    return None

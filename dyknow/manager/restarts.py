@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Restarts nodelets and nodelet managers on request: with today's code and specification.
+
+A nodelet is unloaded and loaded again, under its name, with its connections, parameters and
+protection. It receives nothing in between. Meanwhile it is STARTING, on disk too, so that the next
+life of a manager that is killed brings it back; claims wait for it (``Graph.restarting``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Iterator
+
+from dyknow.errors import HostError, RestartFailed, UnknownNodelet
+from dyknow.manager.host import Host, ProcessState
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import Lifecycle, ManagerContext
+from dyknow.manager.record import NOTHING_HEARD, Record
+from dyknow.manager.specifications.given import completed, undeclared
+from dyknow.model.graph import OUTDATED, NodeletKind, Restarted, State
+from dyknow.model.transformation import NODE, Program, Transformation
+
+_RESTARTING = "it is being restarted"
+
+
+class Restarts:
+    """Restarts what this manager made."""
+
+    def __init__(self, context: ManagerContext, lifecycle: Lifecycle) -> None:
+        self._host = context.host
+        self._graph = context.graph
+        self._library = context.library
+        self._guards = context.guards
+        self._lifecycle = lifecycle
+
+    def restart(self, name: str) -> Restarted:
+        """Restart a nodelet, or a nodelet manager with all its nodelets.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+            HostError: this manager did not make it, or it does not answer.
+            RestartFailed: it did not come up again.
+        """
+        if self._graph.find(name) is not None:
+            return self._restart_nodelet(name)
+        state = self._host.states().get(name)
+        if state is None:
+            raise UnknownNodelet(name, [*self._graph.records, *self._host.states()])
+        if state.isolated_for:
+            return self._restart_nodelet(state.isolated_for)
+        if not state.own:
+            raise HostError(
+                f"nodelet manager '{name}' was not started by this manager: restart it where it "
+                "was started"
+            )
+        return self._restart_process(state)
+
+    def _restart_nodelet(self, name: str) -> Restarted:
+        with self._graph.restart([name]) as records:
+            if not records:
+                raise UnknownNodelet(name, self._graph.records)
+            (record,) = records
+            fresh = self._renewed(record)
+            self._graph.put(_starting(record))
+            try:
+                self._lifecycle.end(record)
+            except HostError:
+                later = "it is restarted as soon as it is unloaded"
+                self._graph.put(replace(record, state=State.LOST, detail=later))
+                raise
+            self._bring_back(record, fresh)
+            return Restarted((name,), "\n".join(self._remarks(record)))
+
+    def _restart_process(self, state: ProcessState) -> Restarted:
+        hosted = [each.name for each in self._graph.all() if each.manager == state.name]
+        with self._graph.restart(hosted) as records:
+            strangers = [each.name for each in records if not each.is_spawned]
+            if strangers:
+                raise HostError(
+                    f"nodelet manager '{state.name}' runs {', '.join(strangers)}, which this "
+                    "manager did not make and cannot bring back; unload that first"
+                )
+            renewed = [(each, self._renewed(each)) for each in records]
+            self._graph.put(*[_starting(each) for each in records])
+            self._host.renew(state.name)  # if that fails, the next look finds how they are
+            problems = []
+            for record, fresh in renewed:
+                try:
+                    self._lifecycle.dispose(record)
+                    self._bring_back(record, fresh)
+                except RestartFailed as error:
+                    problems.append(str(error))
+            if problems:
+                raise HostError("; ".join(problems))
+            remarks = [text for record in records for text in self._remarks(record)]
+        return Restarted(tuple([each.name for each in records]), "\n".join(remarks))
+
+    def _renewed(self, record: Record) -> Record:
+        """Return a nodelet as it would be made today; raises DyKnowError if it cannot be."""
+        made = record.transformation
+        if made is None or not record.is_spawned:
+            raise HostError(
+                f"'{record.name}' was not made by this manager: restart it where it was started"
+            )
+        if record.unwanted:
+            raise HostError(f"'{record.name}' is to be destroyed as soon as it answers")
+        blueprint = todays(record, self._library) or made
+        if blueprint.type == NODE:
+            self._guards.check_program(Program.of(blueprint.source).name, is_own=True)
+        self._host.check_code(blueprint)
+        parameters = completed(blueprint, record.parameters, self._library.ontology)
+        kind = self._host.kind_of(blueprint)
+        isolated = record.isolated or kind.is_node
+        kind = kind.alone if isolated else kind
+        stays = (kind.host, isolated) == (record.kind.host, record.isolated)
+        gone = {port.name for port in made.ports} - {port.name for port in blueprint.ports}
+        return replace(
+            record,
+            transformation=blueprint,
+            parameters=parameters,
+            kind=kind,
+            isolated=isolated,
+            manager=record.manager if stays else "",
+            topics={port: topic for port, topic in record.topics.items() if port not in gone},
+            detail=_RESTARTING,
+            outdated="",
+        )
+
+    def _bring_back(self, record: Record, fresh: Record) -> None:
+        """Load a nodelet as it is made today, else, if its specification is new, as it was."""
+        error = self._lifecycle.restore(fresh)
+        if error is None:
+            return
+        is_new = fresh.transformation != record.transformation
+        former = replace(record, detail=_RESTARTING)
+        is_back = is_new and self._lifecycle.restore(former) is None
+        raise RestartFailed(record.name, error, is_back) from error
+
+    def _remarks(self, before: Record) -> Iterator[str]:
+        """Say what a restart has not kept, or not renewed."""
+        after = self._graph.get(before.name)
+        assert before.transformation is not None and after.transformation is not None
+        present = {port.name for port in after.transformation.ports}
+        for port in before.transformation.ports:
+            if port.name not in present:
+                topic = before.topics.get(port.name)
+                tail = f", and its connection to {topic} with it" if topic else ""
+                yield f"port '{port.name}' of {before.name} is gone{tail}"
+        yield from undeclared(after.transformation, after.parameters)
+        left = outdated(after, self._library, self._host)
+        if left:
+            yield f"{after.name} is still {left}"
+
+
+def todays(record: Record, library: Library) -> Transformation | None:
+    """Return the blueprint by which a spawned nodelet would be made today."""
+    found = library.find(record.label) if record.is_spawned else None
+    return record.transformation if found is None or found.is_described else found
+
+
+def outdated(record: Record, library: Library, host: Host) -> str:
+    """Say why a restart would make a nodelet differently; empty if it would not."""
+    made = record.transformation
+    if made is None or not record.is_spawned:
+        return ""
+    old = ["specification"] if todays(record, library) != made else []
+    code = host.code_of(record.manager, made) if record.code else ""
+    if code not in ("", record.code):
+        old.append("code")
+    if not old:
+        return ""
+    text = f"{OUTDATED}its {' and its '.join(old)} changed since it was loaded"
+    try:
+        host.check_code(made)
+    except HostError as error:
+        return f"{text}, but {error}"
+    if code not in ("", record.code) and record.kind is NodeletKind.CPP and not record.isolated:
+        text += f", and new code in C++ is loaded by a restart of {record.manager}"
+    return text
+
+
+def _starting(record: Record) -> Record:
+    return replace(record, state=State.STARTING, detail=_RESTARTING, heard=NOTHING_HEARD)

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`restart` and `set`, on a manager without ROS."""
+
+from __future__ import annotations
+
+import pytest
+from unit.cli.fake_client import play, run
+from unit.manager.world import LIBRARY
+
+from dyknow.cli.shell import UNREACHABLE
+from dyknow.errors import ManagerUnreachable
+
+#: With a camera, and a protected relay behind it.
+SESSIONS = {
+    "restart": """
+$ restart cam nobody /robot/relay
+restarted /cam in ... s
+restarted /robot/relay in ... s
+dyknow: no nodelet named '/nobody' is loaded...
+[1]
+$ restart /fake_0
+restarted /fake_0 with /cam, /robot/relay in ... s
+$ restart --all-outdated
+nothing is outdated
+""",
+    "set": """
+$ set cam rate 5
+/cam: rate = 5; /cam reads it when it is restarted: dyknow restart /cam
+$ set cam rate 6 --restart
+/cam: rate = 6
+$ info cam
+...Parameters given at the spawn: rate=6...
+$ set cam rate fast
+dyknow: ...rate...
+[1]
+$ set cam rat 5
+/cam: rat = 5; ...
+dyknow: warning: ...declares no parameter 'rat'...
+""",
+}
+
+
+@pytest.mark.parametrize("session", SESSIONS)
+def test_sessions(chain, session):
+    play(chain, SESSIONS[session])
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("restart", "expected the names of nodelets or nodelet managers, --all-outdated"),
+        ("restart cam --all-outdated", "expected it without names"),
+        ("restart --watch --all-outdated", "not allowed with"),
+    ],
+)
+def test_what_is_wrong_in_the_line_is_named(chain, capsys, line, problem):
+    with pytest.raises(SystemExit):
+        run(chain, line)
+    assert problem in capsys.readouterr().err
+
+
+def make_outdated(client):
+    client.core.add_transformation(LIBRARY.replace(">30<", ">10<"))
+    client.core.look()
+
+
+def test_what_is_outdated_is_shown_and_restarted(chain):
+    make_outdated(chain)
+    why = "its specification changed since it was loaded"
+    assert f"/cam: outdated: {why}" in run(chain, "list -l").lines
+    assert "running,outdated" in run(chain, "list -l").out
+    assert f"State: running (outdated: {why})" in run(chain, "info cam").lines
+    (cam,) = run(chain, "info cam --json").json["nodelets"]
+    assert (cam["state"], cam["outdated"]) == ("running", why)
+    done = run(chain, "restart --all-outdated --json").json
+    assert done == {"restarted": ["/cam"], "failed": []}
+    assert run(chain, "restart --all-outdated --json").json == {"restarted": [], "failed": []}
+
+
+def test_a_nodelet_that_reads_its_parameters_at_once(chain):
+    chain.host.reconfigurable.add("/cam")
+    chain.calls.clear()
+    done = run(chain, "set cam rate 5 --restart --json").json
+    assert done == {"nodelet": "/cam", "name": "rate", "value": "5", "is_read": True}
+    assert chain.calls == [("set_parameter", "/cam")]
+
+
+def test_what_is_watched_is_restarted_once_for_each_change(chain, monkeypatch):
+    code = chain.host.code
+    code.update({"pkg/Camera": "1", "pkg/Relay": "1"})
+    for name in ("cam", "/robot/relay"):
+        chain.core.restart(name)
+    happens = [
+        lambda: code.update({"pkg/Camera": "2"}),
+        lambda: None,
+        lambda: (code.update({"pkg/Camera": "3"}), chain.host.broken.add("pkg/Camera")),
+        lambda: None,
+        lambda: (code.update({"pkg/Camera": "4"}), chain.host.broken.clear()),
+        lambda: code.update({"pkg/Relay": "2"}),
+    ]
+
+    def wait(condition):
+        if not happens:
+            raise ManagerUnreachable("the manager is gone")
+        happens.pop(0)()
+        chain.core.look()
+        model = chain.get_graph()
+        return model if condition(model) else None
+
+    monkeypatch.setattr(chain, "wait_for_model", wait)
+    chain.calls.clear()
+    done = run(chain, "restart --watch cam")
+    assert done.code == UNREACHABLE
+    assert [call for call, _ in chain.calls] == ["restart"] * 3
+    assert [line.partition(" in ")[0] for line in done.lines] == ["restarted /cam"] * 2
+    assert "invalid syntax" in done.err

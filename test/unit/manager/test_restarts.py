@@ -1,0 +1,363 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Restarts keep wiring, claims, protection and neighbours, and take what is new."""
+
+from __future__ import annotations
+
+from typing import Any, List
+
+import pytest
+from clocks import HandClock
+from unit.manager.field import CHAIN, IMAGE, Field
+from unit.manager.world import LIBRARY, TRACKER, World
+
+from dyknow.errors import (
+    Denied,
+    HostError,
+    HostTimeout,
+    InvalidParameters,
+    RestartFailed,
+    UnknownNodelet,
+)
+from dyknow.guards import Guards
+from dyknow.manager.record import Record
+from dyknow.model.graph import NodeletKind, State
+from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import Parameter
+
+CAMERA = LIBRARY[LIBRARY.index("<transformation>\n    <label>camera") :].partition(
+    "</transformation>"
+)[0]
+CAMERA += "</transformation>"
+
+
+@pytest.fixture
+def world(tmp_path: Any) -> World:
+    return World(str(tmp_path / "state"), clock=HandClock())
+
+
+def loads(world: World) -> List[str]:
+    return [name for operation, name in world.host.calls if operation in ("unload", "load")]
+
+
+def test_a_restart_keeps_what_users_have_changed(world: World) -> None:
+    given = (Parameter("rate", "", "5"),)
+    world.spawn("camera", "front", config={"image": "/a"}, is_protected=True, parameters=given)
+    world.spawn("relay", "other", config={"in": "/a"})
+    world.manager.connect([("/front", {"image": "/moved"})])
+    before, other = world.manager.graph.get("/front"), world.host.nodelet("/other")
+    world.host.calls.clear()
+    done = world.manager.restart("front")
+    assert (done.names, done.remarks) == (("/front",), "")
+    assert loads(world) == ["/front", "/front"]
+    after = world.manager.graph.get("/front")
+    assert after.status == before.status
+    assert world.host.nodelet("/front").ports["image"].topic == "/moved"
+    assert world.host.parameters["/front/rate"] == 5.0
+    assert world.host.nodelet("/other") is other
+    world.manager.look()
+    assert world.manager.graph.get("/front").status == before.status
+
+
+@pytest.mark.parametrize("label", ["camera", "native"])
+def test_a_nodelet_of_its_own_process_gets_another_one(world: World, label: str) -> None:
+    world.spawn(label, "alone", isolated=True)
+    before = world.manager.graph.get("/alone")
+    world.manager.restart("/alone")
+    after = world.manager.graph.get("/alone")
+    assert after.state is State.RUNNING and after.isolated
+    assert after.incarnation != before.incarnation
+    assert len([s for s in world.host.states().values() if s.isolated_for]) == 1
+    assert world.manager.restart(after.manager).names == ("/alone",)
+
+
+def test_a_new_specification_is_shown_and_taken(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    assert world.manager.graph.get("/front").status.outdated == ""
+    new = CAMERA.replace(">30<", ">10<").replace("Raw(camera)", "Raw(front)")
+    world.manager.add_transformation(new)
+    world.manager.look()
+    status = world.manager.graph.get("/front").status
+    assert status.state is State.RUNNING
+    assert status.outdated == "its specification changed since it was loaded"
+    world.kill_manager()
+    assert world.manager.graph.get("/front").status.outdated
+    world.manager.restart("/front")
+    after = world.manager.graph.get("/front")
+    assert after.status.outdated == after.detail == ""
+    assert [(port.topic, port.tags) for port in after.ports] == [("/a", ("Raw(front)",))]
+    assert world.host.parameters == {"/front/rate": 10.0}
+
+
+def test_new_code_is_shown_and_taken_and_lasts_longer_than_the_manager(world: World) -> None:
+    world.host.code["pkg/Camera"] = "old"
+    world.spawn("camera", "front")
+    world.host.code["pkg/Camera"] = "new"
+    world.kill_manager()
+    world.manager.look()
+    assert (
+        world.manager.graph.get("/front").status.outdated == "its code changed since it was loaded"
+    )
+    world.manager.add_transformation(CAMERA.replace(">30<", ">10<"))
+    world.manager.look()
+    text = "its specification and its code changed since it was loaded"
+    assert world.manager.graph.get("/front").status.outdated == text
+    world.manager.restart("front")
+    world.manager.look()
+    assert world.manager.graph.get("/front").status.detail == ""
+
+
+def test_a_library_in_cpp_is_loaded_again_by_a_new_process_alone(world: World) -> None:
+    world.host.stock = False
+    world.host.sources = {
+        **world.host.sources,
+        "pkg/Native": [("image", "in", IMAGE), ("~out", "out", IMAGE)],
+    }
+    world.host.code["pkg/Native"] = "old"
+    world.spawn("native", "one")
+    world.host.code["pkg/Native"] = "new"
+    manager = world.manager.graph.get("/one").manager
+    done = world.manager.restart("/one")
+    assert f"is loaded by a restart of {manager}" in done.remarks
+    world.spawn("native", "two")
+    world.manager.look()
+    assert all(each.status.outdated for each in world.manager.graph.all())
+    done = world.manager.restart(manager)
+    assert (done.names, done.remarks) == (("/one", "/two"), "")
+    world.manager.look()
+    assert not any(each.status.outdated for each in world.manager.graph.all())
+
+
+def test_ports_that_are_gone_are_told(world: World) -> None:
+    world.spawn("relay", "slow", config={"in": "/a", "out": "/b"})
+    text = LIBRARY[LIBRARY.index("<transformation>\n    <label>relay") :]
+    text = text.partition("</transformation>")[0] + "</transformation>"
+    world.manager.add_transformation(text.replace('<port type="in">in</port>', ""))
+    world.host.sources = {**world.host.sources, "pkg/Relay": [("out", "out", IMAGE)]}
+    done = world.manager.restart("slow")
+    assert done.remarks == "port 'in' of /slow is gone, and its connection to /a with it"
+    assert dict(world.manager.graph.get("/slow").topics) == {"out": "/b"}
+
+
+def test_what_cannot_run_is_refused_and_runs_on(world: World) -> None:
+    world.spawn("camera", "front")
+    world.host.calls.clear()
+    world.host.broken.add("pkg/Camera")
+    with pytest.raises(HostError, match="invalid syntax"):
+        world.manager.restart("front")
+    world.spawn("relay", "track")
+    world.host.calls.clear()
+    world.manager.add_transformation(TRACKER.replace(">tracker", ">relay"))
+    with pytest.raises(InvalidParameters, match=r"\?camera"):
+        world.manager.restart("track")
+    assert loads(world) == []
+    assert world.states() == {"/front": "RUNNING", "/track": "RUNNING"}
+    with pytest.raises(UnknownNodelet, match="/frond"):
+        world.manager.restart("frond")
+
+
+def test_what_others_made_is_not_restarted(world: World) -> None:
+    world.host.add("/external")
+    with pytest.raises(HostError, match="where it was started"):
+        world.manager.restart("/external")
+    world.host.run_node("/driver", "pkg/Camera", {}, NodeletKind.NODE)
+    world.manager.look()
+    with pytest.raises(HostError, match="where it was started"):
+        world.manager.restart("/driver")
+
+
+def test_nothing_is_restarted_in_read_only_mode() -> None:
+    world = World(guards=Guards(read_only=True))
+    for change in (
+        lambda: world.manager.restart("front"),
+        lambda: world.manager.set_parameter("front", Parameter("rate", "", "5")),
+    ):
+        with pytest.raises(Denied, match="read-only"):
+            change()
+
+
+def test_a_specification_that_does_not_work_gives_way_to_the_former_one(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    new = CAMERA.replace(">30<", ">10<").replace("<port ", '<port type="in">more</port><port ')
+    world.manager.add_transformation(new)
+    with pytest.raises(
+        RestartFailed, match="no port 'more'.*as its former specification"
+    ) as raised:
+        world.manager.restart("front")
+    assert raised.value.is_back
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    assert world.host.parameters == {"/front/rate": 30.0}
+    world.manager.look()
+    assert world.manager.graph.get("/front").status.outdated
+
+
+def test_code_that_does_not_start_is_tried_as_soon_as_it_changes(world: World) -> None:
+    world.host.code["pkg/Camera"] = "old"
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.code["pkg/Camera"] = "bad"
+    world.host.fail_at("load", "/front", "AttributeError: imag")
+    with pytest.raises(RestartFailed, match="AttributeError: imag; it is tried again"):
+        world.manager.restart("front")
+    assert world.states() == {"/front": "FAILED"}
+    for _ in range(5):  # the pauses grow
+        world.manager.look()
+    world.host.recover()
+    world.manager.look()
+    assert world.states() == {"/front": "FAILED"}
+    world.host.code["pkg/Camera"] = "good"
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+
+
+def test_a_process_that_does_not_answer_restarts_its_nodelet_later(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    manager = world.manager.graph.get("/front").manager
+    world.host.hang(manager)
+    with pytest.raises(HostTimeout):
+        world.manager.restart("front")
+    world.host.wake(manager)
+    world.host.vanish("/front")  # the answer to the question that hung
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+
+
+def test_a_nodelet_manager_is_restarted_with_all_its_nodelets(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"}, is_protected=True)
+    world.spawn("relay", "slow", config={"in": "/a"})
+    world.spawn("relay", "alone", isolated=True)
+    manager, alone = world.manager.graph.get("/slow").manager, world.host.nodelet("/alone")
+    before = [each.status for each in world.manager.graph.all()]
+    old = world.host.states()[manager].incarnation
+    assert world.manager.restart(manager).names == ("/front", "/slow")
+    assert world.host.states()[manager].incarnation != old
+    assert [each.status for each in world.manager.graph.all()] == before
+    assert world.host.nodelet("/alone") is alone
+    world.manager.look()
+    assert world.manager.lifecycle.suspects.verdict("/front") == ""
+
+
+def test_a_nodelet_manager_with_nodelets_of_others_is_left(world: World) -> None:
+    world.spawn("camera", "front")
+    manager = world.manager.graph.get("/front").manager
+    request = world.host.nodelet("/front").request
+    world.host.load(manager, request.__class__("/theirs", "pkg/Relay"), 1.0)
+    world.manager.look()
+    with pytest.raises(HostError, match="/theirs"):
+        world.manager.restart(manager)
+    assert "/theirs" in world.host.running
+
+
+# Parameters
+
+
+def test_a_parameter_is_set_for_life(world: World) -> None:
+    world.spawn("camera", "front")
+    done = world.manager.set_parameter("front", Parameter("rate", "", "5"))
+    assert not done.is_read and done.remarks == ""
+    assert world.host.parameters["/front/rate"] == 5.0
+    assert world.manager.graph.get("/front").status.parameters == (
+        Parameter("rate", "double", "5"),
+    )
+    world.kill_manager()
+    world.host.kill(world.manager.graph.get("/front").manager)
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.parameters["/front/rate"] == 5.0
+    world.host.reconfigurable.add("/front")
+    assert world.manager.set_parameter("front", Parameter("rate", "int", "6")).is_read
+    world.manager.destroy("front")
+    assert world.host.parameters == {}
+
+
+def test_a_parameter_that_cannot_be_set_changes_nothing(world: World) -> None:
+    world.spawn("camera", "front")
+    with pytest.raises(InvalidParameters, match="rate"):
+        world.manager.set_parameter("front", Parameter("rate", "", "fast"))
+    assert (
+        "declares no parameter 'rat'"
+        in world.manager.set_parameter("front", Parameter("rat", "", "5")).remarks
+    )
+    world.host.fail_at("set_parameter")
+    with pytest.raises(HostError):
+        world.manager.set_parameter("front", Parameter("rate", "", "5"))
+    assert [each.name for each in world.manager.graph.get("/front").parameters] == ["rat"]
+    world.host.recover()
+    world.manager.add_transformation(TRACKER)
+    world.spawn("tracker", "track", parameters=[Parameter("?camera", "", "cam1")])
+    with pytest.raises(InvalidParameters, match=r"\?camera for life"):
+        world.manager.set_parameter("track", Parameter("?camera", "", "cam2"))
+
+
+# Claims wait
+
+
+def restarting(field: Field, name: str, rounds: int = 20) -> List[str]:
+    """Restart, and let rounds pass while the nodelet is away; returns the changes of claims."""
+    events: List[str] = []
+    field.on_event = lambda event: events.append(event.reason)
+
+    def pass_time(operation: str, argument: str) -> None:
+        if operation == "load":
+            field.host.recover()
+            for _ in range(rounds):
+                field.tick()
+            assert name in field.manager.graph.restarting
+            field.host.fail = pass_time
+
+    field.host.fail = pass_time
+    field.manager.restart(name)
+    field.host.recover()
+    return events
+
+
+@pytest.mark.parametrize("label", CHAIN)
+def test_claims_wait_for_a_restart(field: Field, label: str) -> None:
+    claim = field.acquire(max_silence=0.5).claim
+    field.settle(5.0)
+    before = {name: field.host.nodelet(name) for name in field.host.running}
+    name = f"/{label.replace(' ', '_')}_1"
+    topics = field.manager.graph.get(name).topics
+    assert restarting(field, name) == []
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.settle(5.0)
+    assert {each for each in before if field.host.nodelet(each) is not before[each]} == {name}
+    assert field.host.running == sorted(before), "nothing was replaced"
+    assert not any("lost" in each or "mended" in each for each in field.reasons())
+    assert field.manager.graph.get(name).topics == topics
+    assert field.claim(claim.claim_id).topic in field.moving
+    field.tidy()
+
+
+def test_claims_wait_for_a_nodelet_manager(field: Field) -> None:
+    claim = field.acquire(max_silence=0.5).claim
+    field.settle(5.0)
+    running = field.host.running
+    manager = field.manager.graph.get(running[0]).manager
+    field.manager.restart(manager)
+    field.settle(5.0)
+    assert field.host.running == running
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert not any("lost" in each or "mended" in each for each in field.reasons())
+    field.tidy()
+
+
+def test_a_part_that_does_not_come_up_again_is_replaced(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle(5.0)
+    field.host.fail_at("load", "bottom_camera", "it is broken")
+    with pytest.raises(RestartFailed):
+        field.manager.restart("/bottom_camera_1")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "ceiling camera" in field.labels()
+    field.tidy()
+
+
+def test_a_record_says_what_code_it_runs() -> None:
+    record = Record("/a", None, "/m", code="abc", outdated="never stored")
+    again = Record.from_body("/a", record.body())
+    assert (again.code, again.outdated) == ("abc", "")

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The files of nodelets' code: which they are, and what changes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from clocks import HandClock
+
+from dyknow.errors import HostError
+from dyknow.model.transformation import Transformation
+from dyknow.ros.hosting.code_files import CodeFiles
+
+MANIFEST = """<package format="2"><name>{name}</name><version>0.0.0</version><description/>
+<maintainer email="a@example.org">a</maintainer><license>BSD-3-Clause</license>
+<export><dyknow plugin="${{prefix}}/nodelets.xml"/><nodelet plugin="${{prefix}}/cpp.xml"/></export>
+</package>"""
+PLUGINS = """<library path="src">
+  <class name="{name}/One" type="{name}_one.One" base_class_type="dyknow.Nodelet"/>
+</library>"""
+CPP = """<library path="lib/lib{name}"><class name="{name}/cpp" type="a::B"
+  base_class_type="nodelet::Nodelet"/></library>"""
+
+
+class Package:
+    """A package with a nodelet, its helper, a module that it does not use, and a script."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.folder, self.name = folder / name, name
+        self.write("package.xml", MANIFEST.format(name=name))
+        self.write("nodelets.xml", PLUGINS.format(name=name))
+        self.write("cpp.xml", CPP.format(name=name))
+        self.write(f"src/{name}_one.py", f"import {name}_helper")
+        self.write(f"src/{name}_helper.py", "VALUE = 1")
+        self.write(f"src/{name}_apart.py", "VALUE = 1")
+        self.write("scripts/run.py", "#!/usr/bin/env python3\nimport beside")
+        self.write("scripts/beside.py", "")
+        (self.folder / "scripts/run.py").chmod(0o755)
+        self.clock = HandClock()
+        self.code = CodeFiles(self.clock.now)
+
+    def write(self, path: str, text: str) -> None:
+        file = self.folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+    def nodelet(self, what: str = "One") -> Transformation:
+        return Transformation("label", f"{self.name}/{what}")
+
+    @property
+    def script(self) -> Transformation:
+        return Transformation("label", f"{self.name}/run.py", "node")
+
+    def changes(self, transformation: Transformation, path: str, text: str = "VALUE = 22") -> bool:
+        """Whether writing a file changes the code that would be loaded."""
+        before = self.code.of(transformation, anew=True)
+        self.write(path, text)
+        assert self.code.of(transformation) == before, "it was looked at just now"
+        self.clock.time += 0.5
+        return self.code.of(transformation) != before
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: Any) -> Package:
+    name = f"code_{tmp_path.name.replace('-', '_')}"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path))
+    return Package(tmp_path, name)
+
+
+def test_a_nodelet_is_its_module_and_what_that_imports(package: Package) -> None:
+    one, name = package.nodelet(), package.name
+    assert package.changes(one, f"src/{name}_helper.py")
+    assert package.changes(one, f"src/{name}_one.py", f"import {name}_apart")
+    assert package.changes(one, f"src/{name}_apart.py")
+    assert not package.changes(one, f"src/{name}_helper.py", "VALUE = 333")
+
+
+def test_a_script_is_its_file_and_the_modules_beside_it(package: Package) -> None:
+    assert package.changes(package.script, "scripts/run.py", "#!/usr/bin/env python3\n")
+    assert not package.changes(package.script, "scripts/beside.py")
+    package.write("scripts/run.py", "#!/usr/bin/env python3\nimport beside")
+    assert package.changes(package.script, "scripts/beside.py", "VALUE = 333")
+
+
+def test_a_nodelet_in_cpp_is_its_library(package: Package, tmp_path: Path) -> None:
+    cpp = package.nodelet("cpp")
+    assert package.code.of(cpp, anew=True) == ""
+    (tmp_path / "lib").mkdir()
+    library = tmp_path / "lib" / f"lib{package.name}.so"
+    library.write_bytes(b"\x7fELF one")
+    before = package.code.of(cpp, anew=True)
+    library.write_bytes(b"\x7fELF another")
+    package.clock.time += 0.5
+    assert "" != before != package.code.of(cpp)
+    package.code.check(cpp)
+
+
+def test_what_is_ours_or_not_here_has_no_code(package: Package) -> None:
+    for source in ("dyknow/Relay", "nowhere/Nodelet", "nowhere"):
+        assert package.code.of(Transformation("label", source), anew=True) == ""
+    assert package.code.of(Transformation("label", "nowhere/x.py", "node"), anew=True) == ""
+
+
+def test_a_changed_file_is_checked(package: Package) -> None:
+    one = package.nodelet()
+    package.write(f"src/{package.name}_apart.py", "print 'of another time'")
+    package.code.of(one, anew=True)
+    package.code.check(one)
+    package.write(f"src/{package.name}_helper.py", "VALUE = = 2")
+    package.clock.time += 0.5
+    for _ in range(2):
+        with pytest.raises(HostError, match="_helper.py cannot be run: line 1: invalid syntax"):
+            package.code.check(one)
+    package.write(f"src/{package.name}_helper.py", "VALUE = 2")
+    package.clock.time += 0.5
+    package.code.check(one)
