@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import logging
 import os
@@ -20,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
 from rosmaster.master_api import ROSMasterHandler
-from unit.ros.small_graph import SmallManager, XmlRpc
+from unit.ros.small_graph import SmallManager, XmlRpc, stop_master
 
 from dyknow.ros.manager import keeper as keeper_module
 from dyknow.ros.manager.keeper import MasterKeeper
@@ -39,18 +40,20 @@ class Core:
     def __init__(self) -> None:
         self._master = rosmaster.master.Master(port=0)
         self._master.start()
+        self._renewed = contextlib.ExitStack()
         self.uri = self._master.uri
         self.api = Master("/test", self.uri)
 
     def renew(self) -> None:
         """Put a new master at the same address, in a process of the same id."""
         handler = ROSMasterHandler()
+        self._renewed.callback(handler._shutdown, "stop")
         handler._ready(self.uri)
         self._master.master_node.server.register_instance(handler)
 
     def stop(self) -> None:
-        if self._master.master_node is not None:
-            self._master.stop()
+        self._renewed.close()
+        stop_master(self._master)
 
     def parameters(self) -> Any:
         return self.api.ask("getParam", "/")

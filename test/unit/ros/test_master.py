@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 import rosmaster.master
+from unit.ros.small_graph import stop_master
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.wire import master as module
@@ -26,7 +27,7 @@ def uri(monkeypatch):
     started = rosmaster.master.Master(port=0)
     started.start()
     yield started.uri
-    started.stop()
+    stop_master(started)
 
 
 def test_the_master_forgets_a_node_that_is_purged(uri):
