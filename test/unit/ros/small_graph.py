@@ -65,12 +65,12 @@ class SmallMaster:
     """A master that looks up nodelet managers by name.
 
     Attributes:
-        knows_callers: whether its callers have registered.
+        knows_manager: whether the node `/test`, the DyKnow manager, has registered.
         looked_up: the nodes that were looked up.
     """
 
     def __init__(self):
-        self.knows_callers = True
+        self.knows_manager = True
         self.looked_up: List[str] = []
         self.nodes: Dict[str, SmallManager] = {}
         self._served = XmlRpc(
@@ -83,7 +83,7 @@ class SmallMaster:
 
     def _look_up(self, caller, name):
         self.looked_up.append(name)
-        return self.uri if name == caller and self.knows_callers else self._of(name, "uri")
+        return self.uri if name == "/test" and self.knows_manager else self._of(name, "uri")
 
     def _service(self, name, service):
         kind = getattr(self.nodes.get(name), "kind", "")

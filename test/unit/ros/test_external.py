@@ -131,12 +131,12 @@ def test_a_successor_is_never_taken_for_its_predecessor(graph, peer):
 def test_a_new_master_says_nothing_of_it(graph, peer):
     """The manager is not registered either: both will be again."""
     before, manager = peer.state.incarnation, graph.nodes.pop(FAR)
-    graph.knows_callers = False
+    graph.knows_manager = False
     del graph.looked_up[:]
     eventually(lambda: graph.looked_up.count(FAR) > 3)
     assert (peer.state.responsive, peer.state.incarnation) == (True, before)
     graph.nodes[FAR] = manager
-    graph.knows_callers = True
+    graph.knows_manager = True
     manager.lose_connections()
     eventually(lambda: sorted(peer.presence.nodelets) == ["/a", "/b"] and peer.state.responsive)
     assert peer.state.incarnation == before
