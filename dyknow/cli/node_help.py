@@ -36,6 +36,10 @@ Private parameters (default):
                          transformations that require it are used (2)
   ~shared_memory         whether its processes exchange large messages through shared
                          memory, where they can (true)
+  ~watchdog/hung, ~watchdog/stuck, ~watchdog/memory
+                         seconds without an answer, seconds for which a callback is
+                         reported that does not return, and MB, after which a process
+                         that the manager started is restarted (0: never)
   ~state_dir             folder of the durable state (dyknow in ROS_HOME)
   ~denied_topics         patterns of topics that no port may be connected to (none)
   ~allowed_topics        patterns of the only topics that ports may be connected to (all)

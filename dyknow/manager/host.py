@@ -305,6 +305,10 @@ class Host(ABC):
             without a reply yet are left out until a later call.
         """
 
+    def memory(self, manager: str) -> int:
+        """Return the bytes of memory that a process takes; 0 if that is not known."""
+        return 0
+
     @abstractmethod
     def is_stamped(self, datatype: str) -> bool | None:
         """Whether messages of a type bear a time stamp: begin with a header; None if not known."""

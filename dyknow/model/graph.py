@@ -65,6 +65,8 @@ _TITLES = {
 }
 
 
+#: How the detail of a nodelet begins that has a callback which does not return.
+STUCK = "a callback has been running for "
 #: How the part of a nodelet's detail begins that says why a restart would make it differently.
 OUTDATED = "outdated: "
 

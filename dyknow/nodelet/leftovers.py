@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Callable
 
 from dyknow.locks import state_lock
+from dyknow.model.graph import STUCK
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle, Service
 from dyknow.nodelet.memory import break_cycles, return_free_memory
@@ -151,7 +152,7 @@ class StuckCallbacks:
         """Describe a nodelet's callback that does not return; empty if it has none."""
         context = self._loader.find(nodelet)
         age = context.callback_age() if context is not None else 0.0
-        return f"a callback has been running for {age:.0f} s" if age >= self._after else ""
+        return f"{STUCK}{age:.0f} s" if age >= self._after else ""
 
     def remains(self) -> list[str]:
         """Describe the code of unloaded nodelets that still runs, a line for each."""

@@ -148,6 +148,8 @@ class FakeHost(Host):
         self.broken: set[str] = set()
         #: Nodelets that read their parameters while they run.
         self.reconfigurable: set[str] = set()
+        #: Bytes of memory by nodelet manager.
+        self.taken: dict[str, int] = {}
         #: Problems by nodelet.
         self.details: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
@@ -408,6 +410,9 @@ class FakeHost(Host):
     def retire(self, manager: str) -> None:
         self._step("retire", manager)
         self.processes.pop(manager, None)
+
+    def memory(self, manager: str) -> int:
+        return self.taken.get(manager, 0)
 
     def renew(self, manager: str) -> None:
         self._step("renew", manager)

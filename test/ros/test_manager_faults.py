@@ -77,6 +77,21 @@ class NodeletManagerFaultsTest(ManagerCase):
         self.assertIsNone(manager.nodelet("/late"))
         self.assertEqual(registrations("/late"), [])
 
+    def test_the_watchdog_restarts_what_hangs(self):
+        manager = self.started(**{"watchdog/hung": 3.0})
+        manager.client.spawn("counter", "/counter", {"out": "/s0"})
+        manager.client.spawn("relay", "/relay", {"in": "/s0", "out": "/end"})
+        receiver = self.enter(Heard("/end"))
+        receiver.flows()
+        (stopped,) = manager.children().values()
+        before = nodelets(manager)
+        stopped.signal(signal.SIGSTOP)
+        becomes(lambda: stopped.alive, False)
+        receiver.flows()
+        becomes(lambda: nodelets(manager), before)
+        self.assertEqual(manager.output.count("the watchdog restarts"), 1)
+        self.assertIn(f"the watchdog restarts {CHILD}: it has not answered for", manager.output)
+
     def test_an_isolated_nodelet_that_aborts_takes_nobody_along(self):
         manager = self.started()
         manager.client.spawn("counter", "/counter", {"out": "/s"})

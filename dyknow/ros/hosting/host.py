@@ -175,6 +175,11 @@ class RosHost(Host):
 
     # Nodelets
 
+    def memory(self, manager: str) -> int:
+        child = self._children.find(manager)
+        process = child.record.process if child is not None else None
+        return process.memory() if process is not None else 0
+
     def renew(self, manager: str) -> None:
         self._children.renew(manager)
 

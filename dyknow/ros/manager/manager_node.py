@@ -34,6 +34,7 @@ from dyknow.manager.manager import ManagerOptions
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
 from dyknow.manager.store import Store
+from dyknow.manager.watchdog import WATCH_PERIOD, Watchdog
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
@@ -74,6 +75,7 @@ _OBSERVE = "looking at the nodelet managers"
 _RECONCILE = "reconciling streams"
 _PUBLISH = "publishing the model"
 _BACK_UP = "backup"
+_WATCH = "watchdog"
 _FOLLOW = "looking at the files of the library"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
@@ -98,7 +100,7 @@ class ManagerNode(Closable):
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         self._master = Master(node)
-        running = RunningClock.started()
+        self._running = running = RunningClock.started()
         context = PeerContext(
             self._master,
             settings.guards,
@@ -172,6 +174,11 @@ class ManagerNode(Closable):
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._keeper.watch(self._loop)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
+        if self._settings.watchdog:
+            manager = self.manager
+            parts = (self._host, manager.graph, manager.restart, self._settings.watchdog)
+            watchdog = Watchdog(*parts, self._reconciler.report, self._running)
+            self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._host.listen_for_nodes()
 

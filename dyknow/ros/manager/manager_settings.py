@@ -18,6 +18,7 @@ from dyknow import names
 from dyknow.errors import BadParameter
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
+from dyknow.manager.watchdog import NO_WATCHDOG, WatchdogLimits
 from dyknow.ros.manager import tenure
 from dyknow.similar import did_you_mean
 
@@ -35,6 +36,7 @@ PARAMETERS = (
     "orphan_timeout",
     "recover",
     "shared_memory",
+    "watchdog",
     "denied_topics",
     "allowed_topics",
     "allowed_programs",
@@ -61,6 +63,7 @@ class ManagerSettings:
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
         recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
         shared_memory: whether its processes exchange large messages through shared memory.
+        watchdog: when its processes are restarted.
         guards: restrictions.
         limits: sizes of specifications.
     """
@@ -77,6 +80,7 @@ class ManagerSettings:
     orphan_timeout: float = 300.0
     recover: float = 2.0
     shared_memory: bool = True
+    watchdog: WatchdogLimits = NO_WATCHDOG
     guards: Guards = NO_GUARDS
     limits: SpecificationLimits = DEFAULT_LIMITS
 
@@ -101,6 +105,11 @@ class ManagerSettings:
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             recover=_seconds("recover", cls.recover, least=0.0),
             shared_memory=_bool("shared_memory", cls.shared_memory),
+            watchdog=WatchdogLimits(
+                _seconds("watchdog/hung", 0.0, least=0.0),
+                _seconds("watchdog/stuck", 0.0, least=0.0),
+                float(_number("watchdog/memory", 0.0, 0.0, "MB, at least 0", (int, float))),
+            ),
             guards=Guards(
                 denied_topics=_topic_patterns("denied_topics"),
                 allowed_topics=tuple(filter(None, [_topic_patterns("allowed_topics")])),

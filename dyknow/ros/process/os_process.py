@@ -52,6 +52,11 @@ class ProcessId:
         """Whether it still runs; a suspended process does."""
         return ProcessId.of(self.pid) == self
 
+    def memory(self) -> int:
+        """Return its resident memory in bytes; 0 if it has ended."""
+        fields = _stat(self.pid)
+        return int(fields[21]) * os.sysconf("SC_PAGE_SIZE") if fields else 0
+
     def signal(self, number: int) -> None:
         """Send a signal, unless it has ended."""
         if self.alive:
