@@ -34,6 +34,7 @@ from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.manager.mirror import MasterMirror
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
@@ -336,10 +337,44 @@ class MasterCase(TellingCase):
     def manager(self, *settings: str) -> Ended:
         return self.run_process(PROGRAM, f"_state_dir:={self.state}", *settings)
 
+    def mirrored(self, *wanted: str) -> Any:
+        """Wait until the services are there, and on disk all that is; returns the contents."""
+        eventually(lambda: {*wanted} <= contents()[2].keys(), 20.0, "all services are there")
+
+        def is_mirrored() -> bool:
+            there = contents()
+            paths = [*Path(self.state).glob("*.master")]
+            mirrors = [MasterMirror.from_text(each.read_text()) for each in paths]
+            return bool(mirrors) and all(
+                [
+                    {topic: set(nodes) for topic, nodes in each.publishers.items()},
+                    {topic: set(nodes) for topic, nodes in each.subscribers.items()},
+                    {service: {node} for service, node in each.services.items()},
+                    each.parameters,
+                ]
+                == there
+                for each in mirrors
+            )
+
+        eventually(is_mirrored, 10.0, "the mirror is complete")
+        return contents()
+
     def kill(self, *processes: Ended) -> None:
         for process in processes:
             process.stop(signal.SIGKILL)
             process.exit_code(10.0)
+
+
+def contents() -> Any:
+    """All registrations and parameters of the master; None if it does not answer."""
+    master = Master(rospy.get_name())
+    try:
+        sides = [
+            {name: set(nodes) for name, nodes in side} for side in master.ask("getSystemState")
+        ]
+        return [*sides, master.ask("getParam", "/")]
+    except PeerTimeout:
+        return None
 
 
 def counted(message: Header) -> int:

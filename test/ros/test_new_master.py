@@ -7,36 +7,22 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import rospy
 from graph import peer
-from manager_suite import MANAGER, MasterCase, answers, children_in, gaps
+from manager_suite import MANAGER, MasterCase, answers, children_in, contents, gaps
 from processes import DYKNOW, NODELET, Running, becomes, eventually, finished, run
 from stream_suite import GOAL, LIBRARY
 
-from dyknow.errors import PeerTimeout, Refused
+from dyknow.errors import Refused
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.hosting.external import NODES_TOPIC
-from dyknow.ros.manager.mirror import MasterMirror
 from dyknow.ros.wire.master import Master
 
 FAR = "/far"
 #: How often the master dies.
 ROUNDS = 3
-
-
-def contents() -> Any:
-    """All registrations and parameters of the master; None if it does not answer."""
-    master = Master(rospy.get_name())
-    try:
-        sides = [
-            {name: set(nodes) for name, nodes in side} for side in master.ask("getSystemState")
-        ]
-        return [*sides, master.ask("getParam", "/")]
-    except PeerTimeout:
-        return None
 
 
 def heard(listener: Running, topic: str) -> list[int]:
@@ -45,11 +31,16 @@ def heard(listener: Running, topic: str) -> list[int]:
 
 
 def goes_on(listener: Running, *topics: str) -> None:
-    """Wait until more has come on each topic; nothing was lost or doubled."""
+    """Wait until more has come on each topic; nothing was doubled, and nothing lost.
+
+    Nodes with short queues may drop messages on a busy machine; that of `/plain` has none.
+    """
     for topic in topics:
         count = len(heard(listener, topic))
         eventually(lambda: len(heard(listener, topic)) > count + 5, 10.0, f"{topic} flows")  # noqa: B023
-        assert gaps(heard(listener, topic)) == [], (topic, gaps(heard(listener, topic)))
+        numbers = heard(listener, topic)
+        assert numbers == sorted({*numbers}), (topic, gaps(numbers))
+        assert topic != "/plain" or gaps(numbers) == [], gaps(numbers)
 
 
 def lacking(before: Any) -> Any:
@@ -86,24 +77,6 @@ class NewMasterTest(MasterCase):
         goes_on(listener, *topics)
         Master(rospy.get_name()).ask("setParam", "/robot", {"name": "arm", "wheels": [1, 2.5]})
         return listener
-
-    def mirrored(self, *wanted: str) -> Any:
-        """Wait until the services are there, and on disk all that is; returns the contents."""
-        eventually(lambda: {*wanted} <= contents()[2].keys(), 20.0, "all services are there")
-
-        def is_mirrored() -> bool:
-            publishers, subscribers, services, parameters = contents()
-            paths = [*Path(self.state).glob("*.master")]
-            mirrors = [MasterMirror.from_text(each.read_text()) for each in paths]
-            return bool(mirrors) and all(
-                (each.publishers.keys(), each.subscribers.keys(), each.services.keys())
-                == (publishers.keys(), subscribers.keys(), services.keys())
-                and each.parameters == parameters
-                for each in mirrors
-            )
-
-        eventually(is_mirrored, 10.0, "the mirror is complete")
-        return contents()
 
     def all_is_back(self, before: Any) -> float:
         """Wait until all is registered again; returns how long (s) that took."""

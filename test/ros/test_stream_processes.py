@@ -121,6 +121,7 @@ class RoscoreTest(MasterCase):
         listener = self.run_process(*peer("claim", GOAL, "10"))
         listener.wait_for("flows")
 
+        self.mirrored()
         # Without a master, streams flow on, and their claims are still renewed.
         self.kill(core)
         time.sleep(13.0)  # longer than the lease

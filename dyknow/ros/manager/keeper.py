@@ -33,8 +33,10 @@ from dyknow.ros.process.os_process import only_for_owner
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import is_offered
 
-#: Seconds between two looks, and while there is no master.
-_PERIOD, _AWAY_PERIOD = 1.0, 0.25
+#: Its key in the manager's control loop.
+MIRROR = "mirroring the ROS master"
+#: Seconds between two looks, while there is no master, and at least.
+_PERIOD, _AWAY_PERIOD, _PAUSE = 1.0, 0.25, 0.25
 #: Least seconds between two writes of the file.
 _SAVE_PERIOD = 5.0
 #: Seconds for each answer of a node.
@@ -77,8 +79,8 @@ class MasterKeeper:
         return _PERIOD
 
     def watch(self, loop: ControlLoop) -> None:
-        """Look periodically."""
-        loop.add("mirroring the ROS master", self.look, 0.0)
+        """Look periodically, as ``MIRROR`` of the loop."""
+        loop.add(MIRROR, self.look, 0.0, _PAUSE)
 
     def close(self) -> None:
         """Forget the mirror: the manager ends on purpose."""

@@ -46,7 +46,7 @@ from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.manager.keeper import MasterKeeper
+from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
 from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
 from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
@@ -239,8 +239,8 @@ class ManagerNode(Closable):
         self._on_change()
 
     def _on_change(self) -> None:
-        self._loop.wake(_PUBLISH)
-        self._loop.wake(_RECONCILE)
+        for key in (_PUBLISH, _RECONCILE, MIRROR):
+            self._loop.wake(key)
 
     def _on_event(self, event: ClaimEvent) -> None:
         self._events.publish(event)
