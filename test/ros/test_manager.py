@@ -13,6 +13,7 @@ from unittest import mock
 
 import rosnode
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dyknow_msgs.msg import Model, PortConfig
 from dyknow_msgs.srv import Spawn
 from graph import Heard, Manager
@@ -79,6 +80,20 @@ class ServicesTest(ManagerCase):
 
     def nothing_left(self, prefix):
         becomes(lambda: everything(prefix), set())
+
+    def test_diagnostics(self):
+        self.client.spawn("counter", "/c", {"out": "/s"})
+
+        def levels(array):
+            return {each.name: each.level for each in array.status}
+
+        ok = DiagnosticStatus.OK
+        with Heard("/diagnostics", DiagnosticArray, levels) as heard:
+            fine = {"dyknow_manager: manager": ok, "dyknow_manager: nodelet /c": ok}
+            heard.has(lambda each: each == fine)
+            with self.manager.child_stopped():
+                heard.has(lambda each: each["dyknow_manager: nodelet /c"] > ok, 20.0)
+            becomes(lambda: heard[-1], fine)
 
     def test_a_chain_and_its_model(self):
         self.client.spawn("counter", "camera/counter", {"out": "raw"}, is_protected=True)

@@ -46,6 +46,7 @@ from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.manager.diagnostics import DiagnosticsTopic
 from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
 from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
@@ -76,6 +77,7 @@ _RECONCILE = "reconciling streams"
 _PUBLISH = "publishing the model"
 _BACK_UP = "backup"
 _WATCH = "watchdog"
+_DIAGNOSE = "diagnostics"
 _FOLLOW = "looking at the files of the library"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
@@ -154,6 +156,11 @@ class ManagerNode(Closable):
         self._files.look(self.manager.library)
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
         self._model = ModelTopic(self.manager.graph_model, self._messages, self._fixed.follow)
+        self._diagnostics = DiagnosticsTopic(
+            self.manager.graph_model,
+            lambda: map(self._answers.status, self._reconciler.claims()),
+            lambda: self._store.trouble or self._store.complaint,
+        )
         self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
         self._loop.start()
         self._introduce()
@@ -173,6 +180,7 @@ class ManagerNode(Closable):
         self._loop.add(_OBSERVE, self._observe, PERIOD)
         self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._keeper.watch(self._loop)
+        self._loop.add(_DIAGNOSE, self._diagnostics.publish, 0.0)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
         if self._settings.watchdog:
             manager = self.manager
@@ -204,6 +212,7 @@ class ManagerNode(Closable):
             in_background("ending the claims", self._reconciler.end).join(_PATIENCE)
         self._bonds.close()
         self._model.close()
+        self._diagnostics.close()
         self._fixed.close()
         self._children.end_all()
         self._loop.close(_PATIENCE)

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The state of the manager, its nodelets and claims on ``/diagnostics``.
+
+Diagnostic tools of ROS group by the names of statuses. They are ``NODE: manager``, ``NODE: nodelet
+NAME`` and ``NODE: claim ID TAG``, with the manager's node first.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, Iterable, Mapping, Sequence
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+import dyknow
+from dyknow.model.graph import Model, NodeletStatus, State
+from dyknow.model.streams import ClaimState, StreamStatus
+
+TOPIC = "/diagnostics"
+_PERIOD = 1.0
+_OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_OF_NODELETS = {
+    State.STARTING: _WARN,
+    State.RUNNING: _OK,
+    State.LOST: _ERROR,
+    State.FAILED: _ERROR,
+}
+_OF_CLAIMS = {ClaimState.ACTIVE: _OK, ClaimState.FAILED: _ERROR}
+
+
+class DiagnosticsTopic:
+    """Publishes the diagnostics once a second, while there are subscribers."""
+
+    def __init__(
+        self,
+        model: Callable[[], Model],
+        claims: Callable[[], Iterable[StreamStatus]],
+        trouble: Callable[[], str],
+    ) -> None:
+        """Advertise the topic.
+
+        Args:
+            model: returns the model of this moment.
+            claims: returns the claims.
+            trouble: returns why changes are not on disk; empty if they are.
+        """
+        self._model = model
+        self._claims = claims
+        self._trouble = trouble
+        self._publisher = rospy.Publisher(TOPIC, DiagnosticArray, queue_size=1)
+        self.close = self._publisher.unregister
+
+    def publish(self) -> float:
+        """Publish the present diagnostics; returns the seconds until the next."""
+        if self._publisher.get_num_connections():
+            node = rospy.get_name().lstrip("/")
+            found = statuses(node, self._model(), list(self._claims()), self._trouble())
+            array = DiagnosticArray(status=found)
+            array.header.stamp = rospy.Time.now()
+            self._publisher.publish(array)
+        return _PERIOD
+
+
+def statuses(
+    node: str, model: Model, claims: Sequence[StreamStatus], trouble: str
+) -> list[DiagnosticStatus]:
+    """Describe the manager, each nodelet, and each claim that has not ended."""
+    claims = [each for each in claims if not each.state.ended]
+    running = sum(each.state is State.RUNNING for each in model.nodelets)
+    values = {
+        "version": dyknow.__version__,
+        "nodelets": str(len(model.nodelets)),
+        "running": str(running),
+        "claims": str(len(claims)),
+    }
+    return [
+        _status(f"{node}: manager", _WARN if trouble else _OK, trouble or "answers", node, values),
+        *(_of_nodelet(node, each) for each in model.nodelets),
+        *(_of_claim(node, each) for each in claims),
+    ]
+
+
+def _of_nodelet(node: str, nodelet: NodeletStatus) -> DiagnosticStatus:
+    level = _OF_NODELETS[nodelet.state]
+    values = {
+        "state": nodelet.state.name,
+        "kind": nodelet.kind.value,
+        "transformation": nodelet.transformation,
+        "node": nodelet.node,
+        "host": nodelet.host,
+        **{f"port {name}": topic for name, topic in nodelet.connections.items()},
+    }
+    level = max(level, _WARN) if nodelet.detail else level
+    message = nodelet.detail or nodelet.state.name.lower()
+    return _status(f"{node}: nodelet {nodelet.name}", level, message, nodelet.host, values)
+
+
+def _of_claim(node: str, claim: StreamStatus) -> DiagnosticStatus:
+    level = _OF_CLAIMS.get(claim.state, _WARN)
+    values = {
+        "state": claim.state.name,
+        "client": claim.client_id,
+        "topic": claim.topic,
+        "type": claim.datatype,
+        "nodelets": ", ".join(claim.nodelets),
+        "bindings": " ".join(claim.bindings),
+    }
+    message = claim.detail or claim.state.name.lower()
+    return _status(f"{node}: claim {claim.claim_id} {claim.tag}", level, message, node, values)
+
+
+def _status(
+    name: str, level: int, message: str, hardware: str, values: Mapping[str, str]
+) -> DiagnosticStatus:
+    pairs = [KeyValue(key, value) for key, value in values.items()]
+    return DiagnosticStatus(level, name, message, hardware, pairs)

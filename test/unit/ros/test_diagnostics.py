@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the manager reports on /diagnostics, and how the example groups it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Dict, List
+
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from dyknow.model.graph import Model, NodeletStatus, PortState, State
+from dyknow.model.streams import ClaimState, StreamStatus
+from dyknow.ros.manager.diagnostics import statuses
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "diagnostics.yaml"
+PORTS = (PortState("out", "out", "std_msgs/Header", "/s"),)
+NODELET = NodeletStatus(
+    "/camera", "camera", "/nodelet_manager", False, False, False, State.RUNNING, "", PORTS
+)
+CLAIM = StreamStatus(
+    "ab12",
+    "/client",
+    "Ball(?c)",
+    "/s",
+    "std_msgs/Header",
+    ClaimState.ACTIVE,
+    "",
+    ("/camera",),
+    0.0,
+)
+
+
+def reported(
+    nodelet: NodeletStatus = NODELET, claim: StreamStatus = CLAIM, trouble: str = ""
+) -> List[Any]:
+    return statuses("robot/dyknow_manager", Model(1, 1, (nodelet,)), [claim], trouble)
+
+
+def values(status: Any) -> Dict[str, str]:
+    return {each.key: each.value for each in status.values}
+
+
+def test_all_is_well():
+    manager, nodelet, claim = reported()
+    assert {manager.level, nodelet.level, claim.level} == {OK}
+    assert manager.name == "robot/dyknow_manager: manager"
+    assert values(manager).items() >= {"nodelets": "1", "running": "1", "claims": "1"}.items()
+    assert (nodelet.name, nodelet.message) == ("robot/dyknow_manager: nodelet /camera", "running")
+    assert values(nodelet).items() >= {"node": "/nodelet_manager", "port out": "/s"}.items()
+    assert claim.name == "robot/dyknow_manager: claim ab12 Ball(?c)"
+    assert values(claim).items() >= {"topic": "/s", "nodelets": "/camera"}.items()
+
+
+@pytest.mark.parametrize(
+    ("state", "detail", "level"),
+    [
+        (State.STARTING, "", WARN),
+        (State.RUNNING, "a callback has been running for 9 s", WARN),
+        (State.LOST, "its process has died", ERROR),
+        (State.FAILED, "not loaded", ERROR),
+    ],
+)
+def test_nodelets(state, detail, level):
+    manager, nodelet, _ = reported(replace(NODELET, state=state, detail=detail))
+    assert (nodelet.level, nodelet.message) == (level, detail or "starting")
+    assert values(manager)["running"] == str(int(state is State.RUNNING))
+
+
+@pytest.mark.parametrize("state", list(ClaimState))
+def test_claims(state):
+    found = reported(claim=replace(CLAIM, state=state, detail="why"))[2:]
+    levels = {ClaimState.ACTIVE: OK, ClaimState.FAILED: ERROR}
+    expected = [] if state.ended else [(levels.get(state, WARN), "why")]
+    assert [(each.level, each.message) for each in found] == expected
+
+
+def test_a_disk_that_takes_nothing():
+    manager = reported(trouble="the disk is full")[0]
+    assert (manager.level, manager.message) == (WARN, "the disk is full")
+
+
+def test_each_status_has_its_group_in_the_example():
+    groups = yaml.safe_load(EXAMPLE.read_text())["analyzers"]["dyknow"]["analyzers"]
+    prefixes = [
+        each.get("find_and_remove_prefix", each.get("startswith")) for each in groups.values()
+    ]
+    for status in statuses("dyknow_manager", Model(1, 1, (NODELET,)), [CLAIM], ""):
+        assert sum(status.name.startswith(each) for each in prefixes) == 1, status.name
