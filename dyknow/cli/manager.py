@@ -30,9 +30,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return FAILED
-    from dyknow.ros.manager.manager_node import run  # after --help, which needs no ROS
+    from dyknow.cli.boot import CALLS  # after --help, which needs no ROS
+    from dyknow.ros.manager.manager_node import run
 
-    return run(argv)
+    return run(argv, CALLS)
 
 
 if __name__ == "__main__":

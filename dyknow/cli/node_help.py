@@ -29,8 +29,12 @@ Private parameters (default):
   ~language              language of the labels that are preferred as names (en)
   ~use_exports           whether specification files and ontologies that packages export
                          in package.xml are used too (true)
+  ~wiring                file of 'dyknow save' to load at the start, unless the state that
+                         is restored has it already (none)
+  ~keep                  whether its nodelets and claims outlive an end on purpose, as
+                         they outlive kill -9 (false)
   ~spawn_timeout         seconds that a nodelet may take to come up (10)
-  ~orphan_timeout        seconds that its nodelet managers go on when it was killed;
+  ~orphan_timeout        seconds that its nodelet managers go on without it;
                          0: for ever (300)
   ~recover               seconds for which a verdict has to be TRUE again before the
                          transformations that require it are used (2)

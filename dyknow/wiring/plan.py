@@ -97,6 +97,12 @@ class LoadPlan:
     former: dict[str, Transformation] = field(default_factory=dict)
 
     @property
+    def is_done(self) -> bool:
+        """Whether a load would change nothing."""
+        changes = (self.added, self.replacing, self.spawned, self.remade)
+        return not any(changes) and all(each.is_as_wanted for each in self.kept)
+
+    @property
     def made(self) -> list[SpawnRequest]:
         """All nodelets to make, for the first time or again, readers before writers."""
         wanted = [*self.spawned, *(each.wanted for each in self.remade)]

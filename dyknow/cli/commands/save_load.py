@@ -7,22 +7,26 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator
+import time
+from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator, Sequence
 
 from dyknow.cli.arguments import argument, flag
 from dyknow.cli.output import Json, count, write_file
 from dyknow.cli.shell import FAILED, Shell, command
-from dyknow.errors import Problem, SpecificationError
+from dyknow.errors import ManagerUnreachable, Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
-from dyknow.manager.steps import carry_out
+from dyknow.manager.steps import StepFailed, carry_out
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import LoadPlan, plan_load
+from dyknow.wiring.settled import unsettled
 from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_of
 
 if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import ShellClient
 
 STDIO = "-"
+#: Seconds between two looks at what is waited for.
+_PERIOD = 0.25
 
 
 @command(
@@ -66,9 +70,21 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     "--replace those that were made differently are made again. Other nodelets are left "
     "alone. When a step fails, the steps before it are undone.",
     "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
-    "dyknow load robot.xml --keep-going --any-manager",
+    "dyknow load robot.xml --keep-going --any-manager\n"
+    "dyknow load robot.xml --wait --within 30",
     argument("file", "FILE", f"what 'save' wrote; {STDIO} for standard input"),
     flag("--dry-run", "check, and show what would be changed"),
+    flag(
+        "--wait",
+        "wait until the manager answers, all of it is loaded and runs, and the claims that use it "
+        "are active; with --dry-run, change nothing, but wait for that",
+    ),
+    argument(
+        "--within",
+        "SECONDS",
+        "the longest wait (default: 60)",
+        default=60.0,
+    ),
     flag(
         "--keep-going",
         "go on when a step fails, and keep what was done (default: undo everything)",
@@ -84,13 +100,69 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     ),
 )
 def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
-    client = shell.client
-    try:
-        wiring = _read(arguments.file, lambda: _limit(client))
-    except SpecificationError as error:
-        for each in error.problems:
-            shell.error(each)
+    client, file = shell.client, arguments.file
+    waiting = _Waiting(shell, arguments.within if arguments.wait else 0.0)
+    wiring: Wiring | None = None
+    changing: LoadPlan | None = None
+    while True:
+        try:
+            wiring = wiring or _read(file, lambda: _limit(client))
+            plan = _plan(arguments, wiring, client)
+            problems = [f"{file}: {problem}" for problem in plan.problems]
+            is_to_load = not (problems or arguments.dry_run)
+            steps = steps_of(plan, client) if is_to_load else []
+            if steps or changing is None or arguments.dry_run:
+                changing = plan
+            failed = carry_out(steps, arguments.keep_going)
+            left = problems or list(_left(arguments, wiring, plan, client))
+        except SpecificationError as error:
+            for each in error.problems:
+                shell.error(each)
+            return FAILED
+        except (ManagerUnreachable, StepFailed) as error:
+            if not waiting.goes_on([str(error)]):
+                raise
+            continue
+        if failed or not left or not waiting.goes_on(left):
+            break
+    for cause in (*left, *(f"{step.what}: {cause}" for step, cause in failed)):
+        shell.error(cause)
+    if problems:
         return FAILED
+    result = {
+        **_outcome(changing, [step.subject for step, _ in failed]),
+        "file": file,
+        "dry_run": arguments.dry_run,
+        "failed": [
+            {"subject": step.subject, "step": step.what, "message": str(cause)}
+            for step, cause in failed
+        ],
+    }
+    shell.show(result, _lines(result))
+    return FAILED if failed or left else None
+
+
+class _Waiting:
+    """Waits for what is not there yet, until a limit (s); each thing is named once."""
+
+    def __init__(self, shell: Shell, limit: float) -> None:
+        self._shell = shell
+        self._end = time.monotonic() + limit
+        self._named: set[str] = set()
+
+    def goes_on(self, causes: Sequence[str]) -> bool:
+        """Wait a little, unless it has lasted long enough; returns whether it has not."""
+        if time.monotonic() >= self._end:
+            return False
+        for cause in causes:
+            if cause not in self._named:
+                self._shell.warn(f"{cause}; waiting for it")
+        self._named.update(causes)
+        time.sleep(_PERIOD)
+        return True
+
+
+def _plan(arguments: argparse.Namespace, wiring: Wiring, client: ShellClient) -> LoadPlan:
     plan = plan_load(
         wiring,
         client.get_model(),
@@ -103,26 +175,18 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
     most = _limit(client)
     if len(wiring.nodelets) > most:
         plan.problems.append(too_many_nodelets(most))
-    if plan.problems:
-        for problem in plan.problems:
-            shell.error(f"{arguments.file}: {problem}")
-        return FAILED
-    failed = []
-    if not arguments.dry_run:
-        failed = carry_out(steps_of(plan, client), arguments.keep_going)
-        for step, cause in failed:
-            shell.error(f"{step.what}: {cause}")
-    result = {
-        **_outcome(plan, [step.subject for step, _ in failed]),
-        "file": arguments.file,
-        "dry_run": arguments.dry_run,
-        "failed": [
-            {"subject": step.subject, "step": step.what, "message": str(cause)}
-            for step, cause in failed
-        ],
-    }
-    shell.show(result, _lines(result))
-    return FAILED if failed else None
+    return plan
+
+
+def _left(
+    arguments: argparse.Namespace, wiring: Wiring, plan: LoadPlan, client: ShellClient
+) -> Iterator[str]:
+    """Say what is still to be waited for."""
+    if not arguments.wait:
+        return
+    if arguments.dry_run and not plan.is_done:
+        yield f"{arguments.file} is not loaded completely"
+    yield from unsettled(wiring, client.get_graph(), client.list_streams())
 
 
 def _limit(client: ShellClient) -> int:

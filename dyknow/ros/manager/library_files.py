@@ -61,6 +61,11 @@ class LibraryFiles:
         self._stamps: dict[str, Stamp | None] = {}
         self._labels: dict[str, frozenset[str]] = {}
 
+    @property
+    def labels(self) -> frozenset[str]:
+        """Labels of the transformations that the files have."""
+        return frozenset().union(*self._labels.values())
+
     def ontology(self) -> Ontology | None:
         """Read the ontology at the start; None without files.
 
@@ -163,8 +168,7 @@ class LibraryFiles:
 
     def _forget(self, library: Library, labels: Collection[str]) -> None:
         """Remove transformations that no file has any more."""
-        kept = frozenset().union(*self._labels.values())
-        for label in sorted(set(labels) - kept):
+        for label in sorted(set(labels) - self.labels):
             if label in library:
                 library.remove(label)
                 rospy.loginfo("transformation '%s' is removed: no file has it any more", label)

@@ -7,17 +7,18 @@ Ownership: ``ManagerNode`` owns the store, the nodelet managers that it started,
 manager, and its connections with ROS: services, topics, and bonds with the clients of claims. Its
 periodic work is keys of one control loop: observing processes, reconciling claims, publishing the
 model, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and rosnode
-kill end it on purpose: nodelets, claims and nodelet managers end too. A manager that is killed
-leaves them, and its next life takes them over. When the master reports that another node bears the
-name, it does not end (``dyknow.ros.manager.tenure``).
+kill end it on purpose: nodelets, claims and nodelet managers end too, unless they are to be kept.
+A manager that is killed leaves them, and its next life takes them over. When the master reports
+that another node bears the name, it does not end (``dyknow.ros.manager.tenure``).
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import sys
-from typing import Any, Collection, Mapping, Sequence
+from typing import Any, Callable, Collection, Mapping, NamedTuple, Sequence
 
 import rosgraph.names
 import rospy
@@ -46,6 +47,7 @@ from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.manager.boot_wiring import BootWiring
 from dyknow.ros.manager.diagnostics import DiagnosticsTopic
 from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
@@ -79,6 +81,7 @@ _BACK_UP = "backup"
 _WATCH = "watchdog"
 _DIAGNOSE = "diagnostics"
 _FOLLOW = "looking at the files of the library"
+_BOOT = "loading the wiring"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
@@ -86,13 +89,32 @@ _SWITCH_INTERVAL = 0.0005
 _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 
 
+class WiringCalls(NamedTuple):
+    """What can be done with wirings, which are above this node.
+
+    Attributes:
+        check: raises SpecificationError; takes content, name and the most nodelets.
+        load: raises DyKnowError; takes the manager, these, and labels that stay as they are.
+    """
+
+    check: Callable[[bytes, str, int], object]
+    load: Callable[[str, bytes, str, int, Collection[str]], object]
+
+
 class ManagerNode(Closable):
     """The manager and its surroundings; the node must be initialised."""
 
-    def __init__(self, settings: ManagerSettings, loop: ControlLoop, kept: MasterKeeper) -> None:
+    def __init__(
+        self,
+        settings: ManagerSettings,
+        loop: ControlLoop,
+        kept: MasterKeeper,
+        wirings: WiringCalls,
+    ) -> None:
         """Open the state and put the parts together; they work in rounds of the ``loop``.
 
         Raises:
+            BadParameter: the wiring cannot be used.
             DyKnowError: the state or an ontology cannot be used.
         """
         node = rospy.get_name()
@@ -101,6 +123,13 @@ class ManagerNode(Closable):
         self._keeper = kept
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
+        most = settings.guards.nodelets
+        self._wiring = BootWiring(
+            settings.wiring,
+            self._store,
+            lambda data, file: wirings.check(data, file, most),
+            lambda data, file: wirings.load(node, data, file, most, self._files.labels),
+        )
         self._master = Master(node)
         self._running = running = RunningClock.started()
         context = PeerContext(
@@ -188,17 +217,24 @@ class ManagerNode(Closable):
             watchdog = Watchdog(*parts, self._reconciler.report, self._running)
             self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
+        self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)
         self._host.listen_for_nodes()
 
     def close(self) -> None:
         """End on purpose, with all nodelets, claims and nodelet managers.
+
+        If these are to be kept, they and the state are left as by a manager that was killed.
 
         A manager that leaves ends for the elder manager of its name, which has the name's nodelets
         and claims. Nothing is forgotten then: the state on disk is that of a manager that was
         killed. Its own nodelet managers end, since the elder's bear the same names; external ones
         are the elder's.
         """
-        if self.leaves:
+        keeps = self._settings.keep and not self.leaves
+        forgets = not (self.leaves or keeps)
+        if keeps:
+            rospy.loginfo("the manager %s ends, and its nodelets go on", rospy.get_name())
+        elif self.leaves:
             rospy.logwarn(
                 "an older manager %s goes on, so this one leaves; its state stays in %s",
                 rospy.get_name(),
@@ -208,18 +244,22 @@ class ManagerNode(Closable):
             rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
         self._loop.close(1.0)
-        if not self.leaves:
+        if forgets:
             in_background("ending the claims", self._reconciler.end).join(_PATIENCE)
-        self._bonds.close()
+        if not keeps:
+            self._bonds.close()
         self._model.close()
         self._diagnostics.close()
         self._fixed.close()
-        self._children.end_all()
+        if not keeps:
+            self._children.end_all()
         self._loop.close(_PATIENCE)
-        if not self.leaves:
+        if forgets:
+            self._wiring.forget()
             self.manager.end()
             self._host.release()
-            self._forget_transformations()
+        if not self.leaves:
+            self._forget_files()
         self._host.close()
         self._store.close()
         self._keeper.close()
@@ -280,15 +320,14 @@ class ManagerNode(Closable):
             ", ".join(f"{count} {what}" for what, count in found.items()),
         )
 
-    def _forget_transformations(self) -> None:
-        """Delete ``~transformations``: they are in the durable library, until they are removed.
+    def _forget_files(self) -> None:
+        """Delete ``~transformations`` and ``~wiring``.
 
-        Otherwise the parameter would add them to the library of the next manager of this name.
+        Otherwise the parameters would load these files into the next manager of this name, too.
         """
-        try:
-            self._master.ask("deleteParam", names.join(self._master.caller, "transformations"))
-        except (LookupError, PeerTimeout):
-            return  # it was not set, or the ROS master is gone
+        for parameter in ("transformations", "wiring"):
+            with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no ROS master
+                self._master.ask("deleteParam", names.join(self._master.caller, parameter))
 
     def _protected(self) -> dict[str, list[str]]:
         protected: dict[str, list[str]] = {}
@@ -333,7 +372,7 @@ def _is_running(name: str) -> bool:
     return bool(pid)
 
 
-def run(argv: Sequence[str]) -> int:
+def run(argv: Sequence[str], wirings: WiringCalls) -> int:
     """Run the node until it has to end; returns the exit code."""
     name = _name_of(argv)
     tenure = Tenure(name, kept=os.environ.pop(VARIABLE, ""))
@@ -345,7 +384,7 @@ def run(argv: Sequence[str]) -> int:
         kept = MasterKeeper(Master(name), mirror_path())
         kept.look()  # first: a new master may lack our own parameters
         parameters = rospy.get_param("~", {})
-        node = _start(loop, kept)
+        node = _start(loop, kept, wirings)
         back = functools.partial(come_back, parameters)
         tenure.watch(loop, rospy.get_node_uri(), functools.partial(leave, node), back)
         return node
@@ -366,11 +405,11 @@ def run(argv: Sequence[str]) -> int:
     return code
 
 
-def _start(loop: ControlLoop, kept: MasterKeeper) -> ManagerNode:
+def _start(loop: ControlLoop, kept: MasterKeeper, wirings: WiringCalls) -> ManagerNode:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings = ManagerSettings.read()
     try:
-        node = ManagerNode(settings, loop, kept)
+        node = ManagerNode(settings, loop, kept, wirings)
     except StoreError as error:
         cause = error.__cause__
         if not isinstance(cause, OSError):

@@ -32,6 +32,8 @@ PARAMETERS = (
     "language",
     "transformations",
     "use_exports",
+    "wiring",
+    "keep",
     "spawn_timeout",
     "orphan_timeout",
     "recover",
@@ -58,6 +60,8 @@ class ManagerSettings:
         catalogues: files with the places of imported ontologies.
         language: preferred language of labels that become names.
         transformations: files of specifications, which are followed.
+        wiring: file to load at the start; empty for none.
+        keep: whether its nodelets and claims outlive an end on purpose.
         use_exports: whether the files that packages export are used too.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
@@ -76,6 +80,8 @@ class ManagerSettings:
     language: str = "en"
     transformations: tuple[str, ...] = ()
     use_exports: bool = True
+    wiring: str = ""
+    keep: bool = False
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     recover: float = 2.0
@@ -100,6 +106,8 @@ class ManagerSettings:
             catalogues=_strings("catalogues"),
             language=_string("language", cls.language),
             transformations=_strings("transformations"),
+            wiring=_string("wiring"),
+            keep=_bool("keep"),
             use_exports=_bool("use_exports", cls.use_exports),
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),

@@ -10,10 +10,12 @@ from unit.cli.fake_client import FakeClient, play, run
 from unit.manager.world import World
 
 from dyknow.errors import ManagerUnreachable, Refused
-from dyknow.model.graph import NodeletKind, SpawnRequest
-from dyknow.model.streams import StreamRequest
+from dyknow.model.graph import Model, NodeletKind, NodeletStatus, SpawnRequest, State
+from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.wiring.plan import readers_first
+from dyknow.wiring.settled import unsettled
+from dyknow.wiring.wiring import Wiring
 
 IMAGE = "sensor_msgs/Image"
 
@@ -397,3 +399,81 @@ def test_nodes_are_saved_with_their_parameters_and_those_of_others_are_connected
     assert graph(other) == graph(client)
     assert other.world.manager.graph.get("/copier").parameters == given
     assert run(other, "load w.xml --replace").code == 0
+
+
+def test_waiting_for_the_manager_and_all_of_the_wiring(file, monkeypatch):
+    client = FakeClient(World())
+    happened = []
+
+    def answer(method):
+        if len(happened) < 2:
+            raise ManagerUnreachable("the manager is not running")
+
+    def happen(seconds):
+        happened.append(seconds)
+        if len(happened) == 4:
+            client._altered.clear()
+
+    def look(call, subject):
+        if (call, subject) == ("spawn", "/robot/relay"):
+            client.fail = lambda call, subject: None
+            raise Refused("it has no device yet")
+
+    client.asked, client.fail = answer, look
+    monkeypatch.setattr("dyknow.cli.commands.save_load.time.sleep", happen)
+    show = client.get_graph
+
+    def get_graph():
+        if client.get_model().nodelet("/cam") is not None and len(happened) < 4:
+            client.alter("/cam", state=State.LOST, detail="its process has died")
+        return show()
+
+    monkeypatch.setattr(client, "get_graph", get_graph)
+    done = run(client, "load w.xml --wait")
+    assert done.code == 0, done.err
+    assert "nodelet /cam: spawned" in done.lines
+    assert [line.partition("; waiting")[0] for line in done.err.splitlines()] == [
+        "dyknow: warning: the manager is not running",
+        "dyknow: warning: spawning '/robot/relay': it has no device yet; everything is as it was",
+        "dyknow: warning: nodelet '/cam' is lost: its process has died",
+    ]
+    assert client.get_model().nodelet("/n") is not None
+
+
+def test_a_wait_has_a_limit_and_names_what_is_missing(file):
+    client = FakeClient(World())
+    done = run(client, "load w.xml --wait --within 0.000001 --dry-run")
+    assert done.code == 1
+    assert "dyknow: w.xml is not loaded completely" in done.err
+    assert "dyknow: nodelet '/cam' is not there" in done.err
+    assert "nodelet /cam: would be spawned" in done.lines
+    assert client.host.running == []
+    assert run(client, "load w.xml").code == 0
+    done = run(client, "load w.xml --wait --dry-run")
+    assert (done.code, done.err) == (0, "")
+    assert "nodelet /cam: exists already" in done.lines
+    client.alter("/cam", state=State.FAILED, detail="no device")
+    done = run(client, "load w.xml --wait --within 0.000001")
+    assert (done.code, done.err) == (1, "dyknow: nodelet '/cam' is failed: no device\n")
+
+
+def test_a_wait_is_for_the_claims_that_use_the_wiring():
+    def claim(number, state, *nodelets):
+        detail, expires = "its part died", 0.0
+        return StreamStatus(
+            *(f"c{number}", "client", f"Tag({number})", "/t", "test/T"),
+            *(state, detail, nodelets, expires),
+        )
+
+    wiring = Wiring((), (SpawnRequest("camera", "/cam"),))
+    camera = NodeletStatus("/cam", "camera", "/m", False, False, False, State.RUNNING, "", ())
+    model = Model(1, 1, (camera,))
+    streams = [
+        claim(1, ClaimState.ACTIVE, "/cam"),
+        claim(2, ClaimState.RECOVERING, "/cam", "/x"),
+        claim(3, ClaimState.PENDING, "/x"),
+        claim(4, ClaimState.RELEASED, "/cam"),
+    ]
+    assert list(unsettled(wiring, model, streams)) == [
+        "claim c2, Tag(2), is recovering: its part died"
+    ]
