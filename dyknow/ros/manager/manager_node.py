@@ -262,7 +262,8 @@ class ManagerNode(Closable):
             self._forget_files()
         self._host.close()
         self._store.close()
-        self._keeper.close()
+        if not keeps:
+            self._keeper.close()
         self._owner.release()
 
     # Rounds and changes
