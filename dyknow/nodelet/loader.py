@@ -142,6 +142,12 @@ class Loader:
         is_running = entry is not None and entry.state is _State.RUNNING
         return entry.context if entry is not None and is_running else None
 
+    def known(self, name: str) -> Context | None:
+        """Return the context of a nodelet that starts, runs or ends; None if there is none."""
+        with self._changed:
+            entry = self._entries.get(name)
+        return entry.context if entry is not None else None
+
     def get(self, name: str) -> Nodelet:
         """Return the running nodelet of that name, or raise UnknownNodelet."""
         with self._changed:

@@ -100,6 +100,7 @@ class ApiTest(NodeletManagerCase):
         # The logged position is in the nodelet's code, not in DyKnow's.
         self.assertEqual(plainly.function, "Features.log_often")
         self.assertRegex(plainly.file, "features.py$")
+        self.assertEqual(plainly.name, "/robot/n")
         self.assertIn("plainly logged", self.manager.output)
 
 

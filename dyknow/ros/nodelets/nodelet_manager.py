@@ -37,6 +37,7 @@ from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import NODES_TOPIC, Announcer
+from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
 from dyknow.ros.nodelets.process_guards import SPAWNED, ProcessGuards, caller_of
@@ -149,6 +150,8 @@ class NodeletManager(Closable):
             self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
         self._stuck.start()
+        if find_class is None:
+            NodeletLog.install(self._topics_of)
         self._services: list[Any] = []
         self._poll_service: PollService | None = None
 
@@ -208,6 +211,14 @@ class NodeletManager(Closable):
             self._guards.check_protection(caller, name)
         self.loader.unload(name)
         rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
+
+    def _topics_of(self, name: str) -> list[str] | None:
+        """List the topics of a nodelet's ports; None if there is no nodelet of that name."""
+        context = self.loader.known(name)
+        proxy = context.attached if context is not None else None
+        if isinstance(proxy, NodeletProxy):
+            return sorted({port.topic for port in proxy.get_config() if port.topic})
+        return None if context is None else []
 
     def close(self) -> None:
         """Unload everything and end.
