@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from unittest import mock
 
+import rospy
 from graph import Heard
 from manager_suite import CHILD, ManagerCase, library, specification
 from processes import DYKNOW, Ended, becomes, eventually, run
@@ -188,6 +189,17 @@ class RestartTest(ManagerCase):
         given = self.manager.nodelet("/source").parameters
         self.assertEqual(given, (Parameter("step", "int", "20"),))
         self.assertEqual(Done("set", "source", "step", "many").code, 1)
+
+    def test_a_nodelet_with_dynamic_reconfigure_reads_at_once(self):
+        ports = ">image ~image>"
+        half = specification("half", "image_proc/resize", ports, use_scale=True, scale_width=0.5)
+        self.client.add_transformation(half)
+        self.client.spawn("half", "/half")
+        done = Done("set", "half", "scale_width", "0.25", "--restart", "--json")
+        self.assertEqual((done.json["is_read"], done.err), (True, ""))
+        self.assertNotIn("restarting", self.manager.output)
+        self.assertEqual(rospy.get_param("/half/scale_width"), 0.25)
+        self.assertFalse(Done("set", "half", "unknown", "1", "--json").json["is_read"])
 
     def test_the_manager_is_killed_while_it_restarts_a_nodelet(self):
         self.client.spawn("source", "/source", {"out": "/a"}, is_protected=True)

@@ -42,6 +42,7 @@ from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
 from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.peer import Peer, host_errors
+from dyknow.ros.hosting.reconfigure import reconfigure
 from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
@@ -256,7 +257,7 @@ class RosHost(Host):
 
     def set_parameter(self, name: str, parameter: Parameter) -> bool:
         self._set_parameters(name, [parameter])
-        return False
+        return reconfigure(self._master, name, parameter)
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
         """Delete the parameters, and the namespace if nothing is left in it."""
