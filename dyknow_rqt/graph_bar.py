@@ -12,7 +12,6 @@ from python_qt_binding.QtCore import QEvent, QSize, QTimer, Signal
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
     QLabel,
     QLineEdit,
     QMenu,
@@ -36,7 +35,6 @@ _NARROW = 1.2
 #: The fields whose settings are saved, under these names.
 _CHECKS = ("dead_sinks", "leaf_topics", "debug", "nodes", "highlight")
 _CHOICES = ("mode", "direction", "boxes")
-_NUMBERS = {"depth": int, "period": float}
 _FILTERS = ("nodelets", "topics")
 
 
@@ -88,13 +86,6 @@ class GraphBar(QWidget):
             checked=True,
             toolTip="Highlight the neighbours of the thing under the pointer",
         )
-        self.period = QDoubleSpinBox()
-        self.period.setRange(0.2, 60.0)
-        self.period.setSingleStep(0.5)
-        self.period.setDecimals(1)
-        self.period.setValue(1.0)
-        self.period.setSuffix(" s")
-        self.period.setToolTip("How often rates are read; changes are shown at once")
         self.fit = QPushButton("&Fit")
         self.fit.setToolTip("Fit everything into the view (Ctrl+0)")
         self.tidy = QPushButton("Tid&y")
@@ -157,7 +148,7 @@ class GraphBar(QWidget):
         return {
             **{name: str(int(getattr(self, name).isChecked())) for name in _CHECKS},
             **{name: str(getattr(self, name).currentIndex()) for name in _CHOICES},
-            **{name: str(getattr(self, name).value()) for name in _NUMBERS},
+            "depth": str(self.depth.value()),
             **{name: getattr(self, name).text() for name in _FILTERS},
             "more": str(int(self.more.isChecked())) if self._is_chosen else "",
             "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
@@ -178,9 +169,8 @@ class GraphBar(QWidget):
                 box.setCurrentIndex(int(state[name]))
         if state.get("more") in ("0", "1"):
             self._choose_more(state["more"] == "1")
-        for name, kind in _NUMBERS.items():
-            with contextlib.suppress(KeyError, TypeError, ValueError):
-                getattr(self, name).setValue(kind(state[name]))
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            self.depth.setValue(int(state["depth"]))
 
     @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
@@ -206,9 +196,8 @@ class GraphBar(QWidget):
             edit.setMinimumWidth(150)
         for button in (self.panel, self.undo, self.redo, self.fit, self.more):
             button.setMinimumWidth(40)  # styles make them wider than their words
-        group, rate = QLabel("Gro&up:"), QLabel("&Every:")
+        group = QLabel("Gro&up:")
         group.setBuddy(self.depth)
-        rate.setBuddy(self.period)
         self._folded = [
             _together(self.mode),
             self.nodelets,
@@ -219,7 +208,6 @@ class GraphBar(QWidget):
             _together(group, self.depth, self.boxes),
             _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
             _together(QLabel("Show:"), self.nodes, self.highlight),
-            _together(rate, self.period),
         ]
         for part in (
             _together(self.panel, self.search, self.hits),

@@ -359,7 +359,6 @@ class GraphPanel(QWidget):
         bar.options_changed.connect(self.redraw)
         bar.structure_changed.connect(self.tidy)
         bar.highlight.toggled.connect(self._set_highlights)
-        bar.period.valueChanged.connect(monitor.set_period)
         bar.refresh.clicked.connect(self._refresh)
         bar.undo.clicked.connect(monitor.undo)
         bar.redo.clicked.connect(monitor.redo)

@@ -9,7 +9,6 @@ thread of the window only; everything that may block is called in the background
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
 from dataclasses import dataclass
@@ -19,7 +18,6 @@ from typing import (
     Callable,
     Dict,
     FrozenSet,
-    List,
     Optional,
     Sequence,
     Tuple,
@@ -31,12 +29,11 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import State
+from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
-from dyknow_rqt.graph.contact import PATIENCE
-from dyknow_rqt.graph.rates import Meter, in_turns
+from dyknow_rqt.graph.rates import Meter
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
@@ -45,16 +42,14 @@ from dyknow_rqt.remote import Remote
 if TYPE_CHECKING:
     from dyknow.formulas import Verdict
     from dyknow.model.graph import Model
-    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.statistics import NodeletCount
     from dyknow.model.streams import StreamStatus
 
 T = TypeVar("T")
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-#: Nodelets whose statistics are read in one look; the rest follow in the next.
-_ASKED = 40
-#: Seconds that reading the statistics may take in one look.
-_ASKING = 1.0
+#: Milliseconds from look to look.
+_PERIOD = 1000
 #: Milliseconds for which verdicts are gathered before they are shown.
 _GATHERING = 100
 #: The master's state is queried at most in one of so many parts of the time.
@@ -66,7 +61,6 @@ class _Looked:
     model: Model
     nodes: Tuple[PlainNode, ...]
     taken: FrozenSet[str]
-    statistics: Tuple[Tuple[str, Optional[NodeletStatistics], float], ...]
 
 
 class GraphMonitor(QObject):
@@ -93,7 +87,7 @@ class GraphMonitor(QObject):
     #: What undo and redo would do now.
     history_changed = Signal(str, str)
 
-    def __init__(self, remote: Remote, period: float = 1.0) -> None:
+    def __init__(self, remote: Remote) -> None:
         super().__init__()
         self.remote = remote
         self._client = remote.client
@@ -106,12 +100,11 @@ class GraphMonitor(QObject):
         self._meter = Meter()
         self._revision = -1
         self._library_revision = -1
-        self._turn = 0
-        self._look_began = 0.0
         self._looking = self._changing = self._reading = False
         self._system: Tuple[Side, Side] = ((), ())
         self._system_due = 0.0
         self._timer = QTimer(self)
+        self._timer.setInterval(_PERIOD)
         self._timer.timeout.connect(self.look)
         self._heard: Optional[Model] = None
         self._drawing = QTimer(self)
@@ -126,13 +119,13 @@ class GraphMonitor(QObject):
         self._gathering.setSingleShot(True)
         self._gathering.setInterval(_GATHERING)
         self._gathering.timeout.connect(self._tell_verdicts)
-        self.set_period(period)
 
     def start(self) -> None:
         self.remote.start(
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
             self._hear_verdict,
+            self._hear_counts,
         )
         self.heart.start()
         self._timer.start()
@@ -146,9 +139,6 @@ class GraphMonitor(QObject):
         self.heart.close()
         self._calls.close()
         self.remote.close()
-
-    def set_period(self, seconds: float) -> None:
-        self._timer.setInterval(max(100, int(seconds * 1000)))
 
     @property
     def is_linked(self) -> bool:
@@ -164,18 +154,9 @@ class GraphMonitor(QObject):
     @qt_slot
     def look(self) -> None:
         """Read everything now, unless that is under way."""
-        if self._looking:
-            if time.monotonic() - self._look_began > PATIENCE:
-                self._forget_rates()  # a nodelet does not answer
-        else:
-            self._looking, self._look_began = True, time.monotonic()
-            names, self._turn = in_turns(
-                # A lost one would delay the rest.
-                (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
-                self._turn,
-                _ASKED,
-            )
-            self._calls.run(lambda: self._looked(names), self._take_look, self._take_failure)
+        if not self._looking:
+            self._looking = True
+            self._calls.run(self._looked, self._take_look, self._take_failure)
 
     @qt_slot
     def read_library(self) -> None:
@@ -292,7 +273,7 @@ class GraphMonitor(QObject):
     def _tell_history(self) -> None:
         self.history_changed.emit(*self.history.texts)
 
-    def _looked(self, names: Tuple[str, ...]) -> _Looked:
+    def _looked(self) -> _Looked:
         """Read everything for a look; in the background."""
         model = self.remote.graph()
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
@@ -304,16 +285,7 @@ class GraphMonitor(QObject):
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
             pass  # the master's last state is shown
-        statistics: List[Tuple[str, Optional[NodeletStatistics], float]] = []
-        end = time.monotonic() + _ASKING
-        for name in names:
-            if time.monotonic() > end:
-                break
-            answer = None
-            with contextlib.suppress(DyKnowError):  # it is gone, or hangs; the model says so
-                answer = self._client.get_statistics(name)
-            statistics.append((name, answer, time.monotonic()))
-        return _Looked(model, nodes, taken, tuple(statistics))
+        return _Looked(model, nodes, taken)
 
     def _system_state(self) -> Tuple[Side, Side]:
         """Ask the master, unless its answers took a large part of the time; in the background."""
@@ -330,12 +302,6 @@ class GraphMonitor(QObject):
             if self._heard is not None and self._heard.revision <= looked.model.revision:
                 self._heard = None  # an older model
             self._take_model(looked.model, looked.nodes, looked.taken)
-        for name, statistics, moment in looked.statistics:
-            if statistics is None:
-                self._meter.miss(name)
-            else:
-                self._meter.note(name, statistics, moment)
-        self._tell_rates()
 
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
@@ -381,17 +347,25 @@ class GraphMonitor(QObject):
     def _take_failure(self, error: Exception) -> None:
         self._looking = False
         self._log_unexpected(error)
-        self._forget_rates()
 
-    def _forget_rates(self) -> None:
-        self._meter.keep(())
-        self.measured.emit(self._meter.traffic)
+    def _hear_counts(self, counts: Sequence[NodeletCount]) -> None:
+        """Take the counts that the manager publishes; in any thread."""
+        moment = time.monotonic()
+        self._calls.deliver(lambda: self._take_counts(counts, moment))
+
+    def _take_counts(self, counts: Sequence[NodeletCount], moment: float) -> None:
+        self.heart.note_word()
+        self._meter.take(counts, moment)
+        self.measured.emit(dict(self._meter.traffic))
 
     def _tell_rates(self) -> None:
-        """Tell the rates of the nodelets that run."""
-        nodelets = self.snapshot.nodelets
-        self._meter.keep(each.name for each in nodelets if each.state is State.RUNNING)
-        self.measured.emit(self._meter.traffic)
+        """Tell the rates of the nodelets that run, if the manager answers."""
+        nodelets = self.snapshot.nodelets if self.is_linked else ()
+        running = [each for each in nodelets if each.state is State.RUNNING]
+        self._meter.keep(
+            {PortRef(n.name, port.name): port.topic for n in running for port in n.ports}
+        )
+        self.measured.emit(dict(self._meter.traffic))
 
     def _follow_verdicts(self) -> None:
         sources = verdict_sources(self.snapshot.nodelets)
@@ -431,8 +405,7 @@ class GraphMonitor(QObject):
         if is_linked:
             self._revision = self._library_revision = -1
             self.look()
-        else:
-            self._forget_rates()
+        self._tell_rates()
 
 
 def _words(error: Any) -> str:

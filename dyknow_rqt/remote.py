@@ -9,11 +9,12 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import AbstractSet, Callable, Tuple
+from typing import AbstractSet, Callable, Sequence, Tuple
 
 from dyknow.formulas import Verdict
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model
+from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
 from dyknow_rqt.graph.snapshot import Side
 
@@ -43,8 +44,9 @@ class Remote(ABC):
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
         on_verdict: Callable[[str, Verdict], None],
+        on_counts: Callable[[Sequence[NodeletCount]], None],
     ) -> None:
-        """Listen to the model and to the events of streams; each is handed on, in any thread.
+        """Listen to the model, events of streams and counts; each is handed on, in any thread.
 
         Verdicts are handed on with their topic, each as the first of the equal ones.
         """

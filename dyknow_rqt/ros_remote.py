@@ -3,7 +3,7 @@
 
 """The window's view on ROS: the manager's client, its topics, the master. No Qt here.
 
-``RosRemote`` owns two connections to topics of the manager, and one to each topic of verdicts. It
+``RosRemote`` owns connections to three topics of the manager, and to each topic of verdicts. It
 registers nothing with the master, so it needs no node, outlives any master, and leaves nothing
 behind.
 """
@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import AbstractSet, Callable, Dict, Optional, Tuple
+from typing import AbstractSet, Callable, Dict, Optional, Sequence, Tuple
 
+from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from dyknow_msgs.msg import Verdict as VerdictMessage
@@ -21,10 +22,11 @@ from dyknow_msgs.msg import Verdict as VerdictMessage
 from dyknow import names
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
+from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.messages import event_from, model_from
+from dyknow.ros.wire.messages import counts_from, event_from, model_from
 from dyknow.ros.wire.topic_reader import TopicFollower
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
@@ -57,6 +59,12 @@ class RosRemote(Remote):
         self._events = TopicFollower(
             master, self.manager, topic, StreamEventMessage, self._hear_event
         )
+        self._on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
+        topic = names.join(self.manager, "counts")
+        self._counts = TopicFollower(
+            master, self.manager, topic, CountsMessage, self._hear_counts, last_only=True
+        )
+        self._followers = (self._models, self._events, self._counts)
         self._verdicts: Dict[Tuple[str, str], TopicFollower] = {}
 
     def start(
@@ -64,10 +72,12 @@ class RosRemote(Remote):
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
         on_verdict: Callable[[str, Verdict], None],
+        on_counts: Callable[[Sequence[NodeletCount]], None],
     ) -> None:
         self._on_model, self._on_event, self._on_verdict = on_model, on_event, on_verdict
-        self._models.start()
-        self._events.start()
+        self._on_counts = on_counts
+        for follower in self._followers:
+            follower.start()
 
     def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
         for source in self._verdicts.keys() - sources:
@@ -81,8 +91,8 @@ class RosRemote(Remote):
             follower.start()
 
     def close(self) -> None:
-        self._models.close()
-        self._events.close()
+        for follower in self._followers:
+            follower.close()
         self.follow_verdicts(frozenset())
 
     def graph(self) -> Model:
@@ -104,8 +114,8 @@ class RosRemote(Remote):
             return ""
         if self._address not in ("", address):
             self.client.close()
-            self._models.reconnect()
-            self._events.reconnect()
+            for follower in self._followers:
+                follower.reconnect()
         self._address = address
         return address
 
@@ -117,6 +127,9 @@ class RosRemote(Remote):
 
     def _hear_event(self, message: StreamEventMessage) -> None:
         self._on_event(event_from(message))
+
+    def _hear_counts(self, message: CountsMessage) -> None:
+        self._on_counts(counts_from(message))
 
     def _hear_verdict(self, topic: str, message: VerdictMessage) -> None:
         since = message.since.to_nsec()

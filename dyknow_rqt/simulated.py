@@ -5,15 +5,21 @@
 
 from __future__ import annotations
 
-from typing import AbstractSet, Callable, Dict, Iterable, List, Tuple
+import contextlib
+from typing import AbstractSet, Callable, Dict, Iterable, List, Sequence, Tuple
 
-from dyknow.errors import PeerTimeout
+from dyknow.errors import HostError, PeerTimeout
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
+from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
+from dyknow.periodic import PeriodicWorker
 from dyknow.simulated import SimulatedManagerClient
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
+
+#: Seconds.
+_COUNTS_PERIOD = 0.3
 
 
 class SimulatedRemote(Remote):
@@ -38,15 +44,19 @@ class SimulatedRemote(Remote):
         self.followed: AbstractSet[Tuple[str, str]] = frozenset()
         self._verdicts: Dict[str, Verdict] = {}
         self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
+        self._on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
+        self._counting = PeriodicWorker("simulated counts", self._count, _COUNTS_PERIOD)
 
     def start(
         self,
         on_model: Callable[[Model], None],
         on_event: Callable[[StreamEvent], None],
         on_verdict: Callable[[str, Verdict], None],
+        on_counts: Callable[[Sequence[NodeletCount]], None],
     ) -> None:
         self.client.on_model, self.client.on_event = on_model, on_event
-        self._on_verdict = on_verdict
+        self._on_verdict, self._on_counts = on_verdict, on_counts
+        self._counting.start()
 
     def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
         self.followed = sources
@@ -60,6 +70,7 @@ class SimulatedRemote(Remote):
     def close(self) -> None:
         self.client.on_model = lambda model: None
         self.client.on_event = lambda event: None
+        self._counting.close()
 
     def graph(self) -> Model:
         return self.client.get_graph()
@@ -72,6 +83,10 @@ class SimulatedRemote(Remote):
     def find_manager(self) -> str:
         self._ask_master()
         return self.address
+
+    def _count(self) -> None:
+        with contextlib.suppress(HostError):
+            self._on_counts(self.client.counts())
 
     def _hand_on(self, topics: Iterable[str]) -> None:
         followed = {topic for _, topic in self.followed}

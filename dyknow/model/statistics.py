@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Mapping, Optional, Tuple
 
 
 @dataclass(frozen=True)
@@ -54,3 +54,20 @@ class NodeletStatistics:
     reconfigurations: int
     callback_errors: Optional[int]
     ports: Tuple[PortStatistics, ...]
+
+
+@dataclass(frozen=True)
+class NodeletCount:
+    """Counts of a nodelet at one moment.
+
+    Attributes:
+        nodelet: its name.
+        uptime: the moment, in seconds since it was loaded, steady.
+        reconfigurations: how often its ports had been connected elsewhere before.
+        ports: messages and dropped messages by port.
+    """
+
+    nodelet: str
+    uptime: float
+    reconfigurations: int
+    ports: Mapping[str, Tuple[int, int]]

@@ -32,7 +32,7 @@ from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
-from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
     Replanned,
@@ -250,6 +250,16 @@ class SimulatedManagerClient(BaseManagerClient):
             ports = tuple(self._port(nodelet, port, age) for port in self._ports(nodelet))
             return NodeletStatistics(age, 0, 0, ports)
 
+    def counts(self) -> tuple[NodeletCount, ...]:
+        """Return the counts of all nodelets that run, as the manager's node publishes them."""
+        with self._request("counts"):
+            age, found = time.monotonic() - self._start, []
+            for name in self.host.running:
+                ports = [self._port(name, port, age) for port in self.host.ports(name)]
+                counts = {each.port: (each.messages or 0, each.dropped or 0) for each in ports}
+                found.append(NodeletCount(name, age, 0, counts))
+            return tuple(found)
+
     def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         with self._request("plan_stream" if dry_run else "acquire_stream", request.tag):
             try:
@@ -336,10 +346,11 @@ class SimulatedManagerClient(BaseManagerClient):
     def _port(self, nodelet: str, port: PortState, age: float) -> PortStatistics:
         rate, lost = self.rates.get((nodelet, port.name), (0.0, 0.0))
         if port.direction == IN and port.topic and (nodelet, port.name) not in self.rates:
+            topics = {name: self.host.ports(name) for name, _ in self.rates}
             rate = sum(
-                self.rates.get((each.name, other.name), (0.0, 0.0))[0]
-                for each in self.core.graph.all()
-                for other in each.ports
+                self.rates.get((name, other.name), (0.0, 0.0))[0]
+                for name, ports in topics.items()
+                for other in ports
                 if other.direction == OUT and other.topic == port.topic
             )
         counts = int(rate * age), int(lost * age)

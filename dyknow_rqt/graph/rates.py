@@ -1,23 +1,24 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Rates of ports, from readings of their statistics."""
+"""Rates of ports, from the counts that the manager publishes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Dict, Iterable, Tuple
+from dataclasses import dataclass, field
+from typing import Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 from dyknow.model.graph import PortRef
+from dyknow.model.statistics import NodeletCount
 
-if TYPE_CHECKING:
-    from dyknow.model.statistics import NodeletStatistics
-
-#: Seconds over which drops are counted at least.
+#: Seconds over which rates are computed at most, and drops are counted at least.
 _STRETCH = 4.0
-#: Messages that are overdue, and seconds without one, before a stream is called silent.
-_OVERDUE = 4.0
-_SILENCE = 2.0
+#: Messages that are overdue in a stream that is silent.
+_OVERDUE = 1.4
+#: Seconds until a port whose rate is not known counts as silent.
+_UNKNOWN = 1.5
+#: Seconds between two counts of a nodelet that was stopped, or did not answer.
+_PAUSE = 2.5
 
 
 @dataclass(frozen=True)
@@ -36,80 +37,99 @@ class PortRate:
         return f"{_number(self.rate)} Hz"
 
 
-@dataclass(frozen=True)
-class _Count:
-    time: float
-    uptime: float
-    messages: int
-    dropped: int
+@dataclass
+class _Track:
+    """The counts of a port since it was connected, or began to send again.
+
+    Attributes:
+        moves: times and numbers of messages of the last counts that found new ones.
+        drops: times and numbers of drops where two stretches began.
+        is_overdue: no message came when the next was due.
+    """
+
+    moves: List[Tuple[float, int]] = field(default_factory=list)
+    drops: List[Tuple[float, int]] = field(default_factory=list)
+    is_overdue: bool = False
+
+    def take(self, time: float, messages: int, dropped: int) -> Optional[PortRate]:
+        """Take a count; returns the traffic, None while it is not known."""
+        self.drops = self.drops or [(time, dropped)]
+        if time - self.drops[-1][0] >= _STRETCH:
+            self.drops = [self.drops[-1], (time, dropped)]
+        since, before = self.drops[0]
+        drop_rate = (dropped - before) / (time - since) if time > since else 0.0
+        rate = self._rate(time, messages)
+        return None if rate is None else PortRate(rate, drop_rate, messages, dropped)
+
+    def _rate(self, time: float, messages: int) -> Optional[float]:
+        moves = self.moves
+        if not moves or messages != moves[-1][1]:
+            is_resumed = moves and time - moves[-1][0] > _STRETCH and messages > moves[-1][1] + 1
+            if self.is_overdue or is_resumed:
+                moves.clear()  # no rate is averaged over a pause
+            self.is_overdue = False
+            moves.append((time, messages))
+        while len(moves) > 2 and time - moves[0][0] > _STRETCH:
+            del moves[0]
+        (begin, first), (end, last) = moves[0], moves[-1]
+        if begin == end:
+            return 0.0 if time - end > _UNKNOWN else None
+        rate = (last - first) / (end - begin)
+        self.is_overdue = (time - end) * rate > _OVERDUE
+        return 0.0 if self.is_overdue else rate
 
 
 class Meter:
-    """Keeps the rates that the proxies report, and computes those of drops, which they only count.
+    """Computes rates from counts.
 
-    Drops are counted over the last one to two stretches of ``_STRETCH`` seconds. What a proxy
-    tells falls slowly once no messages come; here it is 0 as soon as several are overdue.
+    They begin anew when a nodelet was connected elsewhere, loaded again, or stopped for a while:
+    what was sent or dropped before says nothing about its present connections.
     """
 
     def __init__(self) -> None:
-        self._last: Dict[PortRef, Tuple[_Count, _Count]] = {}
-        #: The first readings of the present numbers of messages.
-        self._moved: Dict[PortRef, _Count] = {}
-        self._traffic: Dict[PortRef, PortRate] = {}
+        self._last: Dict[str, Tuple[float, NodeletCount]] = {}
+        self._topics: Mapping[PortRef, str] = {}
+        self._tracks: Dict[PortRef, _Track] = {}
+        #: The traffic of all ports where it is known.
+        self.traffic: Dict[PortRef, PortRate] = {}
 
-    def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
-        """Take the statistics of a nodelet at a time in seconds of a steady clock."""
-        for port in statistics.ports:
-            ref = PortRef(nodelet, port.port)
-            if port.messages is None or port.dropped is None or port.rate is None:
-                self._forget(ref)  # messages of this port are not counted
-                continue
-            count = _Count(now, statistics.uptime, port.messages, port.dropped)
-            before, begin = self._last.get(ref, (count, count))
-            if count.uptime < begin.uptime:  # loaded again: counts begin at zero
-                before = begin = count
-            elif now - begin.time >= _STRETCH:
-                before, begin = begin, count
-            self._last[ref] = before, begin
-            seconds = now - before.time
-            drops = (count.dropped - before.dropped) / seconds if seconds > 0 else 0.0
-            moved = self._moved.get(ref, count)
-            if moved.messages != count.messages:
-                moved = count
-            self._moved[ref] = moved
-            is_silent = (now - moved.time) * port.rate > _OVERDUE and now - moved.time > _SILENCE
-            rate = 0.0 if is_silent else port.rate
-            self._traffic[ref] = PortRate(rate, drops, port.messages, port.dropped)
+    def take(self, counts: Iterable[NodeletCount], now: float) -> None:
+        """Take the counts that came ``now``, in seconds of a steady clock."""
+        for each in counts:
+            _, before = self._last.get(each.nodelet, (now, each))
+            self._last[each.nodelet] = now, each
+            if each.reconfigurations != before.reconfigurations or not (
+                0.0 <= each.uptime - before.uptime < _PAUSE
+            ):
+                self._forget({each.nodelet})
+            for port, (messages, dropped) in each.ports.items():
+                ref = PortRef(each.nodelet, port)
+                if ref not in self._topics:
+                    continue
+                track = self._tracks.setdefault(ref, _Track())
+                traffic = track.take(each.uptime, messages, dropped)
+                if traffic is None:
+                    self.traffic.pop(ref, None)
+                else:
+                    self.traffic[ref] = traffic
+        missed = {name for name, (came, _) in self._last.items() if now - came > _PAUSE}
+        for name in missed:
+            del self._last[name]
+        self._forget(missed)
 
-    def miss(self, nodelet: str) -> None:
-        """Note that a nodelet did not answer: its rates are unknown."""
-        for ref in [ref for ref in self._traffic if ref.nodelet == nodelet]:
-            self._forget(ref)
+    def keep(self, topics: Mapping[PortRef, str]) -> None:
+        """Measure these ports from now on, and anew if their topics are others than before."""
+        before, self._topics = self._topics, topics
+        self._drop(ref for ref in before if before[ref] != topics.get(ref))
 
-    def keep(self, nodelets: Iterable[str]) -> None:
-        names = set(nodelets)
-        for ref in [ref for ref in self._traffic if ref.nodelet not in names]:
-            self._forget(ref)
+    def _forget(self, nodelets: Set[str]) -> None:
+        if nodelets:
+            self._drop(ref for ref in self._topics if ref.nodelet in nodelets)
 
-    @property
-    def traffic(self) -> Dict[PortRef, PortRate]:
-        """The rates of all ports that were measured."""
-        return dict(self._traffic)
-
-    def _forget(self, ref: PortRef) -> None:
-        self._last.pop(ref, None)
-        self._moved.pop(ref, None)
-        self._traffic.pop(ref, None)
-
-
-def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, ...], int]:
-    """Return the next names in a round, and where to begin next time."""
-    ordered = sorted(names)
-    if not ordered:
-        return (), 0
-    start %= len(ordered)
-    chosen = (ordered + ordered)[start : start + min(count, len(ordered))]
-    return tuple(chosen), (start + len(chosen)) % len(ordered)
+    def _drop(self, refs: Iterable[PortRef]) -> None:
+        for ref in refs:
+            self._tracks.pop(ref, None)
+            self.traffic.pop(ref, None)
 
 
 def _number(value: float) -> str:

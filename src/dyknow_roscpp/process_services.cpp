@@ -153,12 +153,15 @@ dyknow_msgs::NodeletCounts countsOf(const NodeletProxy& proxy)
   dyknow_msgs::NodeletCounts nodelet;
   nodelet.nodelet = proxy.name;
   nodelet.uptime = toRos(Clock::now() - proxy.started);
+  nodelet.reconfigurations = proxy.reconfigurations();  // before the counts
   for (const auto& each : sortedPorts(proxy))
   {
     dyknow_msgs::PortCount port;
     port.port = each.name;
     port.direction = directionOf(*each.port);
-    port.messages = each.port->statistics().messages;
+    const auto counts = each.port->statistics();
+    port.messages = counts.messages;
+    port.dropped = counts.dropped;
     port.latched = each.port->latched;
     port.age = std::numeric_limits<double>::quiet_NaN();  // not measured here
     nodelet.ports.push_back(port);

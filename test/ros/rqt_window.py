@@ -83,7 +83,7 @@ class WindowTest(Window, ManagerCase):
         window = self.open()
         monitor, scene, sign = self.monitor, self.scene, window.graph.sign
         until(lambda: sign.text() == "waiting for /dyknow_manager", "it says that nobody is there")
-        self.started()
+        manager = self.started()
         until(lambda: "No nodelets yet" in sign.text(), "the manager is found")
         until(lambda: "counter" in window.library.table.names(), "the library is shown")
 
@@ -121,6 +121,17 @@ class WindowTest(Window, ManagerCase):
         )
         heard = self.enter(Heard("/end"))
         until(lambda: len(heard) > 5, "messages flow through what was connected")
+
+        def sent() -> list[float]:
+            found = [item.traffic for edge, item in scene.edges.items() if edge.tail == "n_/relay"]
+            return [traffic.rate for traffic in found if traffic is not None]
+
+        until(lambda: any(sent()), "its rate is shown")
+        with manager.child_stopped():
+            until(lambda: not sent(), "a process that stands still has no rate")
+        until(lambda: any(sent()), "it goes on")
+        manager.client.set_config("/count", {"out": ""})
+        until(lambda: sent() == [0.0], "nothing is sent any more")
         window.graph.bar.debug.setChecked(False)  # this node is named like rqt's
         window.graph.bar.nodes.setChecked(True)
         me = f"p_{rospy.get_name()}"

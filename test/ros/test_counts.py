@@ -13,7 +13,7 @@ import time
 import rospy
 from dyknow_msgs.msg import NodeletCounts, Port, PortCount
 from dyknow_msgs.srv import Poll, PollResponse
-from graph import NodeletManagerCase, call, poll
+from graph import NodeletManagerCase, call, connect, poll
 from nodelet.srv import NodeletList
 from processes import TellingCase, becomes, eventually, run, suspended
 from std_msgs.msg import Header
@@ -55,6 +55,12 @@ class ServiceTest(NodeletManagerCase):
         self.assertEqual(self.ask(), {})
         (counts,) = poll("/robot/counted", "/c").counts
         self.assertGreater(counts.uptime.to_sec(), 0)
+        self.assertEqual(counts.reconfigurations, 0)
+        connect("/b", out="")
+        call("/b", "publish", 0, 4)
+        (counts,) = poll("/robot/counted", "/b").counts
+        self.assertEqual((counts.reconfigurations, counts.ports[0].dropped), (1, 4))
+        (counts,) = poll("/robot/counted", "/c").counts
         self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
         self.manager.unload("/a")
         self.assertEqual(self.ask("/a"), {})
@@ -117,8 +123,8 @@ class CountingTest(TellingCase):
 
     def good(self, request):
         ports = [
-            PortCount("in", Port.IN, 1, False, math.nan),
-            PortCount("out", Port.OUT, 7, True, 0.5),
+            PortCount("in", Port.IN, 1, False, math.nan, 0),
+            PortCount("out", Port.OUT, 7, True, 0.5, 0),
         ]
         return PollResponse(counts=[NodeletCounts(nodelet="/there", ports=ports)])
 
@@ -127,7 +133,7 @@ class CountingTest(TellingCase):
         if request.counted:
             self.asked.append(request.counted)
             self.awake.wait()
-        ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
+        ports = [PortCount("out", Port.OUT, 3, False, math.nan, 0)]
         return PollResponse(counts=[NodeletCounts(nodelet="/late", ports=ports)])
 
     def test_who_is_there_and_who_is_not(self):

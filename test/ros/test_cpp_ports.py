@@ -142,6 +142,8 @@ class MoveTest(CppCase):
         self.sends(10)
         counts = graph.port_statistics("/source", "out")
         self.assertEqual((counts.messages, counts.dropped, counts.topic), (0, 10, ""))
+        (polled,) = graph.poll(MANAGER, "/source").counts
+        self.assertEqual((polled.ports[0].dropped, polled.reconfigurations), (10, 1))
         self.assertEqual(report("/source")["listeners"], 0)
         self.assertEqual(report("/sink")["received"], 0)
 

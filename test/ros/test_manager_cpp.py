@@ -15,8 +15,10 @@ import cpp_suite
 import rospkg
 import rospy
 from cpp_suite import Camera
+from dyknow_msgs.msg import Counts
 from dyknow_msgs.srv import GetStatistics
-from manager_suite import CPP_CHILD, ManagerCase, registrations, specification
+from graph import Heard
+from manager_suite import CPP_CHILD, MANAGER, ManagerCase, registrations, specification
 from processes import BUSY, eventually, run
 from sensor_msgs.msg import Image
 
@@ -32,6 +34,10 @@ RELAY = specification("images", "dyknow/Relay", ">in out>", datatype="sensor_msg
 def size_on(topic: str, timeout: float = 10.0 * BUSY) -> tuple[int, int]:
     image = rospy.wait_for_message(topic, Image, timeout)
     return image.width, image.height
+
+
+def sent(counts: Counts) -> list[tuple[str, int]]:
+    return [(each.nodelet, port.messages) for each in counts.nodelets for port in each.ports]
 
 
 class CppCase(ManagerCase):
@@ -58,6 +64,8 @@ class CppTest(CppCase):
         self.assertEqual((found.manager, found.state), (CPP_CHILD, State.RUNNING))
         self.assert_declared({"image": "/copy", "~image": "/small"})
         self.assertEqual(rospy.get_param("/robot/resize/scale_width"), 0.5)
+        told = self.enter(Heard(f"{MANAGER}/counts", Counts, sent))
+        told.has(lambda sent: {"/relay", "/robot/resize"} <= {name for name, n in sent if n > 0})
 
         before = self.client.get_statistics("/robot/resize")
         self.client.set_config("/robot/resize", {"image": "/cam2/image_raw"})

@@ -15,7 +15,7 @@ import time
 from typing import Callable, Collection, Iterable, Mapping, Sequence
 
 import rosgraph.network
-from dyknow_msgs.msg import NodeletChanges
+from dyknow_msgs.msg import NodeletChanges, NodeletCounts
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
@@ -314,6 +314,16 @@ class RosHost(Host):
             else:
                 found.update(peer.counts(numbers[manager], wanted[manager], deadline))
         return found
+
+    def traffic(self) -> builtins.list[NodeletCounts]:
+        """Count the messages of all nodelets; without those whose process does not answer."""
+        deadline = time.monotonic() + _COUNTS_PATIENCE
+        asked = [
+            (peer, peer.ask_traffic())
+            for peer in self._peers()
+            if peer.state.rewirable and not peer.presence.trouble
+        ]
+        return [each for peer, number in asked for each in peer.traffic(number, deadline)]
 
     def is_stamped(self, datatype: str) -> bool | None:
         return ages.is_stamped(datatype)

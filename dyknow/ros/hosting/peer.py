@@ -19,10 +19,10 @@ import math
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Any, Collection, Dict, Iterator, Mapping, Optional
+from typing import Any, Collection, Dict, Iterator, Mapping, Optional, Sequence
 
 import rospy
-from dyknow_msgs.msg import Guards, NodeletChanges, Port
+from dyknow_msgs.msg import Guards, NodeletChanges, NodeletCounts, Port
 from dyknow_msgs.srv import PollResponse
 
 from dyknow import names
@@ -105,6 +105,8 @@ class Peer(ABC):
         self._guards: Guards | None = None  # those that its process has
         self._counted: set[str] = set()
         self._counts: Counts = {}
+        self._is_traffic_wanted = False
+        self._traffic: Sequence[NodeletCounts] = ()
         self._is_prompt = True
         self._subscriber: rospy.Subscriber | None = None
         self._key = f"polling {name}"
@@ -196,6 +198,18 @@ class Peer(ABC):
         with self._state_lock:
             return {name: self._counts.pop(name) for name in nodelets if name in self._counts}
 
+    def ask_traffic(self) -> int:
+        """Have the messages of all nodelets counted by the next poll; returns its number."""
+        self._is_traffic_wanted = True
+        return self.wake()
+
+    def traffic(self, number: int, deadline: float) -> Sequence[NodeletCounts]:
+        """Return these counts as they came; the next time if they come later."""
+        self.loop.wait_for(self._key, number, max(0.0, deadline - time.monotonic()))
+        with self._state_lock:
+            found, self._traffic = self._traffic, ()
+        return found
+
     # The end
 
     def release(self) -> None:
@@ -278,9 +292,11 @@ class Peer(ABC):
     def _poll(self, client: PollClient, counted: list[str]) -> None:
         asked, guards = time.monotonic(), self._wanted_guards()
         handed = [guards] if guards != self._guards else []
+        is_traffic, self._is_traffic_wanted = self._is_traffic_wanted, False
+        asked_for = sorted({*counted, *self.presence.nodelets}) if is_traffic else counted
         try:
             answer = client.ask(
-                POLL_TIMEOUT, counted=counted, guards=handed, **self.lease.renewal()
+                POLL_TIMEOUT, counted=asked_for, guards=handed, **self.lease.renewal()
             )
         except (HostError, PeerTimeout) as error:
             if isinstance(error, HostError):
@@ -293,9 +309,12 @@ class Peer(ABC):
         with self._state_lock:
             if client is self._client:
                 self.presence = _answered(self.presence, answer)
+            self._traffic = answer.counts if is_traffic else self._traffic
         found: Counts = dict.fromkeys(counted)
         answered = time.monotonic()
         for each in answer.counts:
+            if each.nodelet not in found:
+                continue
             out_ports = (port for port in each.ports if port.direction == Port.OUT)
             found[each.nodelet] = {port.port: _count(port, asked, answered) for port in out_ports}
         self._note_counts(found)

@@ -6,7 +6,7 @@
 Ownership: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
 manager, and its connections with ROS: services, topics, and bonds with the clients of claims. Its
 periodic work is keys of one control loop: observing processes, reconciling claims, publishing the
-model, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and rosnode
+model and counts, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and rosnode
 kill end it on purpose: nodelets, claims and nodelet managers end too, unless they are to be kept.
 A manager that is killed leaves them, and its next life takes them over. When the master reports
 that another node bears the name, it does not end (``dyknow.ros.manager.tenure``).
@@ -52,7 +52,12 @@ from dyknow.ros.manager.diagnostics import DiagnosticsTopic
 from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
 from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
-from dyknow.ros.manager.services import EventTopic, ManagerServices, ModelTopic
+from dyknow.ros.manager.services import (
+    CountsTopic,
+    EventTopic,
+    ManagerServices,
+    ModelTopic,
+)
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.process_guards import to_environment
@@ -82,6 +87,7 @@ _WATCH = "watchdog"
 _DIAGNOSE = "diagnostics"
 _FOLLOW = "looking at the files of the library"
 _BOOT = "loading the wiring"
+_COUNT = "counting messages"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
@@ -190,6 +196,7 @@ class ManagerNode(Closable):
             lambda: map(self._answers.status, self._reconciler.claims()),
             lambda: self._store.trouble or self._store.complaint,
         )
+        self._counts = CountsTopic(self._host.traffic)
         self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
         self._loop.start()
         self._introduce()
@@ -218,6 +225,7 @@ class ManagerNode(Closable):
             self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)
+        self._loop.add(_COUNT, self._counts.publish, 0.0)
         self._host.listen_for_nodes()
 
     def close(self) -> None:
@@ -250,6 +258,7 @@ class ManagerNode(Closable):
             self._bonds.close()
         self._model.close()
         self._diagnostics.close()
+        self._counts.close()
         self._fixed.close()
         if not keeps:
             self._children.end_all()

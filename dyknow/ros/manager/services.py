@@ -36,6 +36,8 @@ from dyknow.ros.wire.model_messages import ModelMessages
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000
+#: Seconds between two messages of counts: a stream that stops is silent in one of them within 2 s.
+_COUNTS_PERIOD = 0.8
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -334,6 +336,22 @@ class ModelTopic:
             if revisions != self._shown:
                 self._publisher.publish(self._messages.topic(model))
                 self._shown = revisions
+
+
+class CountsTopic:
+    """The topic of the counts of messages; they are counted while there are subscribers."""
+
+    def __init__(self, count: Callable[[], list[msg.NodeletCounts]]) -> None:
+        """Advertise the topic; ``count`` asks the nodelets."""
+        self._count = count
+        self._publisher = rospy.Publisher("~counts", msg.Counts, queue_size=1)
+        self.close = self._publisher.unregister
+
+    def publish(self) -> float:
+        """Publish the present counts; returns the seconds until the next."""
+        if self._publisher.get_num_connections():
+            self._publisher.publish(msg.Counts(self._count()))
+        return _COUNTS_PERIOD
 
 
 class EventTopic:

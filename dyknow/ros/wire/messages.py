@@ -22,7 +22,7 @@ from genpy import Duration, Time, TVal
 from dyknow.errors import Result, StreamRefused
 from dyknow.guards import Guards
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
-from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
     ClaimState,
@@ -203,10 +203,23 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
             messages=each.messages or 0,
             latched=each.latched,
             age=math.nan if each.age is None else each.age,
+            dropped=each.dropped or 0,
         )
         for each in sorted(statistics.ports, key=lambda each: each.port)
     ]
     return _message(msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports)
+
+
+def counts_from(message: msg.Counts) -> tuple[NodeletCount, ...]:
+    return tuple(
+        NodeletCount(
+            each.nodelet,
+            each.uptime.to_sec(),
+            each.reconfigurations,
+            {port.port: (port.messages, port.dropped) for port in each.ports},
+        )
+        for each in message.nodelets
+    )
 
 
 # Guards of one manager, which has one allow list at most

@@ -14,12 +14,13 @@ from io import BytesIO
 import pytest
 import rospy
 from dyknow_msgs import srv
+from dyknow_msgs.msg import Counts
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
 from dyknow.errors import Result, StreamRefused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
-from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
     ClaimState,
@@ -132,6 +133,8 @@ def test_the_counts_of_a_nodelet():
     assert (counted.latched, counted.age) == (True, 0.25)
     assert (unknown.port, unknown.direction, unknown.messages) == ("in", 0, 0)
     assert unknown.age != unknown.age
+    (count,) = messages.counts_from(sent(Counts([arrived])))
+    assert count == NodeletCount("/n", 1.5, 2, {"in": (0, 0), "out": (2**32, 3)})
 
 
 def test_the_lists_of_a_request_are_sorted_sets():

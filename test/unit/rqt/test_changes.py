@@ -11,7 +11,6 @@ import pytest
 
 from dyknow.errors import DyKnowError, InvalidName
 from dyknow.model.graph import PortRef, SpawnRequest
-from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.example_graphs import soccer
@@ -27,7 +26,6 @@ from dyknow_rqt.graph.changes import (
     remove_transformations,
     spawn,
 )
-from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners, topics_for
 
@@ -168,50 +166,3 @@ def test_history_is_a_pair_of_stacks(remote):
     history.note_undone()
     history.note(two)
     assert history.texts == ("protect /nao1/resize", "")
-
-
-def counts(uptime, messages, dropped):
-    port = PortStatistics("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0)
-    return NodeletStatistics(uptime, 0, 0, (port,))
-
-
-def test_rates_are_those_of_the_proxies_and_drops_are_counted_over_seconds():
-    meter, ref = Meter(), PortRef("/n", "out")
-    for second in range(12):  # 0.7 Hz that are dropped, as whole messages
-        meter.note("/n", counts(10 + second, 100 + second, 7 * second // 10), 50.0 + second)
-        assert meter.traffic[ref].rate == 7.0
-        assert second < 4 or 0.5 <= meter.traffic[ref].drop_rate <= 0.9
-    assert meter.traffic[ref].text == "7.0 Hz\n−0.71/s"
-    meter.note("/n", counts(1, 3, 0), 64.0)  # loaded again
-    assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
-    assert meter.traffic[ref].text == "7.0 Hz"
-    for forget in (
-        lambda: meter.note("/n", counts(2, None, None), 65.0),  # nobody counts any more
-        lambda: meter.miss("/n"),
-        lambda: meter.keep(["/other"]),
-    ):
-        forget()
-        assert meter.traffic == {}
-        meter.note("/n", counts(3, 9, 0), 66.0)
-
-
-def test_a_stream_whose_messages_are_overdue_has_no_rate():
-    meter, ref = Meter(), PortRef("/n", "out")
-    for second, messages, rate in (
-        *((0, 100, 7.0), (1, 107, 7.0), (2, 107, 7.0), (3, 107, 7.0)),  # may still be late
-        *((4, 107, 0.0), (60, 107, 0.0), (61, 108, 7.0)),
-    ):
-        meter.note("/n", counts(10 + second, messages, 0), 50.0 + second)
-        assert meter.traffic[ref].rate == (7.0 if rate else 0.0), second
-    assert meter.traffic[ref].text == "7.0 Hz"
-    meter.note("/n", counts(80, 108, 0), 120.0)
-    assert meter.traffic[ref].text == "0 Hz"
-
-
-def test_everybody_has_a_turn():
-    assert in_turns([], 3, 2) == ((), 0)
-    turn, asked = 0, []
-    for _ in range(3):
-        names, turn = in_turns(["c", "a", "b"], turn, 2)
-        asked += names
-    assert asked == ["a", "b", "c", "a", "b", "c"]

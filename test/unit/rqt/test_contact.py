@@ -147,7 +147,6 @@ def test_a_nodelet_that_is_lost_has_no_rate(qtbot, window, remote):
     edges = window.graph.view.scene().edges
     arrow = next(edge for edge in edges if edge.tail == "n_/nao1/resize")
     until(qtbot, lambda: edges[arrow].traffic is not None)
-    window.monitor.set_period(60.0)
     remote.client.alter("/nao1/resize", state=State.LOST)
     until(qtbot, lambda: edges[arrow].traffic is None)
 

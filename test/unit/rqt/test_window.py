@@ -24,7 +24,6 @@ from dyknow_rqt.window import DyKnowWidget, make_room
 def test_a_manager_that_hangs_does_not_hold_up_the_window(qtbot, window, remote):
     answers, ticks, timer = remote.client.answers, [], QTimer()
     answers.clear()
-    window.monitor.set_period(0.1)
     timer.timeout.connect(lambda: ticks.append(1))
     timer.start(10)
     last = threading.Timer(PATIENCE, answers.set)
@@ -89,9 +88,9 @@ def test_settings_are_kept(qtbot, window, remote):
     window.tabs.setCurrentIndex(2)
     other = DyKnowWidget(remote)
     qtbot.addWidget(other, before_close_func=lambda w: w.shut_down())
-    other.restore({**window.state(), "period": "nonsense", "tab": "2", "parts": "1,x"})
+    other.restore({**window.state(), "mode": "nonsense", "tab": "2", "parts": "1,x"})
     assert other.state()["depth"] == "1" and other.state()["topics"] == "-/x"
-    assert other.state()["period"] == "1.0" and other.tabs.currentIndex() == 2
+    assert other.state()["mode"] == "0" and other.tabs.currentIndex() == 2
 
 
 @pytest.mark.long
