@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import logging
-from typing import Sequence, Set
+from functools import partial
+from typing import Any, Callable, Sequence, Set
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -17,12 +18,12 @@ from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.remote import Remote
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-#: Milliseconds from beat to beat.
-_PERIOD = 1000
+#: Milliseconds from beat to beat, and beats from question to question.
+_PERIOD, _BEATS = 250, 4
 
 
 class Heartbeat(QObject):
-    """Tells the status of the contact once a second; the question itself has another use.
+    """Tells the status of the contact with each beat.
 
     The manager is queried for its claims, since that shows whether its services work. Master and
     manager have a thread each, so that one that hangs is not mistaken for both.
@@ -38,10 +39,12 @@ class Heartbeat(QObject):
     def __init__(self, remote: Remote) -> None:
         super().__init__()
         self._remote = remote
-        self._contact = Contact(remote.manager, remote.master)
-        self.status = self._contact.status()
+        #: Takes any word of the manager, from any thread.
+        self.contact = Contact(remote.manager, remote.master)
+        self.status = self.contact.status()
         self._calls = BackgroundCalls(2)
         self._asked: Set[str] = set()
+        self._beats = 0
         self._address = ""
         self._timer = QTimer(self)
         self._timer.setInterval(_PERIOD)
@@ -55,47 +58,61 @@ class Heartbeat(QObject):
         self._timer.stop()
         self._calls.close()
 
-    def note_word(self) -> None:
-        self._contact.hear_manager()
-        self._tell()
-
     @qt_slot
     def _beat(self) -> None:
         self._tell()
-        if "manager" not in self._asked:
-            self._asked.add("manager")
-            self._calls.run(self._remote.client.list_streams, self._hear, self._miss)
-        if "master" not in self._asked:
-            self._asked.add("master")
-            self._calls.run(self._remote.find_manager, self._hear_master, self._miss_master)
+        self._beats += 1
+        for peer, question, done in (
+            ("manager", self._ask_manager, self._take_streams),
+            ("master", self._ask_master, self._take_address),
+        ):
+            if peer not in self._asked and self._beats % _BEATS == 1:
+                self._asked.add(peer)
+                self._calls.run(
+                    question, partial(self._end, peer, done), partial(self._miss, peer)
+                )
 
-    def _hear(self, streams: Sequence[StreamStatus]) -> None:
-        self._asked.discard("manager")
-        self.note_word()
+    # An answer is noted at once in the thread that asked: that of the window may be at work.
+
+    def _ask_manager(self) -> Sequence[StreamStatus]:
+        try:
+            streams = self._remote.client.list_streams()
+        except DyKnowError as error:
+            self.contact.miss_manager(is_gone=not isinstance(error, PeerTimeout))
+            raise
+        self.contact.hear_manager()
+        return streams
+
+    def _ask_master(self) -> str:
+        try:
+            address = self._remote.find_manager()
+        except DyKnowError as error:
+            self.contact.miss_master(is_gone=isinstance(error.__cause__, ConnectionError))
+            raise
+        self.contact.hear_master(is_known=bool(address))
+        return address
+
+    def _end(self, peer: str, take: Callable[[Any], None], answer: Any) -> None:
+        self._asked.discard(peer)
+        self._tell()
+        take(answer)
+
+    def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
         self.listed.emit(streams)
 
-    def _miss(self, error: Exception) -> None:
-        self._asked.discard("manager")
-        if not isinstance(error, DyKnowError):
-            _LOG.error("the manager's answer cannot be read", exc_info=error)
-        self._contact.miss_manager(is_gone=not isinstance(error, PeerTimeout))
-        self._tell()
-
-    def _hear_master(self, address: str) -> None:
-        self._asked.discard("master")
-        self._contact.hear_master(is_known=bool(address))
-        self._tell()
+    def _take_address(self, address: str) -> None:
         if address and address != self._address:
             self._address = address
             self.linked.emit(self.status.is_current)
 
-    def _miss_master(self, error: Exception) -> None:
-        self._asked.discard("master")
-        self._contact.miss_master()
+    def _miss(self, peer: str, error: Exception) -> None:
+        self._asked.discard(peer)
+        if not isinstance(error, DyKnowError):
+            _LOG.error("the answer of the %s cannot be read", peer, exc_info=error)
         self._tell()
 
     def _tell(self) -> None:
-        before, self.status = self.status, self._contact.status()
+        before, self.status = self.status, self.contact.status()
         if self.status != before:
             self.told.emit(self.status)
         if self.status.is_current != before.is_current:

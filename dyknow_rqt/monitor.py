@@ -122,7 +122,7 @@ class GraphMonitor(QObject):
 
     def start(self) -> None:
         self.remote.start(
-            lambda model: self._calls.deliver(lambda: self._hear(model)),
+            self._hear_model,
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
             self._hear_verdict,
             self._hear_counts,
@@ -303,6 +303,11 @@ class GraphMonitor(QObject):
                 self._heard = None  # an older model
             self._take_model(looked.model, looked.nodes, looked.taken)
 
+    def _hear_model(self, model: Model) -> None:
+        """Take a model that the manager publishes; in any thread."""
+        self.heart.contact.hear_manager()
+        self._calls.deliver(lambda: self._hear(model))
+
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
         self._heard = model
@@ -315,7 +320,6 @@ class GraphMonitor(QObject):
         if model is None:
             return
         start = time.monotonic()
-        self.heart.note_word()
         self._take_model(model, self.snapshot.nodes, self.snapshot.taken)
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
@@ -350,11 +354,11 @@ class GraphMonitor(QObject):
 
     def _hear_counts(self, counts: Sequence[NodeletCount]) -> None:
         """Take the counts that the manager publishes; in any thread."""
+        self.heart.contact.hear_manager()
         moment = time.monotonic()
         self._calls.deliver(lambda: self._take_counts(counts, moment))
 
     def _take_counts(self, counts: Sequence[NodeletCount], moment: float) -> None:
-        self.heart.note_word()
         self._meter.take(counts, moment)
         self.measured.emit(dict(self._meter.traffic))
 

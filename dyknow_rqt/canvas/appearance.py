@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
+from typing import TYPE_CHECKING, Dict, FrozenSet, List, Mapping, NamedTuple, Optional
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind, key_of
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -166,6 +166,21 @@ def gap_of(font: QFont) -> float:
 def appearance_of(nodelet: NodeletStatus) -> Appearance:
     is_cpp = not nodelet.kind.is_written_for_dyknow
     return Appearance(nodelet.state, nodelet.is_protected, is_cpp)
+
+
+def dead_keys(snapshot: Snapshot) -> FrozenSet[str]:
+    """Vertices through which nothing can come: lost nodelets, and topics without live sources.
+
+    A topic that nobody is known to publish lives as long as one of its receivers.
+    """
+    lost = {n.name for n in snapshot.nodelets if n.state in (State.LOST, State.FAILED)}
+    published = {topic for node in snapshot.nodes for topic in node.publishes}
+    dead = {key_of(VertexKind.NODELET, name) for name in lost}
+    for topic in snapshot.topics().values() if lost else ():
+        ends = topic.sources or topic.targets
+        if topic.name not in published and all(ref.nodelet in lost for ref in ends):
+            dead.add(key_of(VertexKind.TOPIC, topic.name))
+    return frozenset(dead)
 
 
 def vertex_tip(snapshot: Snapshot, vertex: Vertex, verdicts: Mapping[PortRef, PortVerdict]) -> str:

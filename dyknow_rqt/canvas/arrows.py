@@ -44,6 +44,7 @@ class EdgeItem(Item):
         self.edge = edge
         self.traffic: Optional[PortRate] = None
         self.verdict: Optional[PortVerdict] = None
+        self.is_dead = False
         self.shows_name = False
         self._font = QFont(font)
         self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
@@ -79,14 +80,13 @@ class EdgeItem(Item):
         self._head = self._head_at(points[-1], direction / length)
         self._measure()
 
-    def set_traffic(self, traffic: Optional[PortRate]) -> None:
-        if traffic != self.traffic:
-            self.traffic = traffic
-            self.look_again()
-
-    def set_verdict(self, verdict: Optional[PortVerdict]) -> None:
-        if verdict != self.verdict:
-            self.verdict = verdict
+    def show(
+        self, traffic: Optional[PortRate], verdict: Optional[PortVerdict], is_dead: bool
+    ) -> None:
+        """Show its traffic and the last verdict; nothing comes along one that is dead."""
+        looks = (None if is_dead else traffic, verdict, is_dead)
+        if looks != (self.traffic, self.verdict, self.is_dead):
+            self.traffic, self.verdict, self.is_dead = looks
             self.look_again()
 
     def place_label(self, area: Optional[Rectangle]) -> None:
@@ -147,6 +147,8 @@ class EdgeItem(Item):
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
             return QPen(self.colours.of(self.tone), 2.0)
+        if self.is_dead:
+            return QPen(self.colours.box_line, 1.1, Qt.DashLine)
         if self.verdict is not None:
             truth = self.verdict.truth
             return QPen(self.colours.of_truth(truth), 2.0, _DASHES[truth])

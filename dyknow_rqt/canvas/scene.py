@@ -10,6 +10,7 @@ from typing import (
     Any,
     Callable,
     Dict,
+    FrozenSet,
     Iterator,
     List,
     Mapping,
@@ -25,13 +26,14 @@ from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
 from python_qt_binding.QtSvg import QSvgGenerator
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
-from dyknow.model.graph import PortRef
+from dyknow.model.graph import PortRef, State
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import (
     Appearance,
     Tone,
     appearance_of,
     colours_of,
+    dead_keys,
     edge_refs,
     edge_traffic,
     edge_verdict,
@@ -80,6 +82,7 @@ class GraphScene(QGraphicsScene):
         self._colours = colours_of(palette)
         self._font = font
         self._snapshot = Snapshot()
+        self._dead: FrozenSet[str] = frozenset()
         self._traffic: Mapping[PortRef, PortRate] = {}
         self._verdicts: Mapping[PortRef, PortVerdict] = {}
         self.highlights = True
@@ -149,8 +152,7 @@ class GraphScene(QGraphicsScene):
             end = self.vertices[edge.head].anchor(edge.head_port, leaving=False)
             arrow.shows_name = not (edge.tail[0] == "t" or edge.head[0] == "t")
             arrow.set_curve(layout.curves[edge], start, end)
-            arrow.set_traffic(edge_traffic(edge, self._traffic))
-            arrow.set_verdict(edge_verdict(edge, self._verdicts))
+            self._show_traffic(edge, arrow)
             self._add(self.edges, edge, arrow)
             yield
         for group in figure.groups():
@@ -169,15 +171,19 @@ class GraphScene(QGraphicsScene):
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
         before, self._snapshot = self._snapshot, snapshot
-        for item in self.vertices.values():
+        dead, self._dead = self._dead, dead_keys(snapshot)
+        for key, item in self.vertices.items():
             now, then = snapshot.nodelet(item.vertex.name), before.nodelet(item.vertex.name)
-            if now is not then and now != then:
+            if (now is not then and now != then) or (key in dead) != (key in self._dead):
                 self._show_state(item)
+        if dead != self._dead:
+            self._show_all_traffic()
 
     def _show_state(self, item: VertexItem) -> None:
         nodelet = self._snapshot.nodelet(item.vertex.name)
         if nodelet is None or item.vertex.kind is not VertexKind.NODELET:
-            item.set_appearance(Appearance())
+            is_dead = item.vertex.key in self._dead
+            item.set_appearance(Appearance(State.LOST if is_dead else State.RUNNING))
             return
         item.set_appearance(appearance_of(nodelet))
         connected = nodelet.connections
@@ -187,7 +193,7 @@ class GraphScene(QGraphicsScene):
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         self._traffic = traffic
-        self._change_arrows(lambda edge, item: item.set_traffic(edge_traffic(edge, traffic)))
+        self._show_all_traffic()
 
     def set_verdicts(self, verdicts: Mapping[PortRef, PortVerdict]) -> None:
         before, self._verdicts = self._verdicts, verdicts
@@ -195,15 +201,19 @@ class GraphScene(QGraphicsScene):
             port = self.port_item(ref)
             if port is not None:
                 port.set_verdict(verdicts.get(ref))
-        self._change_arrows(lambda edge, item: item.set_verdict(edge_verdict(edge, verdicts)))
+        self._show_all_traffic()
 
-    def _change_arrows(self, change: Callable[[Edge, EdgeItem], None]) -> None:
-        """Change all arrows, and place their labels again if these have other sizes then."""
+    def _show_all_traffic(self) -> None:
+        """Update all arrows, and place their labels again if these have other sizes then."""
         shapes = [item.label_shape for item in self.edges.values()]
         for edge, item in self.edges.items():
-            change(edge, item)
+            self._show_traffic(edge, item)
         if shapes != [item.label_shape for item in self.edges.values()]:
             self._labelling.start()
+
+    def _show_traffic(self, edge: Edge, item: EdgeItem) -> None:
+        traffic, verdict = edge_traffic(edge, self._traffic), edge_verdict(edge, self._verdicts)
+        item.show(traffic, verdict, edge.tail in self._dead or edge.head in self._dead)
 
     def tip_of(self, item: object) -> str:
         if isinstance(item, VertexItem):

@@ -178,14 +178,12 @@ class VertexItem(Item):
         return QPen(colour, width, style)
 
     def fill(self) -> QColor:
+        if self.appearance.state not in (State.RUNNING, State.STARTING):
+            return self.colours.paper
         if self.vertex.kind.is_square:
             return self.colours.topic
-        running = self.appearance.state in (State.RUNNING, State.STARTING)
-        return (
-            self.colours.nodelet
-            if running and self.vertex.kind is VertexKind.NODELET
-            else self.colours.paper
-        )
+        is_nodelet = self.vertex.kind is VertexKind.NODELET
+        return self.colours.nodelet if is_nodelet else self.colours.paper
 
     def _text_colour(self) -> Any:
         if self.tone is not Tone.NONE:
@@ -196,6 +194,8 @@ class VertexItem(Item):
         return self.colours.muted if quiet else self.colours.text
 
     def _badge(self) -> str:
+        if self.vertex.kind is not VertexKind.NODELET:
+            return ""
         words = [
             word
             for word, holds in (

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import time
-from typing import Callable, NamedTuple
+from typing import Callable, NamedTuple, Optional
 
-#: Seconds without an answer after which a peer counts as silent.
-PATIENCE = 2.5
+from dyknow.periodic import RunningClock
+
+#: Seconds without a word after which the manager, which counts aloud, and the master are silent.
+PATIENCE, _MASTER_PATIENCE = 1.6, 2.5
 
 
 class Status(NamedTuple):
@@ -31,8 +33,9 @@ class Status(NamedTuple):
 class _Peer:
     """When a peer answered last, and whether it refused since."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], patience: float) -> None:
         self._clock = clock
+        self._patience = patience
         self._since = clock()
         self.was_heard = self.is_gone = False
 
@@ -43,25 +46,30 @@ class _Peer:
 
     @property
     def is_well(self) -> bool:
-        return self.was_heard and not self.is_gone and self.silence < PATIENCE
+        return self.was_heard and not (self.is_gone or self.is_silent)
+
+    @property
+    def is_silent(self) -> bool:
+        return self.silence >= self._patience
 
     def hear(self) -> None:
         self._since, self.was_heard, self.is_gone = self._clock(), True, False
 
 
 class Contact:
-    """Notes who answered, and says what that means."""
+    """Notes who answered, in the thread where the answer came, and says what that means."""
 
     def __init__(
         self,
         manager: str,
         master: str,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Optional[Callable[[], float]] = None,
         now: Callable[[], float] = time.time,
     ) -> None:
-        """``clock`` is steady; ``now`` is the clock on the wall, in seconds."""
+        """``clock`` counts the seconds for which the window has run, ``now`` those on the wall."""
         self._manager, self._master, self._now = manager, master, now
-        self._of_manager, self._of_master = _Peer(clock), _Peer(clock)
+        clock = clock or RunningClock()
+        self._of_manager, self._of_master = _Peer(clock, PATIENCE), _Peer(clock, _MASTER_PATIENCE)
         self._is_known = True
         self._since = 0.0
 
@@ -80,13 +88,13 @@ class Contact:
         self._of_master.hear()
         self._is_known = is_known
 
-    def miss_master(self) -> None:
-        self._of_master.is_gone = True
+    def miss_master(self, is_gone: bool) -> None:
+        self._of_master.is_gone = is_gone
 
     def status(self) -> Status:
         manager, master = self._of_manager, self._of_master
         complaints, advice = [], ""
-        if master.is_gone or master.silence >= PATIENCE:
+        if master.is_gone or master.is_silent:
             complaints.append(f"no ROS master at {self._master}{_for(master)}")
             advice = "; nothing new can be asked for"
         elif not self._is_known and manager.is_well:

@@ -9,16 +9,18 @@ import re
 import time
 
 import pytest
-from clocks import HandClock
+from clocks import HandClock, eventually
 from python_qt_binding.QtGui import QPalette
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
 from dyknow.model.graph import State
+from dyknow.periodic import RunningClock
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import protect
 from dyknow_rqt.graph.contact import Contact
+from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget
 
@@ -32,7 +34,8 @@ _STEPS = {
     "manager gone": lambda contact: contact.miss_manager(is_gone=True),
     "master": lambda contact: contact.hear_master(is_known=True),
     "new master": lambda contact: contact.hear_master(is_known=False),
-    "no master": lambda contact: contact.miss_master(),
+    "no master": lambda contact: contact.miss_master(is_gone=True),
+    "master late": lambda contact: contact.miss_master(is_gone=False),
 }
 
 
@@ -44,7 +47,7 @@ _STEPS = {
             ("no master", "manager gone", 60.0),
             *(False, False, f"no ROS master at {_MASTER}", "{}; waiting for /manager"),
         ),
-        (("master", "manager", 2.0), True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
+        (("master", "manager", 1.5), True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
         *(
             (
                 ("manager", seconds, "master", "manager silent"),
@@ -91,6 +94,42 @@ def test_the_status_says_who_answers_and_since_when(steps, is_current, is_sound,
         else:
             _STEPS[step](contact)
     assert contact.status() == (is_current, is_sound, short, text.format(short))
+
+
+def test_a_window_that_was_stopped_or_starved_takes_nobody_for_silent():
+    wall = HandClock(100.0)
+    contact = Contact("/manager", _MASTER, RunningClock(wall), now=lambda: 0.0)
+    contact.hear_manager()
+    contact.hear_master(is_known=True)
+    for _ in range(3):
+        wall.time += 60.0  # nothing can have come meanwhile
+        assert contact.status().is_sound
+    beats = 0
+    while contact.status().is_current:
+        wall.time += 0.25
+        beats += 1
+    assert beats * 0.25 < 2.0
+
+
+def test_a_master_that_is_late_is_not_gone():
+    clock = HandClock(100.0)
+    contact = Contact("/manager", _MASTER, clock, now=lambda: 0.0)
+    contact.hear_manager()
+    contact.hear_master(is_known=True)
+    contact.miss_master(is_gone=False)
+    assert contact.status().is_sound
+    contact.miss_master(is_gone=True)
+    assert not contact.status().is_sound
+
+
+def test_answers_are_noted_while_the_window_is_at_work(qtbot, remote):
+    heart = Heartbeat(remote)
+    heart._beat()
+    eventually(lambda: heart.contact.status().is_sound)  # Qt does not run meanwhile
+    assert not heart.status.is_sound
+    heart._beat()
+    assert heart.status.is_sound
+    heart.close()
 
 
 # In the window
@@ -143,12 +182,27 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     create(qtbot, window, "/field/second")
 
 
-def test_a_nodelet_that_is_lost_has_no_rate(qtbot, window, remote):
-    edges = window.graph.view.scene().edges
-    arrow = next(edge for edge in edges if edge.tail == "n_/nao1/resize")
-    until(qtbot, lambda: edges[arrow].traffic is not None)
-    remote.client.alter("/nao1/resize", state=State.LOST)
-    until(qtbot, lambda: edges[arrow].traffic is None)
+def test_what_is_lost_looks_dead_with_its_topic_and_arrows(qtbot, window, remote):
+    scene = window.graph.view.scene()
+    lost, topic = "/nao1/subsampler", scene.vertices["t_/nao1/subsampler/hsv"]
+    dead = [e for e in scene.edges if topic.vertex.key in e or f"n_{lost}" in e]
+    after = next(e for e in dead if e.tail == topic.vertex.key)
+    until(qtbot, lambda: scene.edges[after].traffic is not None)
+    alive = next(e for e in scene.edges if e.tail == "n_/field/tracker")
+    for state, is_dead in ((State.LOST, True), (State.RUNNING, False)):
+        remote.client.alter(lost, state=state)
+        grey = scene.vertices["n_/nao1/resize"].colours.box_line
+        until(qtbot, lambda on=is_dead: scene.edges[after].is_dead is on)
+        for edge in dead:
+            assert (scene.edges[edge].stroke().color() == grey) is is_dead
+            assert "Hz" not in scene.edges[edge].label or not is_dead
+        assert (topic.fill() == topic.colours.paper) is is_dead and topic._badge() == ""
+        assert not scene.edges[alive].is_dead
+        until(qtbot, lambda on=is_dead: (scene.edges[after].traffic is None) is on)
+    remote.publishers = {topic.vertex.name: ["/bag"]}
+    remote.client.alter(lost, state=State.LOST)
+    until(qtbot, lambda: scene.edges[next(e for e in dead if e.head == topic.vertex.key)].is_dead)
+    until(qtbot, lambda: not scene.edges[after].is_dead)
 
 
 def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, remote):
