@@ -33,6 +33,8 @@ from dyknow_rqt.widgets import Sign
 
 #: Milliseconds that a view must keep its size before the graph follows.
 _TURNING = 200
+#: A view whose shape changes by this factor is filled anew.
+_RESHAPED = 1.3
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
@@ -53,6 +55,7 @@ class GraphPanel(QWidget):
         self.graph_actions = GraphActions(self)
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
+        self._shape = 1.0
         self._is_figuring = self._is_outdated = False
         self._calls = BackgroundCalls(1)
         self._turning = QTimer(self)
@@ -113,7 +116,9 @@ class GraphPanel(QWidget):
             self._figure = figure
             font = self.view.font()
             sizes = sizes_of(figure, font)
-            self.layouter.lay_out(figure, sizes, gap_of(font), self._wants_tidy)
+            room = self.view.viewport().size()
+            self._shape = room.width() / max(room.height(), 1)
+            self.layouter.lay_out(figure, sizes, gap_of(font), self._wants_tidy, self._shape)
             self._wants_tidy = False
         self._show_sign()
         self._is_figuring = False
@@ -132,8 +137,11 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _turn(self) -> None:
-        """Let streams flow along the longer side of a view that has another shape now."""
-        if self._figure.is_downwards != self.bar.is_downwards(self.view.viewport().size()):
+        """Fill a view that has another shape now, with streams along its longer side."""
+        room = self.view.viewport().size()
+        change = room.width() / max(room.height(), 1) / self._shape
+        is_turned = self._figure.is_downwards != self.bar.is_downwards(room)
+        if is_turned or not (self.view.is_chosen or 1 / _RESHAPED < change < _RESHAPED):
             self.tidy()
 
     @qt_slot

@@ -1,24 +1,30 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Makes layouts in another process, with a time limit; their preparation runs in a thread."""
+"""Makes layouts: graphviz runs in another process, all else in a thread."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.figure import Figure
-from dyknow_rqt.graph.geometry import Drawing, Size
-from dyknow_rqt.graph.layout import arranged, to_dot
+from dyknow_rqt.graph.geometry import Drawing, Layout, Size
+from dyknow_rqt.graph.layout import BadLayout, arranged, read_graphs, read_layout, to_dot
+from dyknow_rqt.graph.parts import MOST, Piece, divide
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-#: Seconds that graphviz may take.
-LIMIT = 4.0
+#: Seconds of a processor that graphviz may take for a part; a busy machine takes longer.
+BUDGET = 60
+#: Milliseconds until a drawing is shown whose parts are not all laid out.
+_WAITING = 1000
+#: The exit code of the shell where a program is not there.
+_NOT_FOUND = 127
+_TITLE = "digraph dyknow {"
 
 
 @dataclass(frozen=True)
@@ -26,46 +32,78 @@ class _Order:
     figure: Figure
     sizes: Mapping[str, Size]
     gap: float
+    shape: float
     anew: bool
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """An order with its parts, and what graphviz is given for each of them."""
+
+    order: _Order
+    parts: Tuple[Piece, ...]
+    texts: Mapping[Piece, str]
+
+
 class Layouter(QObject):
-    """Runs ``dot`` for one figure at a time; of several that wait only the last is laid out."""
+    """Lays out one figure after the other; of several that wait only the last.
+
+    The layouts of parts are kept, so only parts that have changed go to graphviz. If it takes
+    long, a drawing is shown where these are spread, and its result is swapped in.
+    """
 
     #: A ``Drawing``.
     ready = Signal(object)
-    #: graphviz failed and a simpler layout was used: the reason.
+    #: graphviz failed and a part is spread instead: the reason.
     failed = Signal(str)
 
-    def __init__(self, program: str = "dot", limit: float = LIMIT) -> None:
+    def __init__(self, program: str = "dot", budget: int = BUDGET) -> None:
         super().__init__()
         self._program = program
+        self._budget = budget
         self._calls = BackgroundCalls(1)
-        self._current: Optional[_Order] = None
         self._next: Optional[_Order] = None
+        self._plan: Optional[_Plan] = None
+        self._is_busy = False
+        #: What graphviz was given, with the layout; None if it failed.
+        self._made: Dict[str, Optional[Layout]] = {}
+        #: Parts that it lays out now, with their texts.
+        self._running: List[Tuple[Piece, str]] = []
+        self._is_unwanted = False
         self._drawing = Drawing()
-        self._complaint = ""
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
-        self._process.errorOccurred.connect(self._could_not)
-        self._limit = QTimer(self)
-        self._limit.setSingleShot(True)
-        self._limit.setInterval(int(limit * 1000))
-        self._limit.timeout.connect(self._too_slow)
+        self._waiting = QTimer(self)
+        self._waiting.setSingleShot(True)
+        self._waiting.setInterval(_WAITING)
+        self._waiting.timeout.connect(self._arrange)
 
     def lay_out(
-        self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0, anew: bool = False
+        self,
+        figure: Figure,
+        sizes: Mapping[str, Size],
+        gap: float = 52.0,
+        anew: bool = False,
+        shape: float = 1.5,
     ) -> None:
-        """Lay a figure out, ``anew`` without regard to the drawing before; then emit ``ready``."""
-        anew = anew or (self._next is not None and self._next.anew)
-        self._next = _Order(figure, sizes, gap, anew)
-        if self._current is None:
-            self._begin()
+        """Lay a figure out, then emit ``ready``, more than once if graphviz takes long.
+
+        Args:
+            figure: what to lay out.
+            sizes: of its vertices.
+            gap: pixels between ranks.
+            anew: without regard to the drawing before.
+            shape: of the view, width by height.
+        """
+        undone = self._next or (self._plan.order if self._plan is not None else None)
+        anew = anew or (undone is not None and undone.anew)
+        self._next = _Order(figure, sizes, gap, shape, anew)
+        self._begin()
 
     def close(self) -> None:
-        self._next = self._current = None
+        self._next = self._plan = None
         self._calls.close()
-        self._limit.stop()
+        self._waiting.stop()
         if self._process.state() != QProcess.NotRunning:
             self._process.kill()
             self._process.waitForFinished(1000)
@@ -74,63 +112,119 @@ class Layouter(QObject):
         self.failed.emit(text)
 
     def _begin(self) -> None:
-        order, self._current, self._next = self._next, self._next, None
-        if order is not None:
-            self._complaint = ""
-            self._calls.run(
-                lambda: to_dot(order.figure, order.sizes, order.gap), self._start, self._give_up
-            )
+        order = self._next
+        if order is not None and not self._is_busy:
+            self._next, self._is_busy = None, True
+            self._calls.run(lambda: _planned(order), self._take_plan, self._give_up)
 
-    def _start(self, text: str) -> None:
-        if self._current is not None:
-            self._process.start(self._program, ["-Tjson0"])
-            self._limit.start()
-            self._process.write(text.encode())
+    def _take_plan(self, plan: _Plan) -> None:
+        self._plan, self._is_busy = plan, False
+        wanted = set(plan.texts.values())
+        if self._running and not any(text in wanted for _, text in self._running):
+            self._is_unwanted = True  # it lays out what is not drawn any more
+            self._process.kill()
+        if not self._waiting.isActive():
+            self._waiting.start()
+        self._go_on()
+
+    @property
+    def _missing(self) -> List[Tuple[Piece, str]]:
+        """What graphviz has yet to lay out: all small parts, or else one that is large."""
+        texts = self._plan.texts.items() if self._plan is not None else ()
+        found = [(part, text) for part, text in texts if text not in self._made]
+        small = [each for each in found if len(each[0].figure.vertices) <= MOST]
+        return small or found[:1]
+
+    def _go_on(self) -> None:
+        """Arrange the plan once all of its parts are laid out."""
+        if self._next is not None:
+            self._begin()
+        elif self._plan is not None and not self._missing:
+            self._arrange()
+        elif self._plan is not None and not self._running:
+            self._running = self._missing
+            limited = ["-c", 'ulimit -t "$0"; exec "$@"', str(self._budget), self._program]
+            self._process.start("/bin/sh", [*limited, "-Tjson0"])
+            for number, (_, text) in enumerate(self._running):
+                self._process.write(text.replace(_TITLE, f"digraph g{number} {{", 1).encode())
             self._process.closeWriteChannel()
 
     @qt_slot
     def _finished(self) -> None:
-        self._limit.stop()
+        answer, running = bytes(self._process.readAllStandardOutput()), self._running
         self._process.readAllStandardError()
-        self._read(bytes(self._process.readAllStandardOutput()))
+        is_crash = self._process.exitStatus() == QProcess.CrashExit
+        is_there = is_crash or self._process.exitCode() != _NOT_FOUND
+
+        def take(made: Dict[str, Optional[Layout]]) -> None:
+            self._running, self._is_unwanted = [], False
+            if None in made.values():
+                why = "cannot be run; is graphviz installed?"
+                why = "cannot lay out a part of the graph" if is_there else why
+                self.failed.emit(f"'{self._program}' {why}")
+            self._made.update(made)
+            self._go_on()
+
+        def give_up(error: Exception) -> None:
+            take(dict.fromkeys(text for _, text in running))
+            self._give_up(error)
+
+        if self._is_unwanted:
+            take({})
+        else:
+            self._calls.run(lambda: _read(answer, running), take, give_up)
 
     @qt_slot
-    def _could_not(self, error: int) -> None:
-        # `finished` follows a crash or a kill, but not a process that did not start.
-        if error == QProcess.FailedToStart:
-            self._limit.stop()
-            self._complaint = f"'{self._program}' cannot be run; is graphviz installed?"
-            self._read(b"")
+    def _arrange(self) -> None:
+        """Arrange what is laid out, and all else as well as it goes without graphviz."""
+        plan = self._plan
+        if plan is None or self._is_busy:
+            return
+        is_last, before = not self._missing, None if plan.order.anew else self._drawing
+        made = {part: self._made.get(text) for part, text in plan.texts.items()}
+        layouts = {part: layout for part, layout in made.items() if layout is not None}
+        if is_last:
+            self._plan = None
+            self._waiting.stop()
+            self._made = {text: self._made[text] for text in plan.texts.values()}
+        order, self._is_busy = plan.order, True
 
-    @qt_slot
-    def _too_slow(self) -> None:
-        self._complaint = (
-            f"graphviz took longer than {self._limit.interval() / 1000:g} s: a plainer layout is "
-            "shown; hide a part of the graph for a better one"
+        def take(drawing: Drawing) -> None:
+            self._is_busy = False
+            if is_last:
+                self._drawing = drawing
+            self.ready.emit(drawing)
+            self._go_on()
+
+        self._calls.run(
+            lambda: arranged(order.figure, order.sizes, plan.parts, layouts, order.shape, before),
+            take,
+            self._give_up,
         )
-        self._process.kill()
-
-    def _read(self, answer: bytes) -> None:
-        order, before = self._current, self._drawing
-        if order is not None:
-            self._calls.run(
-                lambda: arranged(
-                    order.figure, order.sizes, answer, None if order.anew else before
-                ),
-                self._end,
-                self._give_up,
-            )
-
-    def _end(self, result: Tuple[Drawing, str]) -> None:
-        drawing, complaint = result
-        if complaint:
-            self.failed.emit(self._complaint or complaint)
-        self._drawing = drawing
-        self.ready.emit(drawing)
-        self._begin()
 
     def _give_up(self, error: Exception) -> None:
         """Go on after an error of the program."""
         _LOG.error("no layout", exc_info=error)
         self.failed.emit(f"no layout: {type(error).__name__}: {error}")
+        self._is_busy = False
         self._begin()
+
+
+def _planned(order: _Order) -> _Plan:
+    parts = divide(order.figure)
+    leaves = [leaf for part in parts for leaf in part.leaves()]
+    texts = {each: to_dot(each.figure, order.sizes, order.gap, each.box) for each in leaves}
+    return _Plan(order, parts, texts)
+
+
+def _read(answer: bytes, running: Sequence[Tuple[Piece, str]]) -> Dict[str, Optional[Layout]]:
+    """Read the layouts of some parts by their texts; None for one that graphviz has not made."""
+    graphs: Mapping[str, Any] = read_graphs(answer.decode("utf-8", "replace"))
+    made: Dict[str, Optional[Layout]] = {}
+    for number, (part, text) in enumerate(running):
+        try:
+            made[text] = read_layout(graphs.get(f"g{number}"), part.figure)
+        except BadLayout as error:
+            _LOG.debug("%s", error)
+            made[text] = None
+    return made

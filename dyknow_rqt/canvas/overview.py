@@ -34,6 +34,10 @@ _SMALL = 0.75
 _NARROW, _MARGIN = 90.0, 3.0
 
 
+#: Pixels from where on an arrow is light, so as not to hide what it passes.
+_LONG = 600.0
+
+
 class _Stroke(NamedTuple):
     """Shapes that are painted with one pen and one brush."""
 
@@ -119,7 +123,9 @@ def paint_titles(
 def _arrows(edges: Iterable[EdgeItem]) -> Iterable[_Stroke]:
     found: Dict[Tuple[float, int, int], _Stroke] = {}
     for edge in edges:
-        pen = edge.stroke()
+        pen, area = edge.stroke(), edge.rect()
+        if max(area.width(), area.height()) > _LONG and pen.color() == edge.colours.line:
+            pen.setColor(edge.colours.box_line)
         stroke = found.setdefault(_look(pen), _Stroke(_thin(pen), QBrush(), QPainterPath()))
         stroke.path.addPath(edge.path)
     return [stroke for _, stroke in sorted(found.items())]

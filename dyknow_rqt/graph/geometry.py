@@ -141,7 +141,7 @@ def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) ->
     """Lead an arrow from the right end of one vertex to the left end of another."""
     start = Point(tail.x + tail_size.width / 2, tail.y)
     end = Point(head.x - head_size.width / 2, head.y)
-    reach = max(40.0, abs(end.x - start.x) / 2)
+    reach = max(40.0, min(150.0, abs(end.x - start.x) / 2))
     return start, Point(start.x + reach, start.y), Point(end.x - reach, end.y), end
 
 
@@ -149,10 +149,14 @@ def boxes_around(
     groups: Mapping[str, Tuple[str, ...]],
     centres: Mapping[str, Point],
     sizes: Mapping[str, Size],
+    is_turned: bool = False,
     margin: float = 8.0,
     title: float = 20.0,
 ) -> Dict[Tuple[str, ...], Rectangle]:
-    """Draw boxes around the vertices of namespaces; above the contents is a line for the title."""
+    """Draw boxes around the vertices of namespaces; above the contents is a line for the title.
+
+    ``is_turned`` says that x and y are swapped.
+    """
     found: Dict[Tuple[str, ...], Rectangle] = {}
 
     def include(group: Tuple[str, ...], part: Rectangle) -> None:
@@ -164,7 +168,10 @@ def boxes_around(
     for depth in range(max((len(group) for group in groups.values()), default=0), 0, -1):
         for group in sorted(each for each in found if len(each) == depth):
             inner = found[group].grown(margin)
-            found[group] = inner._replace(top=inner.top - title)
+            if is_turned:
+                found[group] = inner._replace(left=inner.left - title)
+            else:
+                found[group] = inner._replace(top=inner.top - title)
             if depth > 1:
                 include(group[:-1], found[group])
     return found

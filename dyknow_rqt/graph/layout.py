@@ -1,30 +1,20 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Layouts of a figure: by graphviz, or by a simpler layering when graphviz takes too long.
-
-The graph goes to graphviz as DOT, and comes back as JSON.
-"""
+"""Layouts of a figure by graphviz: each part goes there as DOT, and comes back as JSON."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from dataclasses import replace
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.graphviz import quote
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import (
-    Drawing,
-    Layout,
-    Point,
-    Rectangle,
-    Size,
-    boxes_around,
-    curve_between,
-)
-from dyknow_rqt.graph.stabilise import stabilise
+from dyknow_rqt.graph.figure import Edge, Figure, Group, Vertex, VertexKind
+from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
+from dyknow_rqt.graph.parts import MOST, Page, Piece, finished, spread
 
 
 def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
@@ -64,91 +54,8 @@ def _mean(heights: Sequence[Tuple[float, float]]) -> Tuple[float, float]:
     return round(sum(at_nodelet) / len(heights)), sum(beyond) / len(heights)
 
 
-_COLUMN_GAP = 60.0
-_ROW_GAP = 22.0
-_SWEEPS = 4
-
-
-def layered(figure: Figure, sizes: Mapping[str, Size]) -> Layout:
-    """Place each vertex to the right of its sources and near its neighbours."""
-    layers = _layers(figure)
-    columns: Dict[int, List[str]] = {}
-    for vertex in sorted(figure.vertices, key=lambda v: (v.group, v.name, v.key)):
-        columns.setdefault(layers[vertex.key], []).append(vertex.key)
-    _untangle(columns, figure)
-    centres: Dict[str, Point] = {}
-    x = 0.0
-    for layer in sorted(columns):
-        keys = columns[layer]
-        width = max(sizes[key].width for key in keys)
-        y = -sum(sizes[key].height + _ROW_GAP for key in keys) / 2
-        for key in keys:
-            centres[key] = Point(x + width / 2, y + sizes[key].height / 2)
-            y += sizes[key].height + _ROW_GAP
-        x += width + _COLUMN_GAP
-    curves = {
-        e: curve_between(centres[e.tail], sizes[e.tail], centres[e.head], sizes[e.head])
-        for e in figure.edges
-    }
-    groups = {vertex.key: vertex.group for vertex in figure.vertices}
-    return Layout(centres, curves, boxes_around(groups, centres, sizes))
-
-
-def _layers(figure: Figure) -> Dict[str, int]:
-    """The length of the longest path to each vertex; edges that close a cycle are ignored."""
-    followers: Dict[str, List[str]] = {vertex.key: [] for vertex in figure.vertices}
-    for edge in figure.edges:
-        followers[edge.tail].append(edge.head)
-    order: List[str] = []
-    done: Set[str] = set()
-    back: Set[Tuple[str, str]] = set()
-    for start in followers:
-        if start in done:
-            continue
-        path = [(start, iter(followers[start]))]
-        on_path = {start}
-        while path:
-            key, rest = path[-1]
-            head = next(rest, None)
-            if head is None:
-                path.pop()
-                on_path.discard(key)
-                done.add(key)
-                order.append(key)
-            elif head in on_path:
-                back.add((key, head))
-            elif head not in done:
-                path.append((head, iter(followers[head])))
-                on_path.add(head)
-    layers = dict.fromkeys(followers, 0)
-    for key in reversed(order):
-        for head in followers[key]:
-            if (key, head) not in back:
-                layers[head] = max(layers[head], layers[key] + 1)
-    return layers
-
-
-def _untangle(columns: Mapping[int, List[str]], figure: Figure) -> None:
-    """Sort each column by the places of its neighbours in the other columns."""
-    neighbours = {key: sorted(keys) for key, keys in figure.neighbours().items()}
-    for sweep in range(_SWEEPS):
-        rows = {key: row / len(keys) for keys in columns.values() for row, key in enumerate(keys)}
-        for layer in sorted(columns, reverse=bool(sweep % 2)):
-            weights = {
-                key: sum(rows[n] for n in neighbours[key]) / len(neighbours[key])
-                if neighbours[key]
-                else rows[key]
-                for key in columns[layer]
-            }
-            columns[layer].sort(key=lambda key: (weights[key], key))
-            for row, key in enumerate(columns[layer]):
-                rows[key] = row / len(columns[layer])
-
-
 #: Points of graphviz in an inch; a point is taken for a pixel.
 _DPI = 72.0
-#: With more vertices graphviz optimises less.
-_MANY = 150
 _SHAPES = {
     VertexKind.NODELET: "ellipse",
     VertexKind.TOPIC: "box",
@@ -161,8 +68,17 @@ class BadLayout(ValueError):
     """The answer of graphviz is not a layout of the figure."""
 
 
-def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
-    """Write a figure as DOT, with a gap between ranks (pixels) for the words on an arrow."""
+def to_dot(
+    figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0, around: Group = ()
+) -> str:
+    """Write a figure as DOT.
+
+    Args:
+        figure: what to write.
+        sizes: of its vertices.
+        gap: pixels between ranks, for the words on an arrow.
+        around: the box in which all of it is, which is left out.
+    """
     lines = [
         "digraph dyknow {",
         f'  graph [rankdir="{"TB" if figure.is_downwards else "LR"}", '
@@ -170,9 +86,9 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
         '  node [fixedsize="true", fontname="sans-serif", fontsize="10"];',
         '  edge [fontname="sans-serif", fontsize="8"];',
     ]
-    if len(figure.vertices) > _MANY:
+    if len(figure.vertices) > MOST:
         lines.append('  graph [nslimit="2", nslimit1="2", mclimit="0.3", splines="line"];')
-    lines += _members(figure, sizes, (), "  ")
+    lines += _members(figure, sizes, around, "  ")
     tail, head = ("s", "n") if figure.is_downwards else ("e", "w")
     for number, edge in enumerate(figure.edges):
         label = _ports(edge)
@@ -186,27 +102,31 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_layout(answer: str, figure: Figure) -> Layout:
-    """Read what ``dot -Tjson0`` answers for a figure; anything else is a BadLayout."""
+def read_graphs(answer: str) -> Dict[str, Any]:
+    """Read what ``dot -Tjson0`` answers for several graphs, by name; a rest is left out."""
+    decoder, found, place = json.JSONDecoder(), {}, answer.find("{")
+    with contextlib.suppress(ValueError, KeyError):
+        while place >= 0:
+            graph, end = decoder.raw_decode(answer, place)
+            found[graph["name"]] = graph
+            place = answer.find("{", end)
+    return found
+
+
+def read_layout(graph: Any, figure: Figure) -> Layout:
+    """Read a graph of ``dot -Tjson0`` as a layout of a figure; else raise BadLayout."""
     try:
-        graph = json.loads(answer)
         height = float(graph["bb"].split(",")[3])
         objects: List[Dict[str, Any]] = graph.get("objects", [])
         centres = {each["name"]: _point(each["pos"], height) for each in objects if "pos" in each}
         edges: List[Dict[str, Any]] = graph.get("edges", [])
         curves = {figure.edges[int(each["id"][1:])]: _curve(each["pos"], height) for each in edges}
-        names = {_cluster(group): group for group in figure.groups()}
-        boxes = {
-            names[each["name"]]: _rectangle(each["bb"], height)
-            for each in objects
-            if each["name"] in names and "bb" in each
-        }
         wanted = {vertex.key for vertex in figure.vertices}
         if not wanted <= set(centres) or len(curves) != len(figure.edges):
             raise BadLayout("graphviz left out a part of the graph")
     except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
         raise error if isinstance(error, BadLayout) else BadLayout(str(error)) from error
-    return Layout(centres, curves, boxes)
+    return Layout(centres, curves)
 
 
 def _members(
@@ -247,11 +167,6 @@ def _point(text: str, height: float) -> Point:
     return Point(float(x), height - float(y))
 
 
-def _rectangle(text: str, height: float) -> Rectangle:
-    left, low, right, high = (float(part) for part in text.split(","))
-    return Rectangle(left, height - high, right, height - low)
-
-
 def _curve(text: str, height: float) -> Tuple[Point, ...]:
     """Read a spline: ``e,`` or ``s,`` marks where the tip of an arrow is, which ends the curve."""
     text = text.split(";")[0]
@@ -265,38 +180,47 @@ def _curve(text: str, height: float) -> Tuple[Point, ...]:
 
 
 def arranged(
-    figure: Figure, sizes: Mapping[str, Size], answer: bytes, before: Optional[Drawing] = None
-) -> Tuple[Drawing, str]:
-    """Place the parts of a figure.
+    figure: Figure,
+    sizes: Mapping[str, Size],
+    parts: Sequence[Piece],
+    layouts: Mapping[Piece, Layout],
+    shape: float,
+    before: Optional[Drawing] = None,
+) -> Drawing:
+    """Arrange the parts of a figure.
 
     All but graphviz works from left to right, and a downward flow is turned for that.
 
     Args:
         figure: what to draw.
         sizes: of its vertices.
-        answer: the output of graphviz.
+        parts: of the figure.
+        layouts: those that graphviz has made; other parts are spread.
+        shape: of the view, width by height.
         before: the drawing on the screen; None to make a drawing without regard to it.
-
-    Returns:
-        The drawing, and why a simpler layout had to be used; empty if that was not so.
     """
-    is_turned, complaint = figure.is_downwards, ""
-    widths = {key: Size(*size[::-1]) for key, size in sizes.items()} if is_turned else sizes
-    try:
-        layout = _turned(read_layout(answer.decode("utf-8", "replace"), figure), is_turned)
-    except BadLayout as error:
-        layout, complaint = layered(figure, widths), f"graphviz: {error}"
-    if before is not None and before.figure.is_downwards == is_turned:
-        old = _turned(before.layout, is_turned)
-        layout = stabilise(old, before.figure, layout, figure, widths)
+    is_turned = figure.is_downwards
+    widths = _turned_sizes(sizes) if is_turned else sizes
+
+    def layout_of(part: Piece) -> Layout:
+        found = layouts.get(part)
+        if found is None:
+            return spread(part, widths, shape, is_turned)
+        return found.turned() if is_turned else found
+
+    old = before
+    if before is not None and before.figure.is_downwards != is_turned:
+        old = None
+    elif before is not None and is_turned:
+        turned = before.layout.turned()
+        old = replace(before, layout=turned, sizes=_turned_sizes(before.sizes))
+    layout = Page(layout_of, widths, shape, is_turned).arrange(parts, old) if parts else Layout()
+    layout = finished(figure, layout, widths)
     vertices = tuple(without_crossings(figure, layout))
     if is_turned:
-        layout = _turned(layout, is_turned)
-        groups = {vertex.key: vertex.group for vertex in vertices}
-        layout = replace(layout, boxes=boxes_around(groups, layout.centres, sizes))
-    drawing = Drawing(replace(figure, vertices=vertices), sizes, layout, before is None)
-    return drawing, complaint
+        layout = finished(figure, layout.turned(), sizes)
+    return Drawing(replace(figure, vertices=vertices), sizes, layout, before is None)
 
 
-def _turned(layout: Layout, is_turned: bool) -> Layout:
-    return layout.turned() if is_turned else layout
+def _turned_sizes(sizes: Mapping[str, Size]) -> Dict[str, Size]:
+    return {key: Size(*size[::-1]) for key, size in sizes.items()}

@@ -15,7 +15,15 @@ from statistics import median
 from typing import Dict, List, Mapping, Sequence, Set, Tuple
 
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import Layout, Point, Size, around, boxes_around, curve_between
+from dyknow_rqt.graph.geometry import (
+    Layout,
+    Point,
+    Rectangle,
+    Size,
+    around,
+    boxes_around,
+    curve_between,
+)
 
 #: So many vertices may move when something is added or removed.
 MOST_MOVED = 4
@@ -32,9 +40,17 @@ _SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 
 
 def stabilise(
-    old: Layout, before: Figure, new: Layout, after: Figure, sizes: Mapping[str, Size]
+    old: Layout,
+    before: Figure,
+    new: Layout,
+    after: Figure,
+    sizes: Mapping[str, Size],
+    taken: Sequence[Rectangle] = (),
 ) -> Layout:
-    """Move the vertices of a new layout to their old places on the screen, if that looks well."""
+    """Move the vertices of a new layout to their old places on the screen, if that looks well.
+
+    Nothing is placed where something else is that has ``taken`` its place.
+    """
     common = sorted(set(old.centres) & set(new.centres))
     if not common:
         return new
@@ -50,7 +66,7 @@ def stabilise(
     if len(after.vertices) - len(common) + len(free) > MOST_PLACED:
         return fresh
     kept = {key: old.centres[key] for key in common if key not in free}
-    centres = _place(kept, fresh, after, sizes)
+    centres = _place(kept, fresh, after, sizes, taken)
     if _strangers(after.vertices, centres, sizes):
         return fresh
     if not 1 <= len(_nodelets(before) ^ _nodelets(after)) <= FEW and (
@@ -84,7 +100,11 @@ def _nodelets(figure: Figure) -> Set[str]:
 
 
 def _place(
-    kept: Mapping[str, Point], fresh: Layout, after: Figure, sizes: Mapping[str, Size]
+    kept: Mapping[str, Point],
+    fresh: Layout,
+    after: Figure,
+    sizes: Mapping[str, Size],
+    others: Sequence[Rectangle],
 ) -> Dict[str, Point]:
     """Find free places for the vertices that are not kept, from left to right."""
     centres = dict(kept)
@@ -101,7 +121,7 @@ def _place(
                     sum(o.y for o in offsets) / len(offsets),
                 )
             )
-        centres[key] = _free_place(vertices[key], wish, centres, vertices, sizes)
+        centres[key] = _free_place(vertices[key], wish, centres, vertices, sizes, others)
     return centres
 
 
@@ -111,6 +131,7 @@ def _free_place(
     centres: Mapping[str, Point],
     vertices: Mapping[str, Vertex],
     sizes: Mapping[str, Size],
+    others: Sequence[Rectangle],
 ) -> Point:
     """Find a free place near the wanted one whose box does not grow into other boxes."""
     taken = {key: around(place, sizes[key]) for key, place in centres.items()}
@@ -118,13 +139,14 @@ def _free_place(
     boxes = boxes_around({key: vertices[key].group for key in centres}, centres, sizes)
     foreign = [box for group, box in boxes.items() if vertex.group[: len(group)] != group]
     foreign += [area for key, area in taken.items() if vertices[key].group[:1] != vertex.group[:1]]
+    foreign += others
     own = boxes.get(vertex.group[:1])
     nearest = None
     ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
     for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
         place = wish.plus(way)
         area = around(place, sizes[vertex.key]).grown(_GAP / 2)
-        if any(area.meets(each) for each in taken.values()):
+        if any(area.meets(each) for each in (*taken.values(), *others)):
             continue
         nearest = nearest or place
         reach = area if own is None else own.joined(area)

@@ -137,6 +137,24 @@ def test_in_a_narrow_window_streams_flow_downwards(qtbot, window):
     assert vertices["n_/part0/nodelet0"].x() < vertices["n_/part0/nodelet1"].x()
 
 
+def test_a_view_of_another_shape_is_filled_anew(qtbot, window):
+    view = window.graph.view
+
+    def shape():
+        area = view.scene().drawing_area()
+        return area.width() / area.height()
+
+    before = shape()
+    window.resize(1366, 420)
+    until(qtbot, lambda: shape() > 1.5 * before)
+    view.zoom_by(2.0)
+    asked = []
+    window.graph.layouter.ready.connect(asked.append)
+    window.resize(1366, 900)
+    window.graph._turn()
+    assert not asked and not window.graph._wants_tidy
+
+
 def test_a_small_window_shows_the_graph_and_folds_all_else(qtbot, window):
     window.resize(320, 240)
     until(qtbot, lambda: not window.tabs.isVisible())

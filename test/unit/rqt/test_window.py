@@ -14,9 +14,7 @@ from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QMainWindow, QWidget
 from unit.rqt.hands import click, create, pauses, until, vertex_keys, window_of
 
-from dyknow_rqt.canvas.appearance import sizes_of
 from dyknow_rqt.example_graphs import tree
-from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget, make_room
 
@@ -114,19 +112,6 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     assert worst < 2.0, worst
     widget.graph.bar.nodelets.setText("/part7")
     until(qtbot, lambda: widget.graph.view.zoom > 3 * zoom)
-
-
-def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
-    figure = window.graph.drawn
-    sizes = sizes_of(figure, window.font())
-    for layouter in (Layouter("no_such_program"), Layouter("dot", limit=0.0)):
-        words = []
-        layouter.failed.connect(words.append)
-        with qtbot.waitSignal(layouter.ready, timeout=120_000) as signal:
-            layouter.lay_out(figure, sizes)
-        assert set(signal.args[0].layout.centres) == {vertex.key for vertex in figure.vertices}
-        layouter.close()
-    assert len(words) <= 1
 
 
 @pytest.mark.parametrize(("size", "grows"), [((380, 190), True), ((500, 330), False)])
