@@ -35,6 +35,8 @@ from dyknow_rqt.widgets import Sign
 _TURNING = 200
 #: A view whose shape changes by this factor is filled anew.
 _RESHAPED = 1.3
+#: So many ports are named.
+_NAMED = 3
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
@@ -43,6 +45,8 @@ class GraphPanel(QWidget):
 
     #: An error, in words.
     failed = Signal(str)
+    #: Something to know, in words.
+    noted = Signal(str)
     #: The error no longer holds.
     mended = Signal(str)
 
@@ -211,7 +215,13 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _dropped(self, start: PortRef, target: Target) -> None:
-        self._monitor.do(self._connection(start, target))
+        if target is not None:
+            self._monitor.do(self._connection(start, target))
+            return
+        names = [str(ref) for ref in partners(self._monitor.snapshot, start)]
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        fitting = f"a port that fits ({', '.join(names[:_NAMED])}{more}), or at " if names else ""
+        self.noted.emit(f"{start} is not connected: end the arrow at {fitting}a topic")
 
     def _connection(self, start: PortRef, target: Target) -> Rewire:
         snapshot = self._monitor.snapshot

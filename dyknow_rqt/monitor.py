@@ -20,6 +20,7 @@ from typing import (
     FrozenSet,
     Optional,
     Sequence,
+    Set,
     Tuple,
     TypeVar,
 )
@@ -96,6 +97,9 @@ class GraphMonitor(QObject):
         self.heart = Heartbeat(remote)
         self.heart.linked.connect(self._follow_link)
         self.history = UndoHistory()
+        #: Nodelets and their transformations; whether the next model may be another manager's.
+        self._made: Set[Tuple[str, str]] = set()
+        self._is_another = False
         self._calls = BackgroundCalls()
         self._meter = Meter()
         self._revision = -1
@@ -327,6 +331,11 @@ class GraphMonitor(QObject):
         self, model: Model, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
     ) -> None:
         self._revision = model.revision
+        made = {(each.name, each.transformation) for each in model.nodelets}
+        if self._is_another and made != self._made:
+            self.history = UndoHistory()
+            self._tell_history()
+        self._made, self._is_another = made, False
         snapshot = Snapshot(model.nodelets, nodes, taken)
         if snapshot != self.snapshot:
             self.snapshot = snapshot
@@ -407,6 +416,7 @@ class GraphMonitor(QObject):
     def _follow_link(self, is_linked: bool) -> None:
         """Read everything of a manager that answers again: it may be another one."""
         if is_linked:
+            self._is_another = True
             self._revision = self._library_revision = -1
             self.look()
         self._tell_rates()

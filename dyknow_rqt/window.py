@@ -8,11 +8,13 @@ from __future__ import annotations
 import gc
 from typing import Any, Dict, Optional
 
-from python_qt_binding.QtCore import QEvent, QSize, Qt
+from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAbstractButton,
     QAction,
+    QApplication,
+    QLineEdit,
     QSplitter,
     QTabWidget,
     QVBoxLayout,
@@ -118,6 +120,7 @@ class DyKnowWidget(QWidget):
 
     def shut_down(self) -> None:
         """End everything that the widget started; returns at once."""
+        QApplication.instance().focusChanged.disconnect(self._follow_focus)
         self.monitor.close()
         self.graph.close_down()
 
@@ -144,6 +147,10 @@ class DyKnowWidget(QWidget):
             self._choose_panel(state["panel"] == "1")
 
     def _listen(self) -> None:
+        QApplication.instance().focusChanged.connect(self._follow_focus)
+        for field in self.streams.fields:  # committed: what it was before is not undone in it
+            field.returnPressed.connect(lambda field=field: field.setText(field.text()))
+        self.tabs.tabBar().installEventFilter(self)
         self.monitor.failed.connect(self.line.report)
         self.monitor.begun.connect(self.line.begin)
         self.monitor.done.connect(self.line.note)
@@ -153,6 +160,7 @@ class DyKnowWidget(QWidget):
         self.graph.bar.panel.clicked.connect(self._choose_panel)
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
+        self.graph.noted.connect(self.line.note)
         self.active.menu_wanted.connect(self.graph.show_menu)
         for table in (self.active.table, self.streams.table):
             table.picked.connect(self.graph.reveal_selection)
@@ -164,6 +172,29 @@ class DyKnowWidget(QWidget):
         actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
+
+    @qt_slot
+    def _follow_focus(self, before: Optional[QWidget], now: Optional[QWidget]) -> None:
+        if isinstance(before, QLineEdit):
+            before.removeEventFilter(self)
+        if isinstance(now, QLineEdit) and self.isAncestorOf(now):
+            now.installEventFilter(self)
+
+    def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
+        """Leave Undo and Redo to the graph where a field has nothing to undo itself.
+
+        The key of the tab Streams leads into its first field.
+        """
+        if event.type() == QEvent.Shortcut:
+            QTimer.singleShot(0, self._begin_tab)
+        if event.type() != QEvent.ShortcutOverride or not isinstance(watched, QLineEdit):
+            return False
+        is_undo, is_redo = event.matches(QKeySequence.Undo), event.matches(QKeySequence.Redo)
+        is_own = watched.isUndoAvailable() if is_undo else watched.isRedoAvailable()
+        if is_own or not (is_undo or is_redo):
+            return False
+        event.ignore()
+        return True
 
     @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
@@ -201,6 +232,11 @@ class DyKnowWidget(QWidget):
         dialog = KeysDialog(self)
         dialog.setAttribute(Qt.WA_DeleteOnClose)
         dialog.open()
+
+    @qt_slot
+    def _begin_tab(self) -> None:
+        if self.tabs.currentWidget() is self.streams:
+            self.streams.tag.setFocus()
 
     @qt_slot
     def _begin_create(self, label: str) -> None:

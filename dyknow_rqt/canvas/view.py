@@ -47,7 +47,7 @@ _ARROWS = {
 class GraphView(QGraphicsView):
     """The wheel zooms at the pointer, a drag on the background moves, one from a port connects."""
 
-    #: A connection was drawn from a port to another, or to the topic of that name.
+    #: A connection was drawn from a port to another, to the topic of that name, or to the ground.
     dropped = Signal(object, object)
     #: A connection is being drawn from a port.
     drag_began = Signal(object)
@@ -215,7 +215,9 @@ class GraphView(QGraphicsView):
             return
         self._end_drag()
         target = self._target_at(event.pos())
-        if target is not None and target != start.ref:
+        way = event.pos() - self.mapFromScene(start.scenePos())
+        is_click = way.manhattanLength() < QApplication.startDragDistance()
+        if target != start.ref and not is_click:
             self.dropped.emit(start.ref, target)
 
     @qt_slot

@@ -72,6 +72,9 @@ class StreamsPanel(Panel):
         )
         self.prefer.setAccessibleName("Prefer")
         self.avoid.setAccessibleName("Avoid")
+        self.fields = (
+            *(self.tag, self.datatype, self.exclude, self.prefer, self.avoid, self.require),
+        )
         self._tags, self._types = QStringListModel(self), QStringListModel(self)
         for field, model in ((self.tag, self._tags), (self.datatype, self._types)):
             completer = QCompleter(model, self)
@@ -214,8 +217,7 @@ class StreamsPanel(Panel):
 
     def _listen(self) -> None:
         self.tag.textChanged.connect(self._follow)
-        fields = (self.tag, self.datatype, self.exclude, self.prefer, self.avoid, self.require)
-        for field in fields:
+        for field in self.fields:
             field.returnPressed.connect(self._preview)
         self.preview.clicked.connect(self._preview)
         self.acquire.clicked.connect(self._acquire)

@@ -16,8 +16,9 @@ from python_qt_binding.QtWidgets import (
     QLabel,
     QWidget,
 )
-from unit.rqt.hands import CEILING, description_of, texts_of, until
+from unit.rqt.hands import CEILING, create, description_of, texts_of, until
 
+from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.widgets import KEYS, KeysDialog
 
 
@@ -155,3 +156,40 @@ def test_everything_that_takes_the_focus_has_a_name(window):
         and widget not in buddies
     ]
     assert nameless == []
+
+
+def test_undo_is_the_graphs_unless_a_field_has_something_to_undo(qtbot, window, remote):
+    create(qtbot, window, "/first")
+    window.tabs.setCurrentWidget(window.streams)
+    tag = window.streams.tag
+    tag.setFocus()
+    qtbot.keyClicks(tag, "Track(ball)")
+    qtbot.keyClick(tag, Qt.Key_Z, Qt.ControlModifier)
+    assert tag.text() == "" and window.monitor.snapshot.nodelet("/first")
+    qtbot.keyClicks(tag, "Track(ball)")
+    qtbot.keyClick(tag, Qt.Key_Return)
+    qtbot.keyClick(tag, Qt.Key_Z, Qt.ControlModifier)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
+    assert tag.text() == "Track(ball)"
+    until(qtbot, lambda: not window.monitor.is_changing)
+    qtbot.keyClick(tag, Qt.Key_Z, Qt.ControlModifier | Qt.ShiftModifier)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/first"))
+
+
+def test_undo_forgets_what_belonged_to_another_manager(qtbot, window, remote):
+    create(qtbot, window, "/first")
+    remote.address = "rosrpc://localhost:40002"  # of its next life
+    until(qtbot, lambda: window.monitor.heart._address == remote.address)
+    until(qtbot, lambda: not window.monitor._is_another)
+    assert window.graph.bar.undo.isEnabled()
+    other = soccer()
+    remote.client.core, remote.client.host = other.client.core, other.client.host
+    remote.address = "rosrpc://localhost:40003"
+    until(qtbot, lambda: not window.graph.bar.undo.isEnabled())
+    assert window.monitor.history.texts == ("", "")
+
+
+def test_the_key_of_the_streams_leads_to_the_tag(qtbot, window):
+    qtbot.keyClick(window, Qt.Key_S, Qt.AltModifier)
+    assert window.tabs.currentWidget() is window.streams
+    until(qtbot, window.streams.tag.hasFocus)
