@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -31,6 +31,7 @@ from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, State
+from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
@@ -336,14 +337,16 @@ class GraphMonitor(QObject):
             self.history = UndoHistory()
             self._tell_history()
         self._made, self._is_another = made, False
-        snapshot = Snapshot(model.nodelets, nodes, taken)
+        self._take_snapshot(Snapshot(model.nodelets, nodes, taken, self.snapshot.pending))
+        if model.library_revision != self._library_revision:
+            self.read_library()
+
+    def _take_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self.changed.emit(snapshot)
             self._tell_rates()
             self._follow_verdicts()
-        if model.library_revision != self._library_revision:
-            self.read_library()
 
     def _take_library(self, model: Model) -> None:
         self._reading = False
@@ -402,6 +405,9 @@ class GraphMonitor(QObject):
         if tuple(streams) != self._streams:
             self._streams = tuple(streams)
             self._tell_verdicts()
+            waiting = [each for each in streams if each.state is ClaimState.PENDING]
+            pending = {each.bound_tag: each.detail.partition(": ")[2] for each in waiting}
+            self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
 
     @qt_slot
     def _tell_verdicts(self) -> None:

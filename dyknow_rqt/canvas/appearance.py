@@ -190,8 +190,11 @@ def vertex_tip(snapshot: Snapshot, vertex: Vertex, verdicts: Mapping[PortRef, Po
         return _tip(vertex.name, topic.datatype or "type not known yet", *(said or topic.tags))
     if vertex.kind is VertexKind.NODELET and nodelet is not None:
         return _nodelet_tip(nodelet)
-    what = "a collapsed box; double-click to open it"
-    return _tip(vertex.name, what if vertex.kind is VertexKind.BOX else "ordinary ROS node")
+    what = {
+        VertexKind.BOX: "a collapsed box; double-click to open it",
+        VertexKind.CLAIM: f"a stream that waits until it can be made: {vertex.note}",
+    }
+    return _tip(vertex.name, what.get(vertex.kind, "ordinary ROS node"))
 
 
 def port_tip(

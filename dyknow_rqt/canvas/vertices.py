@@ -167,7 +167,7 @@ class VertexItem(Item):
             colour = self.colours.box_line
         if self.appearance.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.appearance.state is State.LOST:
+        elif self.appearance.state is State.LOST or self.vertex.kind is VertexKind.CLAIM:
             colour, style = self.colours.muted, Qt.DashLine
         elif self.appearance.state is State.STARTING:
             style = Qt.DotLine
@@ -180,7 +180,7 @@ class VertexItem(Item):
     def fill(self) -> QColor:
         if self.appearance.state not in (State.RUNNING, State.STARTING):
             return self.colours.paper
-        if self.vertex.kind.is_square:
+        if self.vertex.kind.is_square and self.vertex.kind is not VertexKind.CLAIM:
             return self.colours.topic
         is_nodelet = self.vertex.kind is VertexKind.NODELET
         return self.colours.nodelet if is_nodelet else self.colours.paper

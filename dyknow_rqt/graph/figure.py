@@ -52,10 +52,11 @@ class VertexKind(enum.Enum):
     TOPIC = "t"
     NODE = "p"
     BOX = "b"
+    CLAIM = "c"
 
     @property
     def is_square(self) -> bool:
-        return self in (VertexKind.TOPIC, VertexKind.BOX)
+        return self in (VertexKind.TOPIC, VertexKind.BOX, VertexKind.CLAIM)
 
 
 class Boxes(enum.Enum):
@@ -271,7 +272,13 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
             each.name: _home(each, options.boxes)[: options.depth] for each in snapshot.nodelets
         }
         figure = _boxed_by_home(figure, homes)
-    return _collapsed(figure, options.collapsed)
+    figure = _collapsed(figure, options.collapsed)
+    claims = [
+        Vertex(key_of(VertexKind.CLAIM, tag), VertexKind.CLAIM, tag, note=why)
+        for tag, why in snapshot.pending
+        if _wanted(tag, options.nodelet_filter, options)
+    ]
+    return replace(figure, vertices=(*claims, *figure.vertices)) if claims else figure
 
 
 def _boxed(figure: Figure, depth: int) -> Figure:

@@ -93,3 +93,23 @@ def with_namespaces(name: str) -> List[str]:
     """Return the namespaces that a name is in, the outermost first, and the name."""
     pieces = name.strip("/").split("/")
     return ["/" + "/".join(pieces[: count + 1]) for count in range(len(pieces))]
+
+
+def tag_completions(text: str, tags: Sequence[str]) -> List[str]:
+    """Complete a tag, or within its parentheses the next of its arguments."""
+    concept, opened, inside = text.rpartition("(")
+    if not opened or ")" in inside:
+        return [tag for tag in tags if text.lower() in tag.lower()]
+    before = inside.split(",")
+    part, place = before[-1].strip(), len(before) - 1
+    found = []
+    for tag in tags:
+        name, _, rest = tag.partition("(")
+        words = [word.strip() for word in rest.rstrip(") ").split(",")]
+        is_own = name.strip() == concept.strip()
+        is_last = is_own and len(words) == place + 1
+        for word in words:
+            if word and not word.startswith("?") and word.lower().startswith(part.lower()):
+                found.append((not is_own, word + ")" if is_last else word))
+    start = text[: len(text) - len(part)]
+    return list(dict.fromkeys(start + word for _, word in sorted(found)))

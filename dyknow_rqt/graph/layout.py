@@ -61,6 +61,7 @@ _SHAPES = {
     VertexKind.TOPIC: "box",
     VertexKind.NODE: "ellipse",
     VertexKind.BOX: "box",
+    VertexKind.CLAIM: "box",
 }
 
 

@@ -48,11 +48,13 @@ class Snapshot:
         nodelets: the nodelets of the manager's model.
         nodes: ordinary nodes that use topics of nodelets.
         taken: topics after out-ports that are not connected, where ordinary nodes publish.
+        pending: tags of claims that wait, each with the reason.
     """
 
     nodelets: Tuple[NodeletStatus, ...] = ()
     nodes: Tuple[PlainNode, ...] = ()
     taken: FrozenSet[str] = frozenset()
+    pending: Tuple[Tuple[str, str], ...] = ()
 
     def nodelet(self, name: str) -> Optional[NodeletStatus]:
         return self._by_name.get(name)

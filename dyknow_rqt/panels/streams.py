@@ -8,7 +8,7 @@ from __future__ import annotations
 import getpass
 import socket
 import time
-from typing import TYPE_CHECKING, Callable, List, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
@@ -17,6 +17,7 @@ from python_qt_binding.QtWidgets import (
     QDoubleSpinBox,
     QHeaderView,
     QLineEdit,
+    QPlainTextEdit,
     QPushButton,
     QSplitter,
     QVBoxLayout,
@@ -27,6 +28,8 @@ from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import acquire, release, replan
+from dyknow_rqt.graph.filters import tag_completions
+from dyknow_rqt.graph.ways import way_of
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
 #: The first column, the key of the rows, is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
 _EVENTS_KEPT = 500
+#: Letters of a reason in a row; the tool tip has all of it.
+_LONGEST = 70
 
 
 class StreamsPanel(Panel):
@@ -75,8 +80,9 @@ class StreamsPanel(Panel):
         self.fields = (
             *(self.tag, self.datatype, self.exclude, self.prefer, self.avoid, self.require),
         )
-        self._tags, self._types = QStringListModel(self), QStringListModel(self)
-        for field, model in ((self.tag, self._tags), (self.datatype, self._types)):
+        self._tags: List[str] = []
+        self._offered, self._types = QStringListModel(self), QStringListModel(self)
+        for field, model in ((self.tag, self._offered), (self.datatype, self._types)):
             completer = QCompleter(model, self)
             completer.setFilterMode(Qt.MatchContains)
             completer.setCaseSensitivity(Qt.CaseInsensitive)
@@ -90,6 +96,11 @@ class StreamsPanel(Panel):
         self.age.setAccessibleName("Age at most")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
         self.plan = text_of("Plan")
+        self.plan.setLineWrapMode(QPlainTextEdit.NoWrap)
+        #: The claim whose present plan is shown; empty for another text.
+        self._explained = ""
+        #: A tag that is being acquired, and the claims before.
+        self._awaited: Tuple[str, FrozenSet[str]] = ("", frozenset())
         self.plan.setPlaceholderText("How the stream would be made is shown here")
         self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
@@ -128,7 +139,12 @@ class StreamsPanel(Panel):
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
         request = self.request()
-        self._explain(request, lambda: self._monitor.do(acquire(request)))
+
+        def act() -> None:
+            self._awaited = request.tag, frozenset(each.claim_id for each in self.watch.streams)
+            self._monitor.do(acquire(request))
+
+        self._explain(request, act)
 
     def _explain(self, request: StreamRequest, then: Callable[[], None]) -> None:
         """Show how a stream would be made, or why it cannot be."""
@@ -140,6 +156,7 @@ class StreamsPanel(Panel):
             then()
 
         if request.tag:
+            self._explained, self._awaited = "", ("", frozenset())
             self.plan.setPlainText("…")
             self._monitor.ask(
                 lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
@@ -159,12 +176,13 @@ class StreamsPanel(Panel):
 
     def _ask_to_replan(self, stream: StreamStatus) -> None:
         def ask(found: Replanned) -> None:
+            self._explained = ""
             self.plan.setPlainText(found.plan)
             change = replan(stream.claim_id, stream.tag)
             self._line.ask(
                 f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
                 "Replan",
-                lambda: self._monitor.do(change),
+                lambda: self._monitor.do(change, lambda: self._show_way(stream.claim_id)),
             )
 
         self._monitor.ask(lambda client: client.replan_stream(stream.claim_id, dry_run=True), ask)
@@ -183,6 +201,36 @@ class StreamsPanel(Panel):
                 rows.append((cells, "\n".join(part for part in more if part)))
         self.table.show_rows(rows)
         self._follow()
+        tag, before = self._awaited
+        for each in self.watch.streams:
+            if each.tag == tag and each.claim_id not in before:
+                self._awaited = ("", frozenset())
+                self._explained = each.claim_id
+        self._show_way(self._explained)
+
+    @qt_slot
+    def _show_way(self, claim: str) -> None:
+        """Show how a stream is made now, also after a repair."""
+        stream = self.watch.stream(claim)
+        if stream is not None:
+            self._explained = claim
+            text = way_of(stream, self._monitor.snapshot)
+            if text != self.plan.toPlainText():
+                self.plan.setPlainText(text)
+
+    @qt_slot
+    def _choose(self, claims: Sequence[str]) -> None:
+        self._selection.choose_claims(claims)
+        for claim in claims[:1]:
+            self._show_way(claim)
+
+    @qt_slot
+    def _show_present_way(self) -> None:
+        self._show_way(self._explained)
+
+    @qt_slot
+    def _complete_tag(self, text: str) -> None:
+        self._offered.setStringList(tag_completions(text, self._tags))
 
     @qt_slot
     def _show_event(self, event: StreamEvent) -> None:
@@ -196,7 +244,8 @@ class StreamsPanel(Panel):
     @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         outputs = [p for each in library.values() for p in each.ports if p.direction == OUT]
-        self._tags.setStringList(sorted({tag for port in outputs for tag in port.tags}))
+        self._tags = sorted({tag for port in outputs for tag in port.tags})
+        self._offered.setStringList(self._tags)
         self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
 
     @qt_slot
@@ -224,7 +273,9 @@ class StreamsPanel(Panel):
         self.release.clicked.connect(self._release)
         self.replan.clicked.connect(self._replan)
         self.ended.toggled.connect(self._show_streams)
-        self.table.picked.connect(self._selection.choose_claims)
+        self.table.picked.connect(self._choose)
+        self._monitor.changed.connect(self._show_present_way)
+        self.tag.textEdited.connect(self._complete_tag)
         self._selection.changed.connect(self._follow)
         self.table.on_delete(self._release)
         self.watch.changed.connect(self._show_streams)
@@ -259,10 +310,14 @@ class StreamsPanel(Panel):
 
 
 def _state(stream: StreamStatus) -> str:
-    """The state of a stream; an active one with a detail shows that too."""
-    state = stream.state.name.lower()
-    is_there = stream.state is ClaimState.ACTIVE
-    return f"{state}: {stream.detail}" if is_there and stream.detail else state
+    """The state of a stream, with its reason."""
+    state, reason = stream.state.name.lower(), stream.detail.partition("\n")[0]
+    is_over = stream.state in (ClaimState.RELEASED, ClaimState.EXPIRED)
+    return state if is_over or not reason else f"{state}: {_cut(reason)}"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
 def _names(field: QLineEdit) -> Tuple[str, ...]:

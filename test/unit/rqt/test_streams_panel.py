@@ -9,6 +9,13 @@ from python_qt_binding.QtCore import Qt
 from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_keys
 
 from dyknow.model.streams import StreamRequest
+from dyknow_rqt.graph.filters import tag_completions
+
+_WEATHER = (
+    "<transformation><label>weather</label><source>sky/Weather</source>"
+    '<ports><port type="out">out</port></ports>'
+    '<tags><tag port="out">Weather(today)</tag></tags></transformation>'
+)
 
 
 def _ask_for(qtbot, window, tag):
@@ -87,8 +94,18 @@ def test_a_stream_that_is_not_possible_waits_and_says_for_what(qtbot, window, re
     panel = _ask_for(qtbot, window, "Weather(today)")
     click(qtbot, panel.acquire)
     until(qtbot, lambda: len(panel.table.names()) == 1)
-    assert cells_of(panel.table, 0)[2] == "pending"
+    why = "no plan for Weather(today): nothing supplies Weather(today)"
+    assert cells_of(panel.table, 0)[2] == f"pending: {why}"
+    until(qtbot, lambda: "c_Weather(today)" in vertex_keys(window))
+    item = window.graph.view.scene().vertices["c_Weather(today)"]
+    assert item.stroke().style() == Qt.DashLine and item.fill() == item.colours.paper
+    assert item.vertex.label == "Weather(today)\nnothing supplies Weather(today)"
+    tip = window.graph.view.scene().tip_of(item)
+    assert "waits until it can be made: nothing supplies Weather(today)" in tip
     until(qtbot, lambda: "waits, no plan for Weather(today)" in window.line.text)
+    remote.client.add_transformation(_WEATHER)
+    remote.client.settle()
+    until(qtbot, lambda: "c_Weather(today)" not in vertex_keys(window))
     panel = _ask_for(qtbot, window, "no term(")
     click(qtbot, panel.acquire)
     until(qtbot, lambda: "acquire no term(: " in window.line.text)
@@ -141,3 +158,41 @@ def test_why_a_part_is_not_available_is_shown_in_full(qtbot, window, remote):
     assert Qt.mightBeRichText(tip())  # such tips are wrapped
     assert "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE since" in tip()
     assert "(battery.percentage = 0.19 at 12.2)" in tip()
+
+
+def test_the_plan_that_is_shown_is_the_present_one(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "FieldPosition(ball)")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: "FieldPosition(ball), on /" in panel.plan.toPlainText())
+    (stream,) = panel.watch.streams
+    first = panel.plan.toPlainText().split("\n")
+    source = first[1].split()[1].partition(".")[0]
+    assert first[1].startswith("└─ /") and source in stream.nodelets
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: "cost" in panel.plan.toPlainText())
+    panel.table.selectRow(0)
+    assert panel.plan.toPlainText().split("\n") == first
+    remote.client.destroy(source)
+    remote.client.settle()
+    until(qtbot, lambda: f"└─ {source}." not in panel.plan.toPlainText())
+    until(qtbot, lambda: "└─ /" in panel.plan.toPlainText())
+    assert panel.plan.lineWrapMode() == panel.plan.NoWrap
+
+
+def test_a_tag_is_completed_within_its_parentheses():
+    tags = [
+        "FieldPosition(ball)",
+        "HSV(?robot, ?camera)",
+        "RawYUV(nao1, bottom)",
+        "RawYUV(nao1, top)",
+    ]
+    for text, found in (
+        ("yuv", ["RawYUV(nao1, bottom)", "RawYUV(nao1, top)"]),
+        ("FieldPosition(ba", ["FieldPosition(ball)"]),
+        ("RawYUV(", ["RawYUV(bottom", "RawYUV(nao1", "RawYUV(top", "RawYUV(ball"]),
+        ("HSV(nao1, B", ["HSV(nao1, ball", "HSV(nao1, bottom"]),
+        ("RawYUV(nao1, t", ["RawYUV(nao1, top)"]),
+        ("Track(?", []),
+        ("RawYUV(nao1, top)", ["RawYUV(nao1, top)"]),
+    ):
+        assert tag_completions(text, tags) == found, text
