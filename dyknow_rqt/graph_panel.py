@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Iterable, Iterator, Optional, Tuple
+from typing import FrozenSet, Iterable, Iterator, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -359,6 +359,7 @@ class GraphPanel(QWidget):
         monitor.changed.connect(self._take_snapshot)
         monitor.measured.connect(view.scene().set_traffic)
         monitor.decided.connect(view.scene().set_verdicts)
+        view.scene().transports_wanted.connect(self._ask_transports)
         monitor.heart.told.connect(self._show_sign)
         monitor.heart.linked.connect(self._grey)
         monitor.library_changed.connect(self._show_sign)
@@ -394,6 +395,13 @@ class GraphPanel(QWidget):
         actions.fit_wanted.connect(view.fit)
         actions.tidy_wanted.connect(self.tidy)
         actions.find_wanted.connect(self.find)
+
+    @qt_slot
+    def _ask_transports(self, nodes: FrozenSet[str]) -> None:
+        scene, remote = self.view.scene(), self._monitor.remote
+        self._monitor.ask(
+            lambda client: remote.transports(nodes), scene.set_transports, lambda why: None
+        )
 
     @qt_slot
     def _take_snapshot(self, snapshot: Snapshot) -> None:

@@ -9,14 +9,14 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import AbstractSet, Callable, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Sequence, Tuple
 
 from dyknow.formulas import Verdict
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model
 from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
-from dyknow_rqt.graph.snapshot import Side
+from dyknow_rqt.graph.snapshot import Side, Transports
 
 
 class Remote(ABC):
@@ -77,3 +77,7 @@ class Remote(ABC):
         Returns:
             The address; empty if the master does not know the manager.
         """
+
+    @abstractmethod
+    def transports(self, nodes: Collection[str]) -> Transports:
+        """Ask nodes for the transports of their connections to other processes."""

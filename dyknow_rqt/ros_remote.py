@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import AbstractSet, Callable, Dict, Optional, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Dict, List, Optional, Sequence, Tuple
 
 from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
@@ -28,8 +28,11 @@ from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import counts_from, event_from, model_from
 from dyknow.ros.wire.topic_reader import TopicFollower
-from dyknow_rqt.graph.snapshot import Side
+from dyknow_rqt.graph.snapshot import Side, Transports
 from dyknow_rqt.remote import Remote
+
+#: Seconds for a node to name its connections.
+_PATIENCE = 1.0
 
 
 class RosRemote(Remote):
@@ -118,6 +121,12 @@ class RosRemote(Remote):
                 follower.reconnect()
         self._address = address
         return address
+
+    def transports(self, nodes: Collection[str]) -> Transports:
+        found: Dict[Tuple[str, str, str], List[str]] = {}
+        for node in nodes:
+            found.update(self._master.transports(node, _PATIENCE))
+        return found
 
     # Inside
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import AbstractSet, Callable, Dict, Iterable, List, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Dict, Iterable, List, Sequence, Tuple
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.formulas import Truth, Verdict
@@ -15,7 +15,7 @@ from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
 from dyknow.periodic import PeriodicWorker
 from dyknow.simulated import SimulatedManagerClient
-from dyknow_rqt.graph.snapshot import Side
+from dyknow_rqt.graph.snapshot import Side, Transports
 from dyknow_rqt.remote import Remote
 
 #: Seconds.
@@ -30,6 +30,7 @@ class SimulatedRemote(Remote):
         address: that of the manager at the master; empty if the master does not know it.
         publishers: nodes that publish, by topic.
         subscribers: nodes that subscribe, by topic.
+        connected: transports of connections to other processes.
         followed: nodes and topics whose verdicts are heard.
     """
 
@@ -41,6 +42,7 @@ class SimulatedRemote(Remote):
         self.client: SimulatedManagerClient = SimulatedManagerClient()
         self.publishers: Dict[str, List[str]] = {}
         self.subscribers: Dict[str, List[str]] = {}
+        self.connected: Transports = {}
         self.followed: AbstractSet[Tuple[str, str]] = frozenset()
         self._verdicts: Dict[str, Verdict] = {}
         self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
@@ -83,6 +85,9 @@ class SimulatedRemote(Remote):
     def find_manager(self) -> str:
         self._ask_master()
         return self.address
+
+    def transports(self, nodes: Collection[str]) -> Transports:
+        return {key: names for key, names in self.connected.items() if key[0] in nodes}
 
     def _count(self) -> None:
         with contextlib.suppress(HostError):

@@ -48,7 +48,7 @@ from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
 from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot, Transports, connections_of
 from dyknow_rqt.graph.verdicts import PortVerdict
 from dyknow_rqt.widgets import wrapped
 
@@ -67,6 +67,8 @@ class GraphScene(QGraphicsScene):
 
     #: Something looks different now.
     changed_looks = Signal()
+    #: The transports of the connections of these nodes are wanted.
+    transports_wanted = Signal(object)
     #: A ``Drawing`` is drawn.
     shown = Signal(object)
 
@@ -85,6 +87,8 @@ class GraphScene(QGraphicsScene):
         self._dead: FrozenSet[str] = frozenset()
         self._traffic: Mapping[PortRef, PortRate] = {}
         self._verdicts: Mapping[PortRef, PortVerdict] = {}
+        self._transports: Transports = {}
+        self._reshow: Callable[[], None] = lambda: None
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
         self.overview = Overview()
@@ -216,22 +220,48 @@ class GraphScene(QGraphicsScene):
         item.show(traffic, verdict, edge.tail in self._dead or edge.head in self._dead)
 
     def tip_of(self, item: object) -> str:
+        refs = self._refs_of(item)[:1] if isinstance(item, EdgeItem) else self._refs_of(item)
+        connections = connections_of(self._snapshot, refs, self._transports)
+        connections = f"connections: {connections}" if connections else ""
         if isinstance(item, VertexItem):
-            return vertex_tip(self._snapshot, item.vertex, self._verdicts)
-        refs = edge_refs(item.edge)[::-1] if isinstance(item, EdgeItem) else []
-        refs = [item.ref] if isinstance(item, PortItem) else refs
+            tip = vertex_tip(self._snapshot, item.vertex, self._verdicts)
+            return "\n".join(part for part in (tip, connections) if part)
         tips = [
             port_tip(self._snapshot, ref, self._traffic.get(ref), self._verdicts.get(ref))
-            for ref in refs
+            for ref in self._refs_of(item)
         ]
-        return "\n\n".join(tip for tip in tips if tip)
+        return "\n\n".join(tip for tip in (*tips, connections) if tip)
+
+    def _refs_of(self, item: object) -> List[PortRef]:
+        """The ports whose connections an item shows, sources first."""
+        if isinstance(item, EdgeItem):
+            return edge_refs(item.edge)[::-1]
+        if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
+            topic = self._snapshot.topics().get(item.vertex.name)
+            return list(topic.sources or topic.targets) if topic is not None else []
+        return [item.ref] if isinstance(item, PortItem) else []
 
     @qt_slot
     def helpEvent(self, event: Any) -> None:  # noqa: N802
         """Show a tool tip: there are too many to keep them up to date."""
-        tips = map(self.tip_of, self.items(event.scenePos()))
-        tip = wrapped(next(filter(None, tips), ""))
-        QToolTip.showText(event.screenPos(), tip, event.widget())
+        items = self.items(event.scenePos())
+        item = next((item for item in items if self.tip_of(item)), None)
+
+        def show() -> None:
+            QToolTip.showText(event.screenPos(), wrapped(self.tip_of(item)), event.widget())
+
+        show()
+        nodelets = [self._snapshot.nodelet(ref.nodelet) for ref in self._refs_of(item)]
+        nodes = frozenset(nodelet.node for nodelet in nodelets if nodelet is not None)
+        self._reshow = show
+        if nodes:
+            self.transports_wanted.emit(nodes)
+
+    def set_transports(self, transports: Transports) -> None:
+        """Take the transports that the tool tip has asked for."""
+        self._transports = transports
+        if QToolTip.isVisible():
+            self._reshow()
 
     # Painting
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import (
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 #: One side of the master's system state: topics and the nodes that use them.
 Side = Sequence[Tuple[str, Sequence[str]]]
+#: Transports of connections to other processes, by node, ``in`` or ``out``, and topic.
+Transports = Mapping[Tuple[str, str, str], Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -116,3 +119,22 @@ def taken_topics(
         for topic, nodes in publishers
         if topic in wishes and any(node not in hosts for node in nodes)
     )
+
+
+def connections_of(snapshot: Snapshot, refs: Sequence[PortRef], transports: Transports) -> str:
+    """Count the connections of ports by their transports; empty if none is known."""
+    found: Counter[str] = Counter()
+    for key in sorted({_way_of(snapshot, ref) for ref in refs} - {("", "", "")}):
+        node, direction, name = key
+        topic = snapshot.topics().get(name)
+        if topic is not None:
+            ends = topic.targets if direction != IN else topic.sources
+            found["within the process"] += sum(_way_of(snapshot, e)[0] == node for e in ends)
+        found.update(transports.get(key, ()))
+    return ", ".join(f"{n} {what}" for what, n in sorted(found.items()) if n)
+
+
+def _way_of(snapshot: Snapshot, ref: PortRef) -> Tuple[str, str, str]:
+    """The node, direction and topic of a port; empty if it is gone."""
+    nodelet, port = snapshot.nodelet(ref.nodelet), snapshot.port(ref)
+    return (nodelet.node, port.direction, port.topic) if nodelet and port else ("", "", "")

@@ -10,6 +10,7 @@ With DYKNOW_PICTURES the picture of the documentation is written into that folde
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -127,6 +128,12 @@ class WindowTest(Window, ManagerCase):
             return [traffic.rate for traffic in found if traffic is not None]
 
         until(lambda: any(sent()), "its rate is shown")
+        arrow = next(item for e, item in scene.edges.items() if e.tail == "n_/relay")
+        over = next(item for e, item in scene.edges.items() if e.tail == "n_/count")
+        self.assertIn("connections: 1 within the process", scene.tip_of(over))
+        window.graph._ask_transports({monitor.snapshot.nodelet("/relay").node})
+        outside = re.compile(r"connections: 1 (SHMROS|TCPROS)$")
+        until(lambda: outside.search(scene.tip_of(arrow)), "the transport of the subscriber")
         with manager.child_stopped():
             until(lambda: not sent(), "a process that stands still has no rate")
         until(lambda: any(sent()), "it goes on")

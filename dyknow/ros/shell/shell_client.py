@@ -9,7 +9,6 @@ command starts fast and leaves no trace in the graph.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import socket
@@ -25,7 +24,6 @@ from dyknow import names
 from dyknow.errors import ManagerUnreachable, NodeletUnreachable, PeerTimeout, Refused
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
-from dyknow.model.transformation import IN, OUT
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import TIMEOUT, Master
@@ -125,18 +123,10 @@ class ShellClient(ManagerClient):
             Names, by node, ``in`` or ``out``, and topic; none of a node that does not answer.
         """
         found: dict[tuple[str, str, str], list[str]] = {}
-
-        def look(node: str) -> None:
-            with contextlib.suppress(PeerTimeout, LookupError):
-                uri = self._master.node(node)
-                for topic, publishes, transport in self._master.transports(uri, _LOOK):
-                    if transport != "INTRAPROCESS":
-                        key = (node, OUT if publishes else IN, topic)
-                        found.setdefault(key, []).append(transport)
-
         if nodes:
             with ThreadPoolExecutor(max_workers=min(_WORKERS, len(nodes))) as pool:
-                list(pool.map(look, nodes))
+                for each in pool.map(lambda node: self._master.transports(node, _LOOK), nodes):
+                    found.update(each)
         return found
 
     def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:

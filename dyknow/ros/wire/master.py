@@ -15,6 +15,7 @@ from typing import Any, Callable, Iterable, Sequence, Tuple
 from dyknow import names
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
+from dyknow.model.transformation import IN, OUT
 from dyknow.ros.wire.addresses import connect
 
 #: Seconds that the master may take to answer.
@@ -203,10 +204,20 @@ class Master:
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
         return {int(port.group(1)) for port in ports if port}
 
-    def transports(self, uri: str, timeout: float) -> list[tuple[str, bool, str]]:
-        """Query the connections of a node: topics, whether it publishes them, transports."""
-        infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
-        return [(str(info[4]), info[2] == "o", str(info[3])) for info in infos]
+    def transports(self, node: str, timeout: float) -> dict[tuple[str, str, str], list[str]]:
+        """Query a node for the transports of its connections to other processes.
+
+        Returns:
+            Names, by node, ``in`` or ``out``, and topic; none of a node that does not answer.
+        """
+        found: dict[tuple[str, str, str], list[str]] = {}
+        with contextlib.suppress(PeerTimeout, LookupError):
+            uri = self.node(node)
+            for info in self._ask_node(f"at {uri}", uri, timeout, "getBusInfo"):
+                if info[3] != "INTRAPROCESS":
+                    key = (node, OUT if info[2] == "o" else IN, str(info[4]))
+                    found.setdefault(key, []).append(str(info[3]))
+        return found
 
     def topics(self, name: str, uri: str, timeout: float) -> tuple[dict[str, str], dict[str, str]]:
         """Query the topics that a node publishes, and subscribes to, with their types."""

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pydot
 import pytest
 from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
@@ -159,6 +161,36 @@ def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
     port = scene.port_item(PortRef("/nao1/subsampler", "hsv"))
     tip = scene.tip_of(port)
     assert "sensor_msgs/Image" in tip and "HSV(?robot, ?camera)" in tip
+
+
+def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(qtbot, window, remote):
+    scene = window.graph.view.scene()
+    node = window.monitor.snapshot.nodelet("/nao1/subsampler").node
+    topic = "/nao1/subsampler/hsv"
+    remote.connected = {
+        (node, "out", topic): ["SHMROS", "TCPROS", "SHMROS"],
+        (node, "in", topic): ["TCPROS"],
+        ("/other", "out", topic): ["UDPROS"],
+    }
+    arrow = next(e for e in scene.edges if e.tail == "n_/nao1/subsampler" and e.topic == topic)
+    asked = []
+    scene.transports_wanted.connect(asked.append)
+    for item in (
+        scene.vertices[f"t_{topic}"],
+        scene.edges[arrow],
+        scene.port_item(PortRef("/nao1/subsampler", "hsv")),
+    ):
+        scene.set_transports({})
+        assert scene.tip_of(item).endswith("connections: 1 within the process")
+        place = item.path.pointAtPercent(0.5) if item is scene.edges[arrow] else item.scenePos()
+        event = SimpleNamespace(
+            scenePos=lambda place=place: place, screenPos=QPoint, widget=lambda: window
+        )
+        scene.helpEvent(event)
+        words = "connections: 2 SHMROS, 1 TCPROS, 1 within the process"
+        until(qtbot, lambda item=item, words=words: scene.tip_of(item).endswith(words))
+    assert asked == [{node}] * 3  # and nobody else is asked, ever
+    assert "connections" not in scene.tip_of(scene.vertices["n_/nao1/subsampler"])
 
 
 def test_states_are_told_apart(window):
