@@ -36,8 +36,8 @@ from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 from dyknow_rqt.widgets import KeysDialog
 
-#: Pixels: a window that is less wide than high and than this is narrow; one smaller than the
-#: second in both is small.
+#: Pixels: a window that is less wide than high and than this is narrow. The control panel is shown
+#: in a narrow one that is higher than the second, and in another that is wider than the first.
 _NARROW, _SMALL = 800, 560
 #: A docked widget that is smaller shows no graph.
 _LEAST = QSize(480, 320)
@@ -104,7 +104,8 @@ class DyKnowWidget(QWidget):
             self.parts.insertWidget(int(is_narrow), self.tabs)
             self.parts.setSizes([600, 400] if is_narrow else [350, 650])
         if not self._is_chosen:
-            self._show_panel(size.width() >= _SMALL or size.height() >= _SMALL)
+            is_room = size.height() >= _SMALL if is_narrow else size.width() >= _NARROW
+            self._show_panel(is_room)
 
     @qt_slot
     def _choose_panel(self, on: bool) -> None:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from dyknow_rqt.canvas.items import BoxItem
     from dyknow_rqt.canvas.vertices import VertexItem
 
-#: Below this zoom names cannot be read, and the overview paints everything.
+#: Pixels of the screen per pixel of the drawing: with less names cannot be read, and the overview
+#: paints everything.
 FAR = 0.3
 #: Below this zoom ovals are dots; smooth ones would take longer than all the rest.
 _DOTS = 0.2
@@ -81,7 +82,11 @@ class Overview:
 
 
 def paint_titles(
-    painter: QPainter, titles: Iterable[Tuple[QRectF, str]], font: QFont, colours: Colours
+    painter: QPainter,
+    titles: Iterable[Tuple[QRectF, str]],
+    font: QFont,
+    colours: Colours,
+    seen: QRectF,
 ) -> None:
     """Write titles so large that they can be read; of two that meet only the first.
 
@@ -92,15 +97,20 @@ def paint_titles(
         titles: their owners and their texts.
         font: at full size.
         colours: of the drawing.
+        seen: the part of the drawing that is in view; a title stays in it with its owner.
     """
     zoom = min(1.0, painter.worldTransform().m11())
-    pixel = (1.0 if zoom < FAR else max(_SMALL, zoom)) / zoom
+    is_far = zoom * painter.device().devicePixelRatioF() < FAR
+    pixel = (1.0 if is_far else max(_SMALL, zoom)) / zoom
     metrics = QFontMetricsF(font)
     taken: List[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)
     painter.setFont(font)
-    for owner, title in titles:
+    for whole, title in titles:
+        owner = whole & seen
+        if owner.isEmpty() or (owner != whole and owner.width() < _NARROW * pixel):
+            continue  # what is left of it would hide the title of the next one
         room = max(_NARROW, (owner.width() - 16) / pixel)
         text = metrics.elidedText(title, Qt.ElideMiddle, room)
         size = QRectF(0, 0, metrics.horizontalAdvance(text), metrics.height())

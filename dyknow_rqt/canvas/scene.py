@@ -279,6 +279,7 @@ class GraphScene(QGraphicsScene):
         """Paint the things that are not painted by items."""
         boxes = sorted(self._boxes.items(), key=lambda each: (len(each[0]), each[0]))
         titles = [(box.area, box.name) for _, box in boxes]
+        seen = painter.worldTransform().inverted()[0].mapRect(QRectF(painter.viewport()))
         if self._is_far:
             self.paint_overview(painter)
             titles += [
@@ -286,7 +287,12 @@ class GraphScene(QGraphicsScene):
                 for item in self.vertices.values()
                 if item.vertex.kind is VertexKind.BOX
             ]
-        paint_titles(painter, titles, self._font, self._colours)
+        paint_titles(painter, titles, self._font, self._colours, seen)
+
+    def has_sticky_titles(self, seen: QRectF) -> bool:
+        """Whether boxes are seen without the corner where their title belongs."""
+        areas = [box.area for box in self._boxes.values()]
+        return any(a.intersects(seen) and not seen.contains(a.topLeft()) for a in areas)
 
     def paint_overview(self, painter: QPainter) -> None:
         """Paint everything as it looks from far away."""

@@ -28,6 +28,16 @@ from dyknow_rqt.canvas.items import PORT_RADIUS, Item, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 
+#: Pixels of the least text that is written.
+_LEAST = 9.0
+#: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
+_OVER = 4.0
+#: Pixels that a name may be wider than its vertex, over the ends of its arrows.
+_BESIDE = 44.0
+#: A name that is larger by this factor leaves no room for a badge.
+_MOST = 1.4
+_CENTRE = Qt.AlignCenter | Qt.TextDontClip
+
 
 class VertexItem(Item):
     """A nodelet or an ordinary node (oval), or a topic (rectangle)."""
@@ -52,7 +62,7 @@ class VertexItem(Item):
             return
         self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
         self._label = vertex.label
-        self.setRect(self.area.adjusted(-5, -5, 5, 5))
+        self.setRect(self.area.adjusted(-5 - _BESIDE / 2, -5, 5 + _BESIDE / 2, 5))
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
         for name in [n for n, port in self.ports.items() if wanted.get(n) != port.direction]:
             gone = self.ports.pop(name)
@@ -139,11 +149,31 @@ class VertexItem(Item):
                 painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
         painter.setPen(self._text_colour())
-        badge = self._badge()
+        badge, metrics = self._badge(), QFontMetricsF(self._font)
+        size = self._font.pixelSize() if self._font.pixelSize() > 0 else metrics.ascent()
+        larger = _LEAST / (size * painter.worldTransform().m11())
         area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
-        painter.drawText(area, Qt.AlignCenter, self._label)
-        if badge:
+        if larger > 1.0:
+            self._paint_large(painter, area, larger, metrics)
+        else:
+            painter.drawText(area, Qt.AlignCenter, self._label)
+        if badge and larger < _MOST:
             self._paint_badge(painter, badge)
+
+    def _paint_large(
+        self, painter: QPainter, area: QRectF, larger: float, metrics: QFontMetricsF
+    ) -> None:
+        """Write the name so large that it can be read, as much of it as there is room for."""
+        width, height = (area.width() + _BESIDE) / larger, area.height() / larger
+        lines = self._label.split("\n")
+        if metrics.height() * len(lines) > height + _OVER:
+            lines = ["".join(self._label.partition("\n")[::2])]
+        painter.save()
+        painter.translate(area.center())
+        painter.scale(larger, larger)
+        text = "\n".join(metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines)
+        painter.drawText(QRectF(-width / 2, -height / 2, width, height), _CENTRE, text)
+        painter.restore()
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802

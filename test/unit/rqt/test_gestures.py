@@ -86,8 +86,8 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     qtbot.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, QPoint(5, 5))
     assert not view.hint.isVisible() and topic(remote, CEILING) == ""
     fitting = "/field/tracker:position, /nao1/localization:objects"
-    said = f"{CEILING} is not connected: end the arrow at a port that fits ({fitting}"
-    assert window.line.text.startswith(said) and window.line.text.endswith("or at a topic")
+    words = f"{CEILING} is not connected: end the arrow at a port that fits ({fitting}"
+    assert window.line.text.startswith(words) and window.line.text.endswith("or at a topic")
 
 
 def test_a_drag_to_a_topic_connects_to_it(qtbot, window, remote):

@@ -111,7 +111,7 @@ def painted_rows(zoom):
     painter.scale(zoom, zoom)
     painter.translate(-box.left, -box.top)
     owner = QRectF(box.left, box.top, box.right - box.left, box.bottom - box.top)
-    paint_titles(painter, [(owner, "/nao1")], _FONT, colours_of(QPalette()))
+    paint_titles(painter, [(owner, "/nao1")], _FONT, colours_of(QPalette()), owner)
     painter.end()
     rows = [
         y for y in range(400) if any(image.pixelColor(x, y) != white for x in range(0, 400, 2))

@@ -11,6 +11,7 @@ from python_qt_binding.QtGui import QImage
 from unit.rqt.hands import centre_of, click, until, vertex_keys, window_of
 
 from dyknow_rqt.canvas.overview import FAR
+from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.example_graphs import tree
 
 _COUNT = 200
@@ -87,6 +88,53 @@ def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qt
     assert window.graph.view.grab().toImage() != plain
     view.reveal([item])
     assert not item.is_far
+
+
+def test_a_title_stays_in_view_with_its_box(qtbot, window):
+    view, scene = window.graph.view, window.graph.view.scene()
+    view.fit()
+    assert not scene.has_sticky_titles(view.seen)
+    box = scene._boxes["/part7",]
+    view.zoom_by(1.0 / view.zoom)
+    view.centerOn(box.area.center())
+    assert not view.seen.contains(box.area.topLeft()) and scene.has_sticky_titles(view.seen)
+    titled = view.grab().toImage()
+    box.name = ""
+    assert view.grab().toImage() != titled
+    box.name = "/part7"
+    assert view.grab().toImage() == titled
+
+
+def test_names_are_large_enough_to_be_read(qtbot, window, monkeypatch):
+    view, sizes = window.graph.view, []
+    write = VertexItem._paint_large
+
+    def note(item, painter, area, larger, metrics):
+        sizes.append(metrics.ascent() * larger * view.zoom)
+        write(item, painter, area, larger, metrics)
+
+    monkeypatch.setattr(VertexItem, "_paint_large", note)
+    for zoom in (0.31, 0.5, 1.0):
+        sizes.clear()
+        view.zoom_by(zoom / view.zoom)
+        view.centerOn(view.scene().vertices["n_/part7/nodelet3"])
+        view.grab()
+        assert bool(sizes) is (zoom < 0.6) and all(size >= 8.9 for size in sizes)
+
+
+def test_what_is_small_is_judged_by_the_pixels_of_the_screen(qtbot, window, monkeypatch):
+    view = window.graph.view
+    view.zoom_by(0.7 * FAR / view.zoom)
+    assert view.scene()._is_far
+    monkeypatch.setattr(view, "devicePixelRatioF", lambda: 2.0)
+    view._follow()
+    assert not view.scene()._is_far
+
+
+def test_in_a_fresh_rqt_the_graph_has_most_of_the_room(qtbot, crowd):
+    window = window_of(qtbot, crowd, (600, 450))
+    room = window.graph.view.size()
+    assert room.width() * room.height() > 0.6 * 600 * 450
 
 
 def test_a_picture_has_names_also_of_what_is_seen_from_far(qtbot, tmp_path):
