@@ -6,10 +6,10 @@
 Ownership: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
 manager, and its connections with ROS: services, topics, and bonds with the clients of claims. Its
 periodic work is keys of one control loop: observing processes, reconciling claims, publishing the
-model and counts, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and rosnode
-kill end it on purpose: nodelets, claims and nodelet managers end too, unless they are to be kept.
-A manager that is killed leaves them, and its next life takes them over. When the master reports
-that another node bears the name, it does not end (``dyknow.ros.manager.tenure``).
+model and counts, backups, bringing nodelets back, and keeping the node's name. SIGINT, SIGTERM and
+rosnode kill end it on purpose: nodelets, claims and nodelet managers end too, unless they are to
+be kept. A manager that is killed leaves them, and its next life takes them over. When the master
+reports that another node bears the name, it does not end (``dyknow.ros.manager.tenure``).
 """
 
 from __future__ import annotations
