@@ -9,6 +9,7 @@ NAME`` and ``NODE: claim ID TAG``, with the manager's node first.
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Callable, Iterable, Mapping, Sequence
 
 import rospy
@@ -38,6 +39,7 @@ class DiagnosticsTopic:
         model: Callable[[], Model],
         claims: Callable[[], Iterable[StreamStatus]],
         trouble: Callable[[], str],
+        dropped: Callable[[], Mapping[str, int]],
     ) -> None:
         """Advertise the topic.
 
@@ -45,10 +47,13 @@ class DiagnosticsTopic:
             model: returns the model of this moment.
             claims: returns the claims.
             trouble: returns why changes are not on disk; empty if they are.
+            dropped: counts the messages that in-ports dropped, by nodelet.
         """
         self._model = model
         self._claims = claims
         self._trouble = trouble
+        self._count_dropped = dropped
+        self._dropped: Mapping[str, int] = {}
         self._publisher = rospy.Publisher(TOPIC, DiagnosticArray, queue_size=1)
         self.close = self._publisher.unregister
 
@@ -56,7 +61,12 @@ class DiagnosticsTopic:
         """Publish the present diagnostics; returns the seconds until the next."""
         if self._publisher.get_num_connections():
             node = rospy.get_name().lstrip("/")
-            found = statuses(node, self._model(), list(self._claims()), self._trouble())
+            before, self._dropped = self._dropped, self._count_dropped()
+            drops = {
+                name: (count, count - before.get(name, count))
+                for name, count in self._dropped.items()
+            }
+            found = statuses(node, self._model(), list(self._claims()), self._trouble(), drops)
             array = DiagnosticArray(status=found)
             array.header.stamp = rospy.Time.now()
             self._publisher.publish(array)
@@ -64,9 +74,16 @@ class DiagnosticsTopic:
 
 
 def statuses(
-    node: str, model: Model, claims: Sequence[StreamStatus], trouble: str
+    node: str,
+    model: Model,
+    claims: Sequence[StreamStatus],
+    trouble: str,
+    drops: Mapping[str, tuple[int, int]] = MappingProxyType({}),
 ) -> list[DiagnosticStatus]:
-    """Describe the manager, each nodelet, and each claim that has not ended."""
+    """Describe the manager, each nodelet, and each claim that has not ended.
+
+    ``drops`` has the messages that in-ports of a nodelet have dropped in all, and just now.
+    """
     claims = [each for each in claims if not each.state.ended]
     running = sum(each.state is State.RUNNING for each in model.nodelets)
     values = {
@@ -77,12 +94,14 @@ def statuses(
     }
     return [
         _status(f"{node}: manager", _WARN if trouble else _OK, trouble or "answers", node, values),
-        *(_of_nodelet(node, each) for each in model.nodelets),
+        *(_of_nodelet(node, each, drops.get(each.name)) for each in model.nodelets),
         *(_of_claim(node, each) for each in claims),
     ]
 
 
-def _of_nodelet(node: str, nodelet: NodeletStatus) -> DiagnosticStatus:
+def _of_nodelet(
+    node: str, nodelet: NodeletStatus, drops: tuple[int, int] | None
+) -> DiagnosticStatus:
     level = _OF_NODELETS[nodelet.state]
     values = {
         "state": nodelet.state.name,
@@ -92,8 +111,12 @@ def _of_nodelet(node: str, nodelet: NodeletStatus) -> DiagnosticStatus:
         "host": nodelet.host,
         **{f"port {name}": topic for name, topic in nodelet.connections.items()},
     }
-    level = max(level, _WARN) if nodelet.detail else level
-    message = nodelet.detail or nodelet.state.name.lower()
+    details = [nodelet.detail] if nodelet.detail else []
+    if drops is not None:
+        values["dropped"] = str(drops[0])
+        details += [f"dropped {drops[1]} messages"] if drops[1] > 0 else []
+    level = max(level, _WARN) if details else level
+    message = "; ".join(details) or nodelet.state.name.lower()
     return _status(f"{node}: nodelet {nodelet.name}", level, message, nodelet.host, values)
 
 

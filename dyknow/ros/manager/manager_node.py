@@ -191,12 +191,13 @@ class ManagerNode(Closable):
         self._files.look(self.manager.library)
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
         self._model = ModelTopic(self.manager.graph_model, self._messages, self._fixed.follow)
+        self._counts = CountsTopic(self._host.traffic)
         self._diagnostics = DiagnosticsTopic(
             self.manager.graph_model,
             lambda: map(self._answers.status, self._reconciler.claims()),
             lambda: self._store.trouble or self._store.complaint,
+            self._counts.dropped,
         )
-        self._counts = CountsTopic(self._host.traffic)
         self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
         self._loop.start()
         self._introduce()

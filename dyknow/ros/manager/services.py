@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from typing import Any, Callable, Sequence
 
 import rospy
@@ -344,14 +345,25 @@ class CountsTopic:
     def __init__(self, count: Callable[[], list[msg.NodeletCounts]]) -> None:
         """Advertise the topic; ``count`` asks the nodelets."""
         self._count = count
+        self._latest: tuple[float, list[msg.NodeletCounts]] = (0.0, [])
         self._publisher = rospy.Publisher("~counts", msg.Counts, queue_size=1)
         self.close = self._publisher.unregister
 
     def publish(self) -> float:
         """Publish the present counts; returns the seconds until the next."""
         if self._publisher.get_num_connections():
-            self._publisher.publish(msg.Counts(self._count()))
+            self._latest = time.monotonic(), self._count()
+            self._publisher.publish(msg.Counts(self._latest[1]))
         return _COUNTS_PERIOD
+
+    def dropped(self) -> dict[str, int]:
+        """Count the messages that in-ports have dropped, by nodelet, unless that was just done."""
+        if time.monotonic() - self._latest[0] >= _COUNTS_PERIOD:
+            self._latest = time.monotonic(), self._count()
+        return {
+            each.nodelet: sum(p.dropped for p in each.ports if p.direction == msg.Port.IN)
+            for each in self._latest[1]
+        }
 
 
 class EventTopic:

@@ -72,6 +72,15 @@ def test_nodelets(state, detail, level):
     assert values(manager)["running"] == str(int(state is State.RUNNING))
 
 
+@pytest.mark.parametrize(
+    ("drops", "level", "message"),
+    [((7, 0), OK, "running"), ((7, 2), WARN, "dropped 2 messages")],
+)
+def test_drops_warn_while_they_grow(drops, level, message):
+    found = statuses("manager", Model(1, 1, (NODELET,)), [], "", {"/camera": drops})[1]
+    assert (found.level, found.message, values(found)["dropped"]) == (level, message, "7")
+
+
 @pytest.mark.parametrize("state", list(ClaimState))
 def test_claims(state):
     found = reported(claim=replace(CLAIM, state=state, detail="why"))[2:]
