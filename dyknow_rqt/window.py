@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 from typing import Any, Dict, Optional
 
@@ -121,7 +122,8 @@ class DyKnowWidget(QWidget):
 
     def shut_down(self) -> None:
         """End everything that the widget started; returns at once."""
-        QApplication.instance().focusChanged.disconnect(self._follow_focus)
+        with contextlib.suppress(TypeError):  # it was shut down before
+            QApplication.instance().focusChanged.disconnect(self._follow_focus)
         self.monitor.close()
         self.graph.close_down()
 
