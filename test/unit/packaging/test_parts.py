@@ -76,7 +76,8 @@ def test_an_install_space_with_the_parts_and_without(tmp_path):
     }
     assert names(install / "lib", "*.so") == set()
     assert list((install / "share/dyknow").rglob("soccer.[lx]*")) == []
-    types = "dyknow/Relay dyknow/Script dyknow/Sink dyknow/Source dyknow/Throttle"
+    classes = "BlackBox Formula Relay Script Sink Source Throttle".split()
+    types = " ".join(f"dyknow/{each}" for each in classes)
     assert workspace.run_in("install", f"/usr/bin/python3 -c '{LOOK_UP}'") == f"{types}\n\n"
 
 
