@@ -93,7 +93,7 @@ class Repair:
             or consumer.port == claim.claim_id
         ]
         return topic in world.described and all(
-            world.fits(producer, consumer)
+            world.fits(producer, consumer, topic)
             for producer in world.producers(topic)
             for consumer in consumers
         )

@@ -7,8 +7,9 @@ A world does not change: a changed record makes another world, which shares the 
 one. So a connection is judged in the world as it would be, before it is made.
 
 Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.
-A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
-does not answer counts on each topic on which it may be.
+A consumer never comes to a topic with a producer that does not meet its demand, nor one with a
+variable to a topic with two individuals. A nodelet that does not answer counts on each topic on
+which it may be.
 
 The tags that a nodelet with variables sends follow from those that it receives. Where these are
 not certain, each possibility counts. Messages since its last connection bind its variables, even
@@ -101,7 +102,8 @@ class World:
         self._ontology = ontology
         self._late = late
         self._ends = ends
-        self._beside: dict[Place, list[list[Way]]] = {}
+        #: For an in-port on a topic: how the other in-ports bind variables, and what may come.
+        self._beside: dict[tuple[str, str, str], tuple[list[list[Way]], list[Producer]]] = {}
 
     # Other worlds, which differ a little from this one
 
@@ -277,21 +279,38 @@ class World:
             producer.tags, producer.datatype, demand, self._ontology
         )
 
-    def fits(self, producer: Producer, consumer: Consumer) -> bool:
-        """Whether a producer meets a consumer's demand, beside the other inputs of its nodelet."""
-        ends, place = self._ends[consumer.key], (consumer.key, consumer.port)
+    def fits(self, producer: Producer, consumer: Consumer, topic: str) -> bool:
+        """Whether a producer meets a consumer's demand, beside all that its nodelet receives.
+
+        Of two on a topic that bind a variable to different individuals, neither fits, unless the
+        nodelet's other inputs, or what it remembers, are of one of these.
+        """
+        ends, place = self._ends[consumer.key], (consumer.key, consumer.port, topic)
+        demand, ontology = consumer.demand, self._ontology
         if producer.is_unbound or not ends.has_variables:
-            return self.serves(producer, consumer.demand)
+            return self.serves(producer, demand)
         if place not in self._beside:
             others = self._inlets(ends, self._outputs, consumer.port)
-            self._beside[place] = [self._ways(ends, each) or [*ends.known] for each in others]
-        tags, datatype, demand = producer.tags, producer.datatype, consumer.demand
+            here = self.producers(topic)
+            self._beside[place] = (
+                [self._ways(ends, each) or [*ends.known] for each in others],
+                [each for each in here if len(here) > 1 and self.serves(each, demand)],
+            )
+        possible, here = self._beside[place]
+        here = [each for each in here if each[:2] != producer[:2]]
+        if here:
+            possible = [
+                ways_to_bind(ways, [Inlet(demand, sent)], ontology) or ways
+                for ways in possible
+                for sent in _together(here)
+            ]
+        tags, datatype = producer.tags, producer.datatype
         return all(
             any(
-                next(ways_to_meet(tags, datatype, demand, self._ontology, way), None) is not None
+                next(ways_to_meet(tags, datatype, demand, ontology, way), None) is not None
                 for way in ways
             )
-            for ways in self._beside[place]
+            for ways in possible
         )
 
     def mismatches(self, topics: Collection[str]) -> list[Mismatch]:
@@ -301,7 +320,7 @@ class World:
             for topic in sorted(topics)
             for consumer in self.consumers(topic)
             for producer in self.producers(topic)
-            if not self.fits(producer, consumer)
+            if not self.fits(producer, consumer, topic)
         ]
 
     @cached_property
@@ -368,7 +387,7 @@ class World:
         return streams
 
     def _is_fed(self, consumer: Consumer, topic: str) -> bool:
-        return all(self.fits(producer, consumer) for producer in self.producers(topic))
+        return all(self.fits(each, consumer, topic) for each in self.producers(topic))
 
     # Streams that depend on what their nodelets receive
 
@@ -560,7 +579,7 @@ class World:
                 for consumer in after.consumers(topic):
                     may_stay = was_silent or consumer.nodelet in ("", name)
                     for producer in sorted(possible):
-                        if not may_stay or not after.fits(producer, consumer):
+                        if not may_stay or not after.fits(producer, consumer, topic):
                             yield topic, producer, consumer
 
     @property
@@ -610,7 +629,7 @@ def _together(producers: Iterable[Producer]) -> list[tuple[Sent, ...]]:
     if math.prod(map(len, by_source.values())) > _MOST_POSSIBILITIES:
         return [_UNKNOWN]
     return [
-        tuple([(each.tags, each.datatype) for each in combination if not each.is_unbound])
+        tuple({(each.tags, each.datatype): None for each in combination if not each.is_unbound})
         for combination in itertools.product(*by_source.values())
     ]
 

@@ -390,6 +390,21 @@ def test_a_sender_that_leaves_binds_no_variable_of_those_that_it_left() -> None:
     life.teardown()
 
 
+def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:
+    """A person connects a camera of one claim to the topic of another camera of another claim."""
+    life = Truth()
+    life.begin(is_heard=False)
+    life.acquire(tag="Ball(blue)", silence=0.0, exclude=True)
+    life.holds()
+    life.acquire(tag="Frame(left)", silence=0.0, exclude=False)
+    life.holds()
+    life.connect(number=0, port=0, topic=3)
+    assert life.field.host.publishers("/part_b_1/out0") == ["/part_a_1", "/part_b_1"]
+    life.holds()
+    assert life.field.host.publishers("/part_b_1/out0") == ["/part_b_1"]
+    life.teardown()
+
+
 @pytest.mark.long
 def test_nobody_receives_what_was_not_asked_for_in_long_lives() -> None:
     check(100, 300)  # about ten seconds a life

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from unit.manager.field import Field
 from unit.manager.witness import Concepts, satisfies
 
+from dyknow.errors import WrongStream
 from dyknow.manager.claims import world as world_module
 from dyknow.manager.claims.ends import Ends, Inlet, ends_of, relay, supplied, ways_to_bind
 from dyknow.manager.claims.world import World
@@ -153,6 +154,8 @@ def live(*records: Record) -> List[str]:
 
 
 BOTH = (LEFT, RIGHT, POSES)
+TWIN = replace(LEFT, name="/twin")
+BESIDE = replace(RIGHT, topics={"out": "/left"})
 SECOND = nodelet("/second", {"in": ("Ball(?x)", "/ball"), "out": ("Goal(?x)", "/goal")})
 END = nodelet("/end", {"in": ("Goal(right)", "/goal")})
 ONE = nodelet("/one", {"in": ("A(?x)", "/a"), "out": ("B(?x)", "/b")})
@@ -192,6 +195,11 @@ CONTRADICTION = ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
         ((LEFT, POSES, tracker("/nobody"), viewer("Ball(right)")), ["/tracker /viewer"], ""),
         # Its parameters fix what it may receive.
         ((LEFT, RIGHT, tracker("/right", c="left")), ["/right /tracker"], ""),
+        # Two send on one topic: of two individuals, unless another port or a parameter names one.
+        ((LEFT, BESIDE, tracker("/left")), ["/left /tracker", "/right /tracker"], ""),
+        ((LEFT, TWIN, POSES, tracker("/left", "/poses")), [], "Ball(left)"),
+        ((LEFT, BESIDE, POSES, tracker("/left", "/poses")), ["/right /tracker"], ""),
+        ((LEFT, BESIDE, tracker("/left", c="left")), ["/right /tracker"], ""),
         # Bindings pass through chains, and do not settle in circles.
         ((END, SECOND, tracker("/left", "/poses"), POSES, LEFT), ["/second /end"], "Ball(left)"),
         ((ONE, TWO), [], ""),
@@ -208,6 +216,15 @@ def test_a_supply_follows_from_the_inputs(
     found = [each for each in live(*records) if each.split()[0] in ("/tracker", "/one", "/two")]
     assert found == ([f"/tracker {supply}"] if supply else [])
     assert ("/second Goal(left)" in live(*records)) is (SECOND in records)
+
+
+def test_no_variable_is_connected_to_two_individuals() -> None:
+    mixed = world(LEFT, BESIDE, tracker(""))
+    assert mixed.fitting(replace(tracker("/left"), claimed=True))["in"] == ""
+    with pytest.raises(WrongStream):
+        mixed.in_the_way(tracker(""), {"in": "/left"})
+    alone = world(LEFT, RIGHT, tracker("/left"))
+    assert alone.in_the_way(RIGHT, {"out": "/left"}) == {"/tracker": {"in": ""}}
 
 
 def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
