@@ -378,7 +378,7 @@ class Assembly(Transaction):
 
     def _free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port, but none that a successor has taken over."""
-        taken = self._taken_topics() | {self._claim.topic}
+        taken = self._taken_topics() | {self._claim.topic, *self.world.described}
         taken |= {
             each.topic
             for record in self.world.records.values()
@@ -391,7 +391,7 @@ class Assembly(Transaction):
         """Yield global names for nodelets of a transformation: /bottom_camera_1, _2 ..."""
         records = self.world.records.values()
         taken = {topic for record in records for topic in record.topics.values()}
-        taken |= self._taken_topics() | {self._claim.topic}
+        taken |= self._taken_topics() | {self._claim.topic, *self.world.described}
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
         if not stem[:1].isalpha():
             stem = f"nodelet_{stem}".rstrip("_")

@@ -144,6 +144,22 @@ def test_a_client_of_an_ordinary_topic_is_not_served_by_what_is_described_no_mor
     assert (now.state, now.sources) == (ClaimState.ACTIVE, ("/other/joints",))
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_no_part_publishes_where_an_ordinary_node_does(lab: Field, is_first: bool) -> None:
+    text = described("node", "/ceiling_1/image", "RawYUV(bottom)", IMAGE)
+    if is_first:
+        lab.manager.add_transformation(text)
+        lab.host.topics.add("/ceiling_1/image")
+    claim = lab.acquire("BGR(ceiling)").claim
+    lab.settle()
+    lab.host.topics.add("/ceiling_1/image")
+    lab.manager.add_transformation(text)
+    lab.settle(3.0)
+    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in lab.moving
+    assert lab.host.publishers("/ceiling_1/image") == []
+
+
 # What people do
 
 
