@@ -59,6 +59,13 @@ def plugin_files() -> Iterator[PluginFile]:
 
 def exported_files(tag: str, attribute: str = "plugin") -> Iterator[PluginFile]:
     """List the files that packages name in ``<export><TAG ATTRIBUTE="…"/>``."""
+    for found, plugin_file in exports(tag):
+        if found == attribute:
+            yield plugin_file
+
+
+def exports(tag: str) -> Iterator[tuple[str, PluginFile]]:
+    """List all attributes of ``<export><TAG …/>`` of packages that name files, with these."""
     import rospkg  # here: what is declared is known without ROS's packages too
 
     rospack = rospkg.RosPack()
@@ -75,10 +82,10 @@ def exported_files(tag: str, attribute: str = "plugin") -> Iterator[PluginFile]:
         if root is None:
             continue
         for export in root.iterfind(f"export/{tag}"):
-            text = export.get(attribute)
-            if text:
-                file = Path(text.replace("${prefix}", str(directory)))
-                yield PluginFile(package, directory, directory / file)
+            for attribute, text in export.items():
+                if text:
+                    file = Path(text.replace("${prefix}", str(directory)))
+                    yield attribute, PluginFile(package, directory, directory / file)
 
 
 @dataclass(frozen=True)

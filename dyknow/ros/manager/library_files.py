@@ -13,14 +13,14 @@ specification is read again then.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Callable, Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Callable, Collection, Mapping, Sequence
 
 import rospy
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.library import Library
 from dyknow.nodelet.module_files import Stamp, stamps
-from dyknow.nodelet.plugins import exported_files
+from dyknow.nodelet.plugins import exports
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.manager.manager_settings import ManagerSettings
 
@@ -30,14 +30,16 @@ if TYPE_CHECKING:
 #: Seconds between two looks, and how many times as long as a look the pause is at least.
 LOOK_PERIOD, _REST = 1.0, 50.0
 
-#: Lists the paths that packages export in an attribute of ``<dyknow>``.
-Exported = Callable[[str], Iterable[str]]
+#: Lists the paths that packages export, by attribute of ``<dyknow>``.
+Exported = Callable[[], Mapping[str, Sequence[str]]]
 
 
-def exported(attribute: str) -> list[str]:
+def exported() -> dict[str, list[str]]:
     """List the files that packages on ROS_PACKAGE_PATH export, by package."""
-    found = exported_files("dyknow", attribute)
-    return [str(each.file) for each in sorted(found, key=lambda each: each.package)]
+    found: dict[str, list[str]] = {}
+    for attribute, each in sorted(exports("dyknow"), key=lambda pair: pair[1].package):
+        found.setdefault(attribute, []).append(str(each.file))
+    return found
 
 
 class LibraryFiles:
@@ -54,7 +56,7 @@ class LibraryFiles:
         exported: Exported = exported,
     ) -> None:
         self._settings = settings
-        self._exported = exported if settings.use_exports else lambda attribute: ()
+        self._exported = exported if settings.use_exports else dict
         #: The files of the ontology that is used or refused, with their stamps.
         self._related: tuple[Sequence[str], Mapping[str, Stamp]] = ((), {})
         #: By specification file: its stamp, None if it is not there, and its labels.
@@ -73,7 +75,7 @@ class LibraryFiles:
             OntologyError: a file that a parameter names cannot be used. With one of a package, the
                 others are used.
         """
-        own, paths = self._settings.ontologies, self._ontologies()
+        own, paths = self._settings.ontologies, self._ontologies(self._exported())
         try:
             return self._read(paths)
         except DyKnowError as error:
@@ -96,9 +98,10 @@ class LibraryFiles:
         began = time.monotonic()
         before = library.revision
         labels: set[str] = set()
-        is_related = self._relate(library)
+        found = self._exported()
+        is_related = self._relate(library, self._ontologies(found))
         wanted = dict.fromkeys(
-            (*self._settings.transformations, *self._exported("transformations"))
+            (*self._settings.transformations, *found.get("transformations", ()))
         )
         now = stamps(wanted)
         for path in wanted:
@@ -113,12 +116,11 @@ class LibraryFiles:
             on_change(labels)
         return max(LOOK_PERIOD, _REST * (time.monotonic() - began))
 
-    def _ontologies(self) -> Sequence[str]:
-        return tuple(dict.fromkeys((*self._settings.ontologies, *self._exported("ontology"))))
+    def _ontologies(self, found: Mapping[str, Sequence[str]]) -> Sequence[str]:
+        return tuple(dict.fromkeys((*self._settings.ontologies, *found.get("ontology", ()))))
 
-    def _relate(self, library: Library) -> bool:
+    def _relate(self, library: Library, paths: Sequence[str]) -> bool:
         """Read the ontology again if a file has changed; returns whether there is another one."""
-        paths = self._ontologies()
         known, before = self._related
         if paths == known and stamps(before.keys() | set(paths)) == before:
             return False

@@ -45,7 +45,9 @@ class Files:
                 ontologies=tuple(map(self.path, ontologies)),
                 **settings,
             ),
-            lambda attribute: map(self.path, self.exports[attribute]),
+            lambda: {
+                attribute: [*map(self.path, files)] for attribute, files in self.exports.items()
+            },
         )
         self.changes = []
 
