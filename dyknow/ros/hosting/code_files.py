@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Iterator, Mapping, Tuple
 
-from lxml import etree
-
 from dyknow.errors import DyKnowError, HostError, UnknownNodeletType
 from dyknow.locks import state_lock
 from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.nodelet.module_files import Stamp, reached_from, script_file, source_files, stamps
-from dyknow.nodelet.plugins import Package, Plugins, exported_files, plugin_files
+from dyknow.nodelet.plugins import Package, Plugins, plugin_files
+from dyknow.ros.hosting.installed import cpp_descriptions
 from dyknow.ros.process import programs
 
 #: Seconds for which the stamps of files are relied on.
@@ -99,7 +98,7 @@ class CodeFiles:
                 yield from _files_of_program(Program.of(transformation.source))
             else:
                 yield from self._files_of_nodelet(transformation.source)
-        except (DyKnowError, OSError, etree.XMLSyntaxError):
+        except (DyKnowError, OSError):
             return  # it is on another machine, perhaps
 
     def _files_of_nodelet(self, source: str) -> Iterator[str]:
@@ -143,10 +142,8 @@ def _files_of_program(program: Program) -> Iterator[str]:
 
 def _library_of(source: str) -> Iterator[str]:
     """Find the library of a nodelet in C++ in the workspaces of the environment."""
-    for plugin_file in exported_files("nodelet"):
-        parser = etree.XMLParser(resolve_entities=False, no_network=True, recover=True)
-        root = etree.fromstring(plugin_file.file.read_bytes(), parser)
-        for library in root.iter("library") if root is not None else ():
+    for root in cpp_descriptions():
+        for library in root.iter("library"):
             if source not in [each.get("name") for each in library.iter("class")]:
                 continue
             name = os.path.basename(library.get("path") or "")

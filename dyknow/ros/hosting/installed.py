@@ -11,7 +11,6 @@ may be built later.
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import Iterable, Iterator, Mapping, Sequence
 
 from lxml import etree
@@ -69,21 +68,25 @@ def _explanation(source: str, declared: Iterable[str]) -> str:
 
 
 def cpp_classes() -> Iterator[str]:
-    """List the C++ nodelets that packages declare; broken descriptions are logged and left out."""
+    """List the C++ nodelets that packages declare."""
+    for root in cpp_descriptions():
+        for element in root.iter("class"):
+            name = element.get("name") or element.get("type")
+            if name and element.get("base_class_type") == _BASE_CLASS:
+                yield name
+
+
+def cpp_descriptions() -> Iterator[etree._Element]:
+    """Read the descriptions of C++ nodelets; broken ones are logged and left out."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
     for plugin_file in exported_files("nodelet"):
         try:
-            yield from _read(plugin_file.file)
+            root = etree.fromstring(plugin_file.file.read_bytes(), parser)
         except (OSError, etree.XMLSyntaxError) as error:
             _log.warning("plugin description '%s': %s", plugin_file.file, error)
-
-
-def _read(file: Path) -> Iterator[str]:
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
-    root = etree.fromstring(file.read_bytes(), parser)
-    for element in root.iter("class") if root is not None else ():
-        name = element.get("name") or element.get("type")
-        if name and element.get("base_class_type") == _BASE_CLASS:
-            yield name
+            continue
+        if root is not None:
+            yield root
 
 
 def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterator[Problem]:
