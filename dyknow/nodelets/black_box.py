@@ -61,13 +61,10 @@ class BlackBox(dyknow.Nodelet):
         """Subscribe, and look for topics."""
         nh = self.nh = self.node_handle
         self.patterns = [nh.resolve_name(each) for each in _texts(nh, "~topics")]
-        self.recording = Recording(
-            get_positive(nh, "~seconds", 30.0, "s"),
-            1e6 * get_positive(nh, "~memory", 200.0, "MB"),
-        )
+        seconds = get_positive(nh, "~seconds", 30.0, "s")
+        self.recording = Recording(seconds, 1e6 * get_positive(nh, "~memory", 200.0, "MB"))
         self.after = get_positive(nh, "~after", 2.0, "s")
-        longest = get_positive(nh, "~seconds", 30.0, "s") / 2
-        self.pause = min(get_positive(nh, "~pause", 30.0, "s"), longest)
+        self.pause = min(get_positive(nh, "~pause", 30.0, "s"), seconds / 2)
         self.bags = int(get_positive(nh, "~bags", 20, "bags"))
         default = os.path.join(rospkg.get_ros_home(), "black_box")
         self.folder = os.path.expanduser(nh.get_param("~folder", "") or default)

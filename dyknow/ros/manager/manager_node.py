@@ -220,9 +220,14 @@ class ManagerNode(Closable):
         self._loop.add(_DIAGNOSE, self._diagnostics.publish, 0.0)
         self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
         if self._settings.watchdog:
-            manager = self.manager
-            parts = (self._host, manager.graph, manager.restart, self._settings.watchdog)
-            watchdog = Watchdog(*parts, self._reconciler.report, self._running)
+            watchdog = Watchdog(
+                self._host,
+                self.manager.graph,
+                self.manager.restart,
+                self._settings.watchdog,
+                self._reconciler.report,
+                self._running,
+            )
             self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)

@@ -343,17 +343,22 @@ def test_the_manager_itself_comes_last(graph, keeper, monkeypatch):
         assert callers[0] == "/a" and callers[-1] == ME, (function, callers)
 
 
+def begin_another_session(graph: Graph) -> None:
+    """End the manager and its master, and begin with another one of each."""
+    graph.manager.close()
+    graph.nodes.remove(graph.manager)
+    graph.core.renew()
+    graph.set(run_id="second")
+    graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
+
+
 def test_the_mirror_outlives_its_manager(graph, keeper):
     node = graph.node("/node")
     node.publish("/words")
     graph.set(run_id="first", rate=5)
     keeper.look()
     assert stat.S_IMODE(os.stat(graph.path).st_mode) == 0o600
-    graph.manager.close()
-    graph.nodes.remove(graph.manager)
-    graph.core.renew()
-    graph.set(run_id="second")
-    graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
+    begin_another_session(graph)
     graph.keeper().look()
     assert graph.core.state()[0] == {"/rosout": [ME], "/words": ["/node"]}
     assert graph.core.parameters() == {"run_id": "second", "rate": 5}
@@ -382,11 +387,7 @@ def test_nothing_of_an_earlier_session_comes_back(graph, keeper):
     """All its nodes have ended, so its parameters are not wanted either."""
     graph.set(run_id="first", rate=5)
     keeper.look()
-    graph.manager.close()
-    graph.nodes.remove(graph.manager)
-    graph.core.renew()
-    graph.set(run_id="second")
-    graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
+    begin_another_session(graph)
     graph.keeper().look()
     assert graph.core.parameters() == {"run_id": "second"}
 
