@@ -83,16 +83,17 @@ def port_or_topic(text: str) -> PortRef | str:
     return port_reference(text) if ":" in text else graph_name(text)
 
 
-def port_topic(text: str) -> tuple[str, str]:
-    port, _, topic = text.partition(":")
-    if not (port and topic):
-        raise _expected(text, "PORT:TOPIC, such as in:/camera/image")
-    return port, _checked(topic, "topic name")
+def port_and_end(text: str) -> tuple[str, PortRef | str]:
+    port, _, end = text.partition(":")
+    if not (port and end):
+        raise _expected(text, "PORT:TOPIC or PORT:NODELET:PORT, such as in:/camera/image")
+    return port, port_reference(end) if ":" in end else _checked(end, "topic name")
 
 
 def given_parameter(text: str) -> Parameter:
-    """Read `NAME=VALUE`; the type is left open."""
+    """Read `NAME=VALUE`, or `NAME:=VALUE` as ROS writes it; the type is left open."""
     name, equals, value = text.partition("=")
+    name = name[:-1] if name.endswith(":") else name
     if not (name and equals):
         raise _expected(text, "NAME=VALUE, such as rate=5 or '?camera=cam1'")
     return Parameter(name, "", value)
@@ -145,7 +146,7 @@ KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "OWL": (None, completion.files),
     "PKG": (None, completion.packages),
     "PORT": (positive, None),
-    "PORT:TOPIC": (port_topic, completion.ports_of_label),
+    "PORT:END": (port_and_end, completion.ports_of_label),
     "S": (seconds, None),
     "SECONDS": (seconds, None),
     "T": (graph_name, completion.topics),

@@ -204,11 +204,18 @@ def tags(cursor: _Cursor) -> Iterable[str]:
 
 @_completer
 def ports_of_label(cursor: _Cursor) -> Iterable[str]:
-    """Ports of the transformation that is to be spawned, and the topic behind it, `PORT:TOPIC`."""
-    port, colon, _ = cursor.prefix.partition(":")
-    if colon:
-        return [f"{port}:{topic}" for topic in cursor.topics()]
-    return (f"{port.name}:" for each in cursor.chosen_transformation() for port in each.ports)
+    """Ports of the transformation that is to be spawned, and the ends behind them, `PORT:END`."""
+    name, colon, _ = cursor.prefix.partition(":")
+    own = [port for each in cursor.chosen_transformation() for port in each.ports]
+    if not colon:
+        return (f"{port.name}:" for port in own)
+    peers = [
+        f"{each.name}:{peer.name}"
+        for each in cursor.nodelets()
+        for peer in each.ports
+        if any(port.name == name and port.direction != peer.direction for port in own)
+    ]
+    return [f"{name}:{end}" for end in (*cursor.topics(), *peers)]
 
 
 @_completer

@@ -134,21 +134,25 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
 
     Private parameters, `_x:=y`, become those of a spawn.
     """
-    own = [word for word in words if ":=" not in word]
-    command = next((word for word in own if word in all_commands()), "")
+    plain = [word for word in words if ":=" not in word]
+    command = next((word for word in plain if word in all_commands()), "")
     if command in ("run", "probe"):
         return list(words)  # they are the node's
     if command == "launch":  # they are the launch file's, and may stand among the options
-        return [*own, *(f"--given={word}" for word in words if ":=" in word)]
+        return [*plain, *(f"--given={word}" for word in words if ":=" in word)]
+    own: list[str] = []
+    parameters: list[str] = []
+    option = ""
     for word in words:
         name, is_given, value = word.partition(":=")
-        if not is_given or name in _FROM_ROSLAUNCH:
-            continue
-        if command == "spawn" and re.match("_[^_]", name):
-            own += ["--param", f"{name[1:]}={value}"]
-        else:
+        option = word if word.startswith("--") else option
+        if not is_given or (command == "spawn" and option.startswith("--param")):
+            own.append(word)
+        elif command == "spawn" and re.match("_[^_]", name):
+            parameters += ["--param", f"{name[1:]}={value}"]
+        elif name not in _FROM_ROSLAUNCH:
             parser.error(f"'{word}' would have no effect: {_instead(command, word)}")
-    return own
+    return own + parameters
 
 
 def _instead(command: str, word: str) -> str:

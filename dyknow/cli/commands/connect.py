@@ -105,12 +105,29 @@ def _connect_ports(
     client: ShellClient, source: PortRef, target: PortRef, topic: str
 ) -> tuple[str, list[PortMove]]:
     """Connect an out-port to an in-port; return the topic, and the moves that were made."""
-    out, into = _find_port(client, source), _find_port(client, target)
+    out, into = find_port(client, source), find_port(client, target)
     check_ends(str(source), out, str(target), into)
     topic = topic or out.topic or _free_topic(client, source.nodelet, out, into)
     # The in-port first: it receives the first message that is published on the topic.
     ends = (PortMove(target, into.topic, topic), PortMove(source, out.topic, topic))
-    return topic, _apply(client, ends)
+    return topic, apply(client, ends)
+
+
+def meeting_topic(client: ShellClient, name: str, port: PortState, peer: PortRef) -> PortMove:
+    """Choose the topic of a port of a nodelet that is to be spawned, and of its peer's.
+
+    Raises:
+        CannotConnect: the peer does not exist, or the two do not fit.
+    """
+    found = find_port(client, peer)
+    own = PortRef(name, port.name)
+    if port.direction == IN:
+        check_ends(str(peer), found, str(own), port)
+        topic = found.topic or _free_topic(client, peer.nodelet, found, port)
+    else:
+        check_ends(str(own), port, str(peer), found)
+        topic = _free_topic(client, name, port, found)
+    return PortMove(peer, found.topic, topic)
 
 
 def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortState) -> str:
@@ -134,13 +151,13 @@ def _connect_to_topic(
             f"'{topic}' is a nodelet; expected a topic, or its port as {topic}:PORT; its "
             f"{other}-ports: {ports or 'none'}"
         )
-    port = _find_port(client, reference)
+    port = find_port(client, reference)
     if port.direction != direction:
         raise CannotConnect(
             f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "
             "leads from the first to the second"
         )
-    return _apply(client, [PortMove(reference, port.topic, topic)])
+    return apply(client, [PortMove(reference, port.topic, topic)])
 
 
 @command(
@@ -151,9 +168,9 @@ def _connect_to_topic(
     argument("ports", "A:PORT", "a port: NODELET:PORT", nargs="+"),
 )
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
-    references = dict.fromkeys(_resolved(shell, each) for each in arguments.ports)
-    wanted = [PortMove(each, _find_port(shell.client, each).topic, "") for each in references]
-    moves = _apply(shell.client, wanted)
+    references = dict.fromkeys(resolved(shell, each) for each in arguments.ports)
+    wanted = [PortMove(each, find_port(shell.client, each).topic, "") for each in references]
+    moves = apply(shell.client, wanted)
     left = (f"has left {move.before}" if move.before else "was not connected" for move in wanted)
     shell.show(
         {"changed": [_move_json(move) for move in moves]},
@@ -180,7 +197,7 @@ def _ports_of(client: ShellClient, nodelet: str) -> tuple[PortState, ...]:
         raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
 
 
-def _find_port(client: ShellClient, reference: PortRef) -> PortState:
+def find_port(client: ShellClient, reference: PortRef) -> PortState:
     """Return the port that a reference means.
 
     A port that a lazy nodelet declares may be connected before the nodelet subscribes with it: its
@@ -205,7 +222,7 @@ def _find_port(client: ShellClient, reference: PortRef) -> PortState:
     )
 
 
-def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:
+def apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:
     """Move ports in this order, all or none; return the moves that were needed.
 
     Raises:
@@ -224,10 +241,10 @@ def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:
 
 
 def _end(shell: Shell, end: PortRef | str) -> PortRef | str:
-    return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
+    return shell.resolve(end) if isinstance(end, str) else resolved(shell, end)
 
 
-def _resolved(shell: Shell, reference: PortRef) -> PortRef:
+def resolved(shell: Shell, reference: PortRef) -> PortRef:
     return PortRef(shell.resolve(reference.nodelet), reference.port)
 
 

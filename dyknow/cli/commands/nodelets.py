@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import SEVERAL, argument, flag, graph_name
+from dyknow.cli.commands.connect import PortMove, apply, meeting_topic, resolved
 from dyknow.cli.output import nodelet_json, state_of
 from dyknow.cli.shell import Shell, command
-from dyknow.errors import DuplicatePort
+from dyknow.errors import DuplicatePort, DyKnowError
+from dyknow.model.graph import PortRef, PortState
+from dyknow.wiring.ports import CannotConnect
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
@@ -29,6 +32,7 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
     "dyknow spawn relay slow\n"
     "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
     "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
+    "dyknow spawn relay slow --connect in:camera:image\n"
     "dyknow spawn detector ball --isolated\n"
     "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
     "dyknow spawn tracker tracker _rate:=5",
@@ -50,8 +54,9 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
     ),
     argument(
         "--connect",
-        "PORT:TOPIC",
-        "connect its ports from the start; relative topics begin in its own namespace",
+        "PORT:END",
+        "connect its ports from the start, each to a topic or to a port, NODELET:PORT; relative "
+        "topics begin in its own namespace",
         **SEVERAL,
     ),
     argument(
@@ -63,12 +68,17 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
     ),
 )
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
+    name = shell.resolve(arguments.name)
     config: dict[str, str] = {}
-    for port, topic in arguments.connect:
+    peers: list[PortMove] = []
+    for port, end in arguments.connect:
         if port in config:
             raise DuplicatePort(port)
-        config[port] = topic
-    name = shell.resolve(arguments.name)
+        if isinstance(end, PortRef):
+            own = _declared(shell, arguments.label, port)
+            peers.append(meeting_topic(shell.client, name, own, resolved(shell, end)))
+            end = peers[-1].after
+        config[port] = end
     shell.client.spawn(
         arguments.label,
         name,
@@ -78,6 +88,11 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.resolve(arguments.manager) if arguments.manager else "",
         arguments.param,
     )
+    try:
+        apply(shell.client, peers)
+    except DyKnowError:
+        shell.client.destroy(name)
+        raise
     model = shell.client.wait_for_model(lambda model: _runs(model, name))
     nodelet = (model or shell.client.get_graph()).nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
@@ -88,6 +103,23 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show(
         nodelet_json(nodelet),
         [f"spawned {name} from {nodelet.transformation} {where}", *connections],
+    )
+
+
+def _declared(shell: Shell, label: str, name: str) -> PortState:
+    """Return the port that a transformation declares."""
+    ports = [
+        port
+        for each in shell.client.get_model().transformations
+        if each.label == label
+        for port in each.ports
+    ]
+    for port in ports:
+        if port.name == name:
+            return PortState(port.name, port.direction, port.datatype)
+    known = ", ".join(port.name for port in ports) or "none"
+    raise CannotConnect(
+        f"transformation '{label}' declares no port '{name}'; known ports: {known}"
     )
 
 

@@ -79,7 +79,7 @@ def offered(client, text):
         ("library wrong\\ p", ["wrong\\ ports"]),
         ("spawn relay ", []),
         ("spawn relay r --connect ", ["in:", "out:"]),
-        ("spawn relay r --connect in:/r", ["/raw", "/rosout"]),
+        ("spawn relay r --connect in:/r", ["/raw", "/robot/relay:out", "/rosout"]),
         ("spawn relay r --connect in:/raw o", ["out:"]),
         ("spawn tracker r --param ", ["?camera=", "frame="]),
         ("spawn relay r --manager ", ["/fake_0"]),

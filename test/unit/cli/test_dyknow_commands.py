@@ -52,6 +52,22 @@ spawned /r from relay in /fake_0
 $ spawn rellay r
 dyknow: no transformation is labelled 'rellay'; did you mean relay?
 [1]
+$ spawn relay s --connect in:r:out
+spawned /s from relay in /fake_0
+  in - /b
+$ spawn relay t --connect out:s:in
+spawned /t from relay in /fake_0
+  out - /t/out
+$ info s
+...Nodelet [/s]...
+    topic: /t/out
+    from: /t:out...
+$ spawn relay u --connect in:s:in
+dyknow: ...'/s:in' is an in-port, expected an out-port first...
+[1]
+$ spawn relay u --connect inn:r:out
+dyknow: transformation 'relay' declares no port 'inn'; known ports: in, out
+[1]
 $ spawn relay q --connect in:/a --connect in:/b
 dyknow: ...port 'in' is named twice...
 [1]

@@ -76,7 +76,7 @@ def test_examples_are_understood():
         ("--json list a:=b", "'dyknow list' takes neither remappings nor parameters"),
         ("connect a: b:in", "expected NODELET:PORT"),
         ("connect a:out b:in --topic x//y", "'x//y' is not a valid name"),
-        ("spawn relay a --connect in", "'in': expected PORT:TOPIC"),
+        ("spawn relay a --connect in", "'in': expected PORT:TOPIC or PORT:NODELET:PORT"),
         ("list --timeout never", "'never': expected seconds"),
         ("list --timeout -1", "expected"),
         ("stats --watch 0", "expected seconds"),
@@ -109,6 +109,9 @@ def test_arguments_of_ros():
     assert parse(["list", "__name:=x", "__log:=/tmp/x.log"]).command == "list"
     words = ["spawn", "relay", "a", "_rate:=20", "--isolated", "_frame:=a=b", "__name:=x"]
     assert parse(words).param == [Parameter("rate", "", "20"), Parameter("frame", "", "a=b")]
+    words = ["spawn", "relay", "a", "--param", "rate:=20", "frame=a:=b", "--param=size:=3"]
+    given = [("rate", "20"), ("frame", "a:=b"), ("size", "3")]
+    assert parse(words).param == [Parameter(name, "", value) for name, value in given]
     words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
     found = parse(words)
     assert (found.settle, found.words) == (0.5, ["/a", "_rate:=20", "--json"])
