@@ -129,6 +129,14 @@ class DoctorTest(ManagerCase):
         node = rospy.get_name()
         self.found("versions", node, "was started with another version", "restart it")
 
+    def test_a_nodelet_has_the_name_of_the_node_that_loads_it(self):
+        self.started()
+        words = ("load", "dyknow/Source", CHILD, "__name:=loaded")
+        with Running("rosrun", "dyknow", "nodelet", *words):
+            rospy.wait_for_service("/loaded/get_config", 20.0)
+            eventually(lambda: Master("/test").node("/loaded"), 20.0, "the loader is up")
+            self.assertEqual(self.findings("versions"), [])
+
     def test_a_manager_that_does_not_run(self):
         self.end_idle()
         self.found("DyKnow manager", MANAGER, "is not running", "rosrun dyknow manager")

@@ -139,9 +139,15 @@ class Doctor:
     def _polls(self) -> dict[str, PollResponse | str]:
         """How each process that runs nodelets answers a poll; or a text that says why not."""
         _, _, services = self._master.ask("getSystemState")
-        offered = {service for service, _ in services}
-        managers = {name for name in self.nodes if names.join(name, "load_nodelet") in offered}
-        nodes = {name for name in self.nodes if names.join(name, "get_config") in offered}
+        offered = dict(services)
+
+        def offering(service: str) -> set[str]:
+            # `nodelet load` is a node of its nodelet's name; its nodelet manager has the services.
+            return {
+                name for name in self.nodes if name in offered.get(names.join(name, service), ())
+            }
+
+        managers, nodes = offering("load_nodelet"), offering("get_config")
         found = sorted(managers | nodes)
 
         def poll(name: str) -> PollResponse | str:
