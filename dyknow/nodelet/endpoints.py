@@ -25,6 +25,8 @@ from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 NOTHING: Any = object()
 #: A rate is taken over the last one to two stretches of so many messages, so that it follows.
 _STRETCH = 32
+#: Shorter silences are none; a longer one is if it is also longer than some messages took.
+_PAUSE, _OVERDUE = 2.0, 3
 _HELD, _OPEN, _CLOSED = "held", "open", "closed"
 
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
@@ -60,29 +62,38 @@ class Traffic:
         """Count one message whose callback began at ``start`` and has just returned."""
         took = self.clock() - start
         self.messages = number = self.messages + 1
-        self.last = start
         self.busy += took
         if took > self.longest:
             self.longest = took
-        if number % _STRETCH == 1:
+        if number % _STRETCH == 1 or start - self.last > _PAUSE:
             self.begin_stretch(number, start)
+        self.last = start
 
     def begin_stretch(self, number: int, now: float) -> None:
-        self._before = self._begin if number > 1 else (1, now)
-        self._begin = (number, now)
+        """Begin a stretch with this message, if it is due or follows a pause."""
+        if number == 1 or self._is_pause(number - 1, now):
+            self._before = self._begin = (number, now)
+        elif number % _STRETCH == 1:
+            self._before, self._begin = self._begin, (number, now)
 
     def rate(self) -> float:
-        """Return Hz over the last messages; 0 for less than two, falling while none come."""
-        number, last, (first, since) = self.messages, self.last, self._before
+        """Return Hz over the last messages; 0 for less than two, and when none come any more."""
+        number, now, (first, since) = self.messages, self.clock(), self._before
         intervals = number - first
-        if intervals < 1 or first == 0:
+        if intervals < 1 or first == 0 or self._is_pause(number, now):
             return 0.0
-        span = last - since
-        silence = self.clock() - last
+        span = self.last - since
+        silence = now - self.last
         # Until one is overdue the rate is that of the stretch; then the silence counts with it.
         if silence > 2 * span / intervals:
             span += silence
         return intervals / span if span > 0 else 0.0
+
+    def _is_pause(self, number: int, now: float) -> bool:
+        """Whether message ``number`` came so long before ``now`` that the stream had stopped."""
+        first, since = self._before
+        silence = now - self.last
+        return silence > _PAUSE and silence * (number - first) > _OVERDUE * (self.last - since)
 
 
 class Connection:
@@ -293,9 +304,10 @@ class Publication:
                 return
             traffic = self.traffic  # counted here: a call would cost as much again
             traffic.messages = number = traffic.messages + 1
-            traffic.last = now = traffic.clock()
-            if number % _STRETCH == 1:
+            now = traffic.clock()
+            if number % _STRETCH == 1 or now - traffic.last > _PAUSE:
                 traffic.begin_stretch(number, now)
+            traffic.last = now
             for connection in self._route:  # type: ignore[union-attr] # there is one, if admitted
                 connection.push_locked(message)
             outside = self.outside

@@ -25,7 +25,7 @@ public:
     Clock::duration busy{0};
     Clock::duration longest{0};
     std::uint64_t dropped = 0;
-    double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, falling while none come
+    double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, and when none come any more
   };
 
   /// Counts one message that goes out now.
@@ -52,6 +52,8 @@ private:
 
   void count(Clock::time_point now);
   double rate() const;
+  /// Whether message `number` came so long before `now` that the stream had stopped.
+  bool isPause(std::uint64_t number, Clock::time_point now) const;
 
   Clock::time_point last_;
   Snapshot counts_;

@@ -153,8 +153,8 @@ _HEAD = (
     *("MEAN", "MAX", "ERRORS", "TOPIC", "OUTSIDE"),
 )
 
-#: The statistics of a nodelet, or the error.
-Answer = Union["NodeletStatistics", DyKnowError]
+#: The statistics of a nodelet, or the error; None for a nodelet that has no ports and no proxy.
+Answer = Union["NodeletStatistics", DyKnowError, None]
 
 
 def _stats_problem(arguments: argparse.Namespace) -> str:
@@ -191,7 +191,8 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:
     shown = 0
     while True:
         begin = time.monotonic()
-        screen.show(*_counts(shell, _ask(shell, names or _all(shell.client.get_graph()))))
+        snapshot = shell.client.get_graph()
+        screen.show(*_counts(shell, _ask(shell, snapshot, names)))
         shown += 1
         if arguments.count is not None and shown >= arguments.count:
             return None
@@ -203,7 +204,7 @@ def _show_once(shell: Shell, names: Sequence[str]) -> int | None:
     present = [each.name for each in _named(shell, names, snapshot)]
     if names and not present:
         return FAILED
-    answers = _ask(shell, present or _all(snapshot))
+    answers = _ask(shell, snapshot, present)
     silent = [answer for answer in answers.values() if isinstance(answer, DyKnowError)]
     for error in silent:
         shell.error(error)
@@ -211,20 +212,17 @@ def _show_once(shell: Shell, names: Sequence[str]) -> int | None:
     return FAILED if silent or len(present) < len(names) else None
 
 
-def _all(snapshot: Model) -> list[str]:
-    return [each.name for each in snapshot.nodelets]
-
-
-def _ask(shell: Shell, names: Sequence[str]) -> dict[str, Answer]:
-    """Ask all nodelets at the same time, so that none waits for one that hangs."""
+def _ask(shell: Shell, snapshot: Model, names: Sequence[str]) -> dict[str, Answer]:
+    """Ask these nodelets, or all, at the same time, so that none waits for one that hangs."""
+    portless = {each.name for each in snapshot.nodelets if not each.ports}
 
     def ask(name: str) -> tuple[str, Answer]:
         try:
             return name, shell.client.get_statistics(name)
         except (Refused, NodeletUnreachable) as error:
-            return name, error
+            return name, None if name in portless else error
 
-    unique = list(dict.fromkeys(names))
+    unique = list(dict.fromkeys(names or [each.name for each in snapshot.nodelets]))
     with ThreadPoolExecutor(max_workers=min(_WORKERS, max(1, len(unique)))) as pool:
         return dict(pool.map(ask, unique))
 
@@ -242,7 +240,7 @@ def _counts(shell: Shell, answers: dict[str, Answer]) -> tuple[Json, list[str]]:
         "nodelets": [
             statistics_json(name, answer, transports)
             for name, answer in answers.items()
-            if not isinstance(answer, DyKnowError)
+            if answer and not isinstance(answer, DyKnowError)
         ],
         "silent": [name for name, answer in answers.items() if isinstance(answer, DyKnowError)],
     }
@@ -261,10 +259,11 @@ def _statistics_table(answers: dict[str, Answer], transports: Transports) -> lis
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", *[""] * 10))
             continue
-        errors = answer.callback_errors
-        if not answer.ports:
+        errors = answer.callback_errors if answer else None
+        ports = answer.ports if answer else ()
+        if not ports:
             rows.append((name, "(no ports)", *[""] * 7, errors, "", ""))
-        for port in sorted(answer.ports, key=lambda port: port.port):
+        for port in sorted(ports, key=lambda port: port.port):
             rows.append(
                 (
                     name,

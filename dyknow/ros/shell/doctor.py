@@ -248,6 +248,8 @@ class Doctor:
         try:
             errors = self.client.get_statistics(nodelet.name).callback_errors
         except DyKnowError as error:
+            if not nodelet.ports:
+                return None  # it has no proxy either
             return Finding(nodelet.name, str(error), f"dyknow info {nodelet.name}")
         if not errors:
             return None

@@ -328,6 +328,21 @@ def test_stats_name_a_nodelet_that_does_not_answer(chain):
     assert run(chain, "stats nobody").code == 1
 
 
+def test_stats_of_a_nodelet_without_ports_and_proxy(chain):
+    chain.world.host.sources["pkg/Plain"] = []
+    chain.add_transformation(
+        "<transformation><label>plain</label><source>pkg/Plain</source></transformation>"
+    )
+    chain.spawn("plain", "/plain")
+    chain.hung.add("/plain")
+    outcome = run(chain, "stats")
+    assert outcome.code == 0
+    assert outcome.lines[2].split() == ["/plain", "(no", "ports)", "-"]
+    answer = run(chain, "stats --json").json
+    assert answer["silent"] == []
+    assert "/plain" not in [each["nodelet"] for each in answer["nodelets"]]
+
+
 def test_stats_are_watched_until_the_count(chain):
     outcome = run(chain, "stats --watch 0.001 --count 3 --json")
     assert outcome.code == 0

@@ -186,6 +186,23 @@ class TestUnregister:
         assert world.registrations == [("publisher", "/t")]
 
 
+@pytest.mark.parametrize("period", [0.02, 0.1, 1.5, 10.0, 60.0])
+def test_the_rate_knows_pauses(period):
+    clock = FakeClock()
+    publisher = World(clock=clock).publisher("/t")
+    traffic = publisher.publication.traffic
+    for messages in (2, 3, 40, 100):
+        for number in range(messages):
+            clock.seconds += period
+            publisher.publish(0)
+            if number:
+                assert traffic.rate() == pytest.approx(1 / period)
+        clock.seconds += 1.9 * period
+        assert traffic.rate() == pytest.approx(1 / period)
+        clock.seconds += max(2.01, 3.1 * period)
+        assert traffic.rate() == 0.0
+
+
 def test_the_rate_follows_and_falls_in_silence():
     clock = FakeClock()
     publisher = World(clock=clock).publisher("/t")
@@ -197,8 +214,10 @@ def test_the_rate_follows_and_falls_in_silence():
         clock.seconds += 0.1
         publisher.publish(0)
     assert traffic.rate() == pytest.approx(10.0)
-    clock.seconds += 63.0
-    assert traffic.rate() < 1.0
+    clock.seconds += 1.5
+    assert 0.0 < traffic.rate() < 9.0
+    clock.seconds += 1.0
+    assert traffic.rate() == 0.0
     for _ in range(100):
         clock.seconds += 0.01
         publisher.publish(0)
