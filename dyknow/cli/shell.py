@@ -64,6 +64,7 @@ class Shell:
         else:
             for line in lines:
                 self.out.write(line + "\n")
+        self.out.flush()  # the command may go on, and its reader be a pipe
 
     def for_each(
         self,
