@@ -265,13 +265,17 @@ class Transaction:
             _log.warning("undoing a plan: %s", trouble)
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
-        """Disconnect the consumers that would mismatch a connection; returns their topics."""
+        """Disconnect the consumers that would mismatch a connection; returns their topics.
+
+        Those that only may remember something else are disconnected if they answer.
+        """
         cut: dict[str, dict[str, str]] = {}
+        silent: set[str] = set()
         is_forgetful = False
         while True:
             world = self._connector.world()
             world = world.forgetful if is_forgetful else world
-            found = world.in_the_way(record, config)
+            found = world.in_the_way(record, config, silent)
             more = {
                 name: ports
                 for name, ports in found.items()
@@ -281,15 +285,25 @@ class Transaction:
                 return dict(sorted(cut.items()))
             is_reachable = self._context.monitor.is_reachable
             reached = [name for name in sorted(more) if is_reachable(self._graph.get(name))]
+            if not reached and not silent.issuperset(more):
+                silent.update(more)
+                continue
             if not reached:
-                if is_forgetful or world.forgetful.in_the_way(record, config):
+                if is_forgetful or world.forgetful.in_the_way(record, config, silent):
                     first = self._graph.get(min(more))
                     why = "has fixed topics" if first.is_fixed else "does not answer"
                     raise HostError(f"{first.name} has to be disconnected first, and {why}")
                 is_forgetful = True  # they are reconfigured as soon as they answer
             for name in reached:
                 topics = self._graph.get(name).topics
-                self.connect(name, more[name])
+                try:
+                    self.connect(name, more[name])
+                except DyKnowError as error:
+                    is_needed = name in silent or name in world.in_the_way(record, config, {name})
+                    if is_needed or not timed_out(error):
+                        raise
+                    silent.add(name)
+                    continue
                 before = {port: topics.get(port, "") for port in more[name]}
                 cut.setdefault(name, {}).update(before)
 

@@ -530,11 +530,14 @@ class World:
             if (topic, producer, consumer) not in before
         )
 
-    def in_the_way(self, record: Record, config: Config) -> dict[str, dict[str, str]]:
+    def in_the_way(
+        self, record: Record, config: Config, silent: AbstractSet[str] = frozenset()
+    ) -> dict[str, dict[str, str]]:
         """List the ports to disconnect, by nodelet, before a nodelet's ports may be connected so.
 
         Once that is done there may be more: it depends on the rest. Raises WrongStream if it must
-        not be connected so in any case.
+        not be connected so in any case. Nodelets that are ``silent`` do not answer: they stay if
+        they want what they would receive.
         """
         record = self.records.get(record.name, record)
         changed = replace(record, topics={**record.topics, **config})
@@ -552,7 +555,7 @@ class World:
         if cut or not then._dependent:
             return cut
         after = self._with(changed, is_replaced=True)
-        misled = list(self._misled(after, changed.name))
+        misled = list(self._misled(after, {changed.name, "", *silent}))
         # The first along each stream; all of a circle.
         fed = {other.nodelet for _, one, other in misled if one.nodelet != other.nodelet}
         first = [each for each in misled if each[1].nodelet not in fed]
@@ -563,10 +566,11 @@ class World:
             cut.setdefault(consumer.nodelet, {}).update(ports)
         return cut
 
-    def _misled(self, after: World, name: str) -> Iterator[Mismatch]:
-        """Yield each consumer of another nodelet whose stream would change after a change of one.
+    def _misled(self, after: World, staying: AbstractSet[str]) -> Iterator[Mismatch]:
+        """Yield each consumer whose stream would change after a change of a nodelet.
 
-        Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
+        Those of nodelets that are ``staying``, those without variables, and those to which
+        nothing was sent before need not be cut if they want it: they remember nothing else.
         """
         before = self._supplies
         for place, possible in sorted(after._supplies.items()):
@@ -577,7 +581,7 @@ class World:
             stays = self._topics_of(place) & after._topics_of(place)
             for topic in sorted(stays):
                 for consumer in after.consumers(topic):
-                    may_stay = was_silent or consumer.nodelet in ("", name)
+                    may_stay = was_silent or not consumer.variables or consumer.nodelet in staying
                     for producer in sorted(possible):
                         if not may_stay or not after.fits(producer, consumer, topic):
                             yield topic, producer, consumer

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any, Callable, List
+from typing import Any, Callable, List, Sequence
 
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
@@ -51,6 +51,17 @@ class FaultyLife(RuleBasedStateMachine):
         host.slow.clear()
         for manager in list(host.processes):
             host.wake(manager)
+
+    def holds(self) -> None:
+        """Called after each step: check what must hold."""
+        raise NotImplementedError
+
+    def relive(self, *steps: Sequence[Any]) -> None:
+        """Take steps, each a rule and the values that it is called with, and end."""
+        for name, *values in steps:
+            getattr(self, name)(*values)
+            self.holds()
+        self.teardown()
 
     def close(self) -> None:
         self.field.store.close()

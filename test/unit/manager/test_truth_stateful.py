@@ -382,12 +382,28 @@ def test_nobody_receives_what_was_not_asked_for() -> None:
 
 def test_a_sender_that_leaves_binds_no_variable_of_those_that_it_left() -> None:
     """Two send on a topic, so that its consumer is bound to nothing; one is disconnected."""
-    life = Truth()
-    life.begin(is_heard=True)
-    life.holds()
-    life.spawn("part c", [27, 20, 0, 1])
-    life.holds()
-    life.teardown()
+    Truth().relive(("begin", True), ("spawn", "part c", [27, 20, 0, 1]))
+
+
+def test_a_foreign_sender_is_taken_off_though_a_listener_further_on_is_slow() -> None:
+    """A listener without variables remembers nothing: it stays if it wants what is left."""
+    Truth().relive(
+        ("begin", True),
+        ("slow", 0),
+        ("spawn", "part d", [0, 2, 0, 0]),
+        ("spawn", "part b", [10, 0, 0, 0]),
+        ("spawn", "part d", [0, 0, 23, 0]),
+        ("slow", 5),
+        ("spawn", "part f", [1, 0, 5, 0]),
+    )
+
+
+def test_a_foreign_sender_is_taken_off_though_a_nodelet_further_on_remembers() -> None:
+    """A slow nodelet with a variable stays where it is: it wants what is left."""
+    slow = ("spawn", "part f", [0, 3, 0, 0])
+    Truth().relive(
+        ("begin", True), slow, ("slow", 1), ("slow", 3), ("spawn", "part d", [0, 2, 0, 0])
+    )
 
 
 def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:
