@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import AbstractSet, Callable, Iterable, Tuple
+from typing import AbstractSet, Callable, Iterable
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.connector import ClaimContext, Transaction
 from dyknow.manager.claims.ends import Consumer, Producer
+from dyknow.manager.claims.world import Wire, wires_of
 from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -25,9 +26,6 @@ _log = logging.getLogger("rosout.dyknow")
 _LINGER = 5.0
 #: Seconds of the first pause after a nodelet could not be disconnected or destroyed.
 _FIRST_PAUSE = 1.0
-
-Wire = Tuple[str, str, str]
-"""A nodelet, its port, and the topic that it is connected to."""
 
 
 class GarbageCollector:
@@ -50,22 +48,18 @@ class GarbageCollector:
     def disconnect(self) -> None:
         """Disconnect ports that no claim needs connected, and those that do not fit together."""
         world = self._world()
-        wires = _wires(world.claims)
-        sources = {topic for claim in world.claims for topic in claim.sources}
-        undescribed = sources - world.described.keys()
+        wires = world.wires
         for record in world.records.values():
-            if not record.claimed:
+            if not record.claimed or record.name in self._lock.reserved:
                 continue
-            own = movable_ports(record)
-            tagged = [port for port in own if port.direction == IN and port.tags]
-            ports = {port.name for port in tagged if port.topic in undescribed}
-            if record.name not in self._lock.reserved:
-                ports.update(
-                    port.name
-                    for port in (tagged if record.name in world.needed else own)
-                    if (record.name, port.name, port.topic) not in wires
-                )
-            self._disconnect(record, ports)
+            is_needed = record.name in world.needed
+            unneeded = [
+                port.name
+                for port in movable_ports(record)
+                if not is_needed or (port.direction == IN and port.tags)
+                if (record.name, port.name, port.topic) not in wires
+            ]
+            self._disconnect(record, unneeded)
         for name, topics in sorted(self._world().stale().items()):
             self._reconfigure(name, topics)
         for topic, producer, consumer in self._world().all_mismatches:
@@ -101,7 +95,7 @@ class GarbageCollector:
         Returns whether none of it can send any more; a nodelet that hangs sends nothing.
         """
         done = True
-        wires = _wires(each for each in self._table.living if each.topic != claim.topic)
+        wires = wires_of(each for each in self._table.living if each.topic != claim.topic)
         for name, topics in sorted(claim.wiring.items()):
             record = self._graph.find(name)
             if record is not None and record.claimed and name not in self._lock.reserved:
@@ -176,13 +170,3 @@ class GarbageCollector:
             return False
         self._failures.forgive(record.name)
         return True
-
-
-def _wires(claims: Iterable[Claim]) -> set[Wire]:
-    """List the connections that claims need."""
-    return {
-        (name, port, topic)
-        for claim in claims
-        for name, topics in claim.wiring.items()
-        for port, topic in topics.items()
-    }

@@ -16,7 +16,8 @@ not certain, each possibility counts. Messages since its last connection bind it
 if nothing sends there any more: it may remember them. So before it receives the same variable from
 another individual, all its in-ports that share the variable are disconnected, and connected again
 as one. As long as a variable of an out-port is unbound, the nodelet has received nothing and sends
-nothing there. What people connect to a topic of which nothing is known may receive anything there.
+nothing there. A nodelet on a topic of which nothing is known may receive anything there, unless a
+claim needs that connection.
 """
 
 from __future__ import annotations
@@ -66,6 +67,8 @@ Mismatch = Tuple[str, Producer, Consumer]
 """A topic, and two that may meet there and do not fit."""
 Place = Tuple[str, str]
 """A nodelet, or the key of ends, and a port."""
+Wire = Tuple[str, str, str]
+"""A nodelet, its port, and the topic that it is connected to."""
 _Outputs = Dict[Place, Tuple[Producer, ...]]
 """Each possibility of the out-ports whose streams depend on what their nodelets receive."""
 
@@ -159,6 +162,9 @@ class World:
             for producer, topics in ends.producers:
                 for topic in topics:
                     found.setdefault(topic, []).append(producer)
+        for claim in self.claims:
+            for topic in claim.sources:  # if it is not described any more
+                found.setdefault(topic, [sent_on(topic, ())])
         return found
 
     @cached_property
@@ -184,6 +190,11 @@ class World:
     def needed(self) -> frozenset[str]:
         """Nodelets that claims are made of."""
         return frozenset([name for claim in self.claims for name in claim.wiring])
+
+    @cached_property
+    def wires(self) -> frozenset[Wire]:
+        """Connections that claims need."""
+        return frozenset(wires_of(self.claims))
 
     def idle(self, reserved: AbstractSet[str]) -> frozenset[str]:
         """Nodelets that were made for claims and go soon: no claim and no request needs them."""
@@ -458,7 +469,8 @@ class World:
             found: dict[tuple[Sent, ...], None] = {}
             for topic in topics:
                 producers = self.producers(topic, outputs)
-                is_unknown = ends.is_by_hand and not producers
+                wire = (consumer.nodelet, consumer.port, topic)
+                is_unknown = not producers and (ends.is_by_hand or wire not in self.wires)
                 found.update(dict.fromkeys([_UNKNOWN] if is_unknown else _together(producers)))
             choices.append([Inlet(consumer.demand, sent) if sent else None for sent in found])
         if math.prod(len(each) or 1 for each in choices) > _MOST_POSSIBILITIES:
@@ -617,6 +629,16 @@ class World:
                 ports = {each: topics.get(each, "") for each in self.ports_of(consumer)}
                 found.setdefault(consumer.nodelet, {}).update(ports)
         return found
+
+
+def wires_of(claims: Iterable[Claim]) -> set[Wire]:
+    """List the connections that claims need."""
+    return {
+        (name, port, topic)
+        for claim in claims
+        for name, topics in claim.wiring.items()
+        for port, topic in topics.items()
+    }
 
 
 def _client(claim: Claim) -> Ends:

@@ -406,6 +406,23 @@ def test_a_foreign_sender_is_taken_off_though_a_nodelet_further_on_remembers() -
     )
 
 
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_what_claims_left_on_a_topic_that_is_described_no_more_may_send_anything(
+    is_killed: bool,
+) -> None:
+    """It hung when its description went; its listener is back before it is disconnected."""
+    Truth().relive(
+        ("begin", True),
+        ("sensor", "/sensor", True),
+        ("describe_topic", "part f", "/sensor", ["Ball(red)", "Image(left)"]),
+        ("hang", 0, True),
+        ("vanish", 0),
+        ("hang", 1, True),
+        ("stock",),
+        *([("kill_dyknow",)] if is_killed else []),
+    )
+
+
 def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:
     """A person connects a camera of one claim to the topic of another camera of another claim."""
     life = Truth()

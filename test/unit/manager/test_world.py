@@ -16,6 +16,7 @@ from unit.manager.field import Field
 from unit.manager.witness import Concepts, satisfies
 
 from dyknow.errors import WrongStream
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims import world as world_module
 from dyknow.manager.claims.ends import Ends, Inlet, ends_of, relay, supplied, ways_to_bind
 from dyknow.manager.claims.world import World
@@ -23,6 +24,7 @@ from dyknow.manager.planning.problem import Demand
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
 from dyknow.model.graph import State
+from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 CONCEPTS = Concepts({"left": "camera", "right": "camera"})
@@ -128,6 +130,7 @@ def nodelet(name: str, ports: Dict[str, Tuple[str, str]], **given_: str) -> Reco
 LEFT = nodelet("/left", {"out": ("Image(left)", "/left")})
 RIGHT = nodelet("/right", {"out": ("Image(right)", "/right")})
 POSES = nodelet("/poses", {"out": ("Pose(left)", "/poses")})
+NEEDED = Claim("claim", StreamRequest("Ball(?c)"), wiring={"/tracker": {"in": "/nobody"}})
 
 
 def tracker(image: str, pose: str = "", **given_: str) -> Record:
@@ -140,7 +143,7 @@ def viewer(tag: str) -> Record:
 
 
 def world(*records: Record) -> World:
-    return World(NO_ONTOLOGY, {}).with_records(records)
+    return World(NO_ONTOLOGY, {}, claims=(NEEDED,)).with_records(records)
 
 
 def mismatches(*records: Record) -> List[str]:
@@ -153,6 +156,7 @@ def live(*records: Record) -> List[str]:
     return sorted(f"{stream.nodelet} {tag}" for stream, tags in streams for tag in tags)
 
 
+LEFT_BEHIND = replace(tracker("/gone"), claimed=True)
 BOTH = (LEFT, RIGHT, POSES)
 TWIN = replace(LEFT, name="/twin")
 BESIDE = replace(RIGHT, topics={"out": "/left"})
@@ -191,8 +195,9 @@ CONTRADICTION = ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
         # It receives nothing, so it sends nothing.
         ((LEFT, POSES, replace(tracker("/nobody"), claimed=True), viewer("Ball(right)")), [], ""),
         ((LEFT, POSES, tracker(""), viewer("Ball(right)")), [], ""),
-        # A user connected it to an unknown topic: it may send anything.
+        # A user connected it to an unknown topic, or a claim left it there: it may send anything.
         ((LEFT, POSES, tracker("/nobody"), viewer("Ball(right)")), ["/tracker /viewer"], ""),
+        ((LEFT_BEHIND, viewer("Ball(left)")), ["/tracker /viewer"], ""),
         # Its parameters fix what it may receive.
         ((LEFT, RIGHT, tracker("/right", c="left")), ["/right /tracker"], ""),
         # Two send on one topic: of two individuals, unless another port or a parameter names one.
