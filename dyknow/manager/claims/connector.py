@@ -195,6 +195,8 @@ class Transaction:
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
         self.failed_label = ""
         self._done: list[ReversibleStep] = []
+        #: Connections that wait until consumers are disconnected.
+        self._waiting: list[tuple[str, Mapping[str, str]]] = []
 
     def spawn(
         self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
@@ -241,7 +243,13 @@ class Transaction:
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and name not in self._connector.unknown:
             return
-        cut = self._make_way(record, config)
+        if (name, config) in self._waiting:
+            raise HostError(f"{name} has to be disconnected first, and feeds itself")
+        self._waiting.append((name, config))
+        try:
+            cut = self._make_way(record, config)
+        finally:
+            self._waiting.pop()
         connect = partial(self._connector.connect, name, config)
         undo = partial(self._reconnect, name, before)
         step = ReversibleStep(f"connecting '{name}'", name, connect, undo)

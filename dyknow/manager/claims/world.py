@@ -582,7 +582,8 @@ class World:
         """Yield each consumer whose stream would change after a change of a nodelet.
 
         Those of nodelets that are ``staying``, those without variables, and those to which
-        nothing was sent before need not be cut if they want it: they remember nothing else.
+        nothing was sent before need not be cut if they want it: they remember nothing else. Those
+        whose demand is met neither before nor then need not be cut either.
         """
         before = self._supplies
         for place, possible in sorted(after._supplies.items()):
@@ -594,7 +595,10 @@ class World:
             for topic in sorted(stays):
                 for consumer in after.consumers(topic):
                     may_stay = was_silent or not consumer.variables or consumer.nodelet in staying
+                    was_unmet = not any(self.serves(each, consumer.demand) for each in known)
                     for producer in sorted(possible):
+                        if was_unmet and not after.serves(producer, consumer.demand):
+                            continue
                         if not may_stay or not after.fits(producer, consumer, topic):
                             yield topic, producer, consumer
 

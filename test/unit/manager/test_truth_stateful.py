@@ -423,6 +423,11 @@ def test_what_claims_left_on_a_topic_that_is_described_no_more_may_send_anything
     )
 
 
+def test_a_stream_that_a_person_feeds_back_is_repaired() -> None:
+    """One cannot be disconnected before the other: neither waits for what does not fit anyway."""
+    Truth().relive(("acquire", "Goal(red)", 1.0, True), ("spawn", "part f", [27, 11, 16, 22]))
+
+
 def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:
     """A person connects a camera of one claim to the topic of another camera of another claim."""
     life = Truth()
