@@ -26,6 +26,7 @@ from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports
 from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
 
 #: Seconds to wait for a look to be done with a nodelet.
@@ -267,8 +268,14 @@ class Transaction:
         self._connect_if_fitting(self._graph.get(name), ports)
 
     def undo(self) -> None:
-        """Undo everything, the latest change first; nodelets that claims need by now stay."""
-        kept = self._connector.world().needed & set(self.spawned)
+        """Undo everything, the latest change first; nodelets that claims use by now stay.
+
+        A claim whose stream is broken may need one that died and had the same name.
+        """
+        active = [
+            each for each in self._connector.world().claims if each.state is ClaimState.ACTIVE
+        ]
+        kept = {name for claim in active for name in claim.wiring if name in self.spawned}
         for trouble in take_back([step for step in self._done if step.subject not in kept]):
             _log.warning("undoing a plan: %s", trouble)
 

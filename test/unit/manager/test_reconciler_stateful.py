@@ -157,3 +157,15 @@ Claims.TestCase.settings = examples(
     30, stateful_step_count=15, suppress_health_check=list(HealthCheck)
 )
 TestClaims = Claims.TestCase
+
+
+def test_a_request_that_fails_leaves_nothing_of_the_name_of_a_dead_part() -> None:
+    """A claim waits for a part that died; the plan of another request made one of its name."""
+    Claims().relive(
+        ("acquire", "RelativePosition(?what)", (), 1.0, ""),
+        ("kill", 22),
+        ("acquire", "FieldPosition(ball)", ("bottom camera",), 1.0, ""),
+        ("silence", "/joint_states", True),
+        ("kill", 24),
+        ("acquire", "FieldPosition(ball)", ("bottom camera",), 0.0, "present(it)"),
+    )
