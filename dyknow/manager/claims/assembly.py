@@ -389,8 +389,8 @@ class Assembly(Transaction):
 
     def _free_names(self, label: str) -> Iterator[str]:
         """Yield global names for nodelets of a transformation: /bottom_camera_1, _2 ..."""
-        records = self.world.records.values()
-        taken = {topic for record in records for topic in record.topics.values()}
+        records = self.world.records
+        taken = {topic for record in records.values() for topic in record.topics.values()}
         taken |= self._taken_topics() | {self._claim.topic, *self.world.described}
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
         if not stem[:1].isalpha():
@@ -398,7 +398,7 @@ class Assembly(Transaction):
         for number in range(1, _MOST_NAMES):
             name = self._manager.resolve(f"{stem}_{number}")
             left = [topic for topic in taken if topic.startswith(name + "/")]
-            if not left and not self._manager.graph.is_busy(name):
+            if not left and name not in records and not self._manager.graph.is_busy(name):
                 yield name
 
 

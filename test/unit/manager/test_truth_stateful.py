@@ -428,6 +428,11 @@ def test_a_stream_that_a_person_feeds_back_is_repaired() -> None:
     Truth().relive(("acquire", "Goal(red)", 1.0, True), ("spawn", "part f", [27, 11, 16, 22]))
 
 
+def test_a_part_is_made_beside_a_nodelet_whose_name_is_free_for_topics_alone() -> None:
+    """Without part d, part e is made anew, for another individual: it was called like the old."""
+    Truth().relive(("acquire", "Goal(?c)", 0.0, False), ("withdraw", 0), ("remove", "part d"))
+
+
 def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:
     """A person connects a camera of one claim to the topic of another camera of another claim."""
     life = Truth()
