@@ -423,6 +423,13 @@ def test_what_claims_left_on_a_topic_that_is_described_no_more_may_send_anything
     )
 
 
+def test_nodelets_come_back_as_people_connected_them_with_each_other() -> None:
+    """One was told that its variable stands for another individual than it is sent."""
+    Truth().relive(
+        ("spawn", "part c", [3, 1, 0, 0]), ("spawn", "part e", [1, 2, 0, 1]), ("kill", 0)
+    )
+
+
 def test_a_stream_that_a_person_feeds_back_is_repaired() -> None:
     """One cannot be disconnected before the other: neither waits for what does not fit anyway."""
     Truth().relive(("acquire", "Goal(red)", 1.0, True), ("spawn", "part f", [27, 11, 16, 22]))

@@ -87,7 +87,7 @@ class Witness:
         given: returns what the variables of a nodelet were said to stand for.
         wrong: what is wrong now.
         confused: nodelets that have received what no one individual sends, at ports that share a
-            variable, and were not connected elsewhere in between.
+            variable, and were not connected elsewhere in between; not by what people connected.
         guilt: what went wrong by a change that the manager made, with its last call.
     """
 
@@ -101,7 +101,8 @@ class Witness:
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
         self.confused: Set[str] = set()
-        self._heard: Dict[str, Tuple[Tuple[int, int], Dict[Tuple[Tags, Tags], None]]] = {}
+        #: For each nodelet its state, and what it received since; whether people wanted that.
+        self._heard: Dict[str, Tuple[Tuple[int, int], Dict[Tuple[Tags, Tags], bool]]] = {}
         self._willed: Set[Tuple[str, str, str]] = set()  # where people want what does not fit
         self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
         host.on_change = self._watch
@@ -126,6 +127,7 @@ class Witness:
         """Note what each nodelet receives now; return those whose variables stand for nothing.
 
         A nodelet forgets what it received when it is connected elsewhere, and when it is loaded.
+        One that people confused comes back so.
         """
         sources, before = self._sources(), self._heard
         self._heard = {}
@@ -136,12 +138,15 @@ class Witness:
             known = before.get(name, (state, {}))
             heard = self._heard.setdefault(name, known if known[0] == state else (state, {}))[1]
             if direction == "in" and variables_in(asked):
-                for _, tags in sources.get(topic, ()):
+                for source, tags in sources.get(topic, ()):
                     if tags != SILENT and self._fits_alone(asked, tags):
-                        heard[asked, tags] = None
-        given = self.given
+                        is_will = self._is_will((name, port, topic, source))
+                        heard[asked, tags] = is_will or heard.get((asked, tags), False)
         return {
-            name for name, (_, heard) in self._heard.items() if not self._read(given(name), heard)
+            name
+            for name, (_, heard) in self._heard.items()
+            if not self._read(self.given(name), heard)
+            and self._read(self.given(name), [each for each, is_will in heard.items() if is_will])
         }
 
     def _fits_alone(self, asked: Tags, tags: Tags) -> bool:
