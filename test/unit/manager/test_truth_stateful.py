@@ -103,7 +103,8 @@ class Truth(FaultyLife):
             self.pass_time(60.0)
         for claim in self.field.living():
             states = (ClaimState.ACTIVE, ClaimState.PENDING, ClaimState.DEGRADED)
-            has_no_live_ports = "are fixed" in claim.detail  # what could make it
+            # Of what could make it, or of what is in its way: a person connected that there.
+            has_no_live_ports = "are fixed" in claim.detail or "has fixed" in claim.detail
             assert claim.state in states or has_no_live_ports, (claim.state, claim.detail)
             if claim.state is ClaimState.ACTIVE and not self.witness.by_hand:
                 assert claim.topic in self.field.moving, claim
@@ -438,6 +439,29 @@ def test_a_stream_that_a_person_feeds_back_is_repaired() -> None:
 def test_a_part_is_made_beside_a_nodelet_whose_name_is_free_for_topics_alone() -> None:
     """Without part d, part e is made anew, for another individual: it was called like the old."""
     Truth().relive(("acquire", "Goal(?c)", 0.0, False), ("withdraw", 0), ("remove", "part d"))
+
+
+PLAIN_SENDER = ([], [["Ball(?b)"], ["Ball(?b)", "Ball(?c)"]], 2, True, False)
+PLAIN_LISTENER = (["Frame(?c)", "Ball(blue)"], [["Image(left)"], ["Ball(blue)"]], 3, True, True)
+
+
+def test_a_sender_with_fixed_topics_stays_on_the_topic_of_a_client() -> None:
+    Truth().relive(
+        ("begin", True),
+        ("describe", "part d", PLAIN_SENDER),
+        ("spawn", "part d", [20, 15, 2, 13]),
+    )
+
+
+def test_a_listener_with_fixed_topics_receives_nothing_that_it_does_not_want() -> None:
+    """Its claim's stream is lost, and not made again where the listener would receive it."""
+    Truth().relive(
+        ("begin", True),
+        ("spawn", "part d", [28, 23, 9, 21]),
+        ("describe", "part b", PLAIN_LISTENER),
+        ("spawn", "part b", [5, 4, 12, 1]),
+        ("destroy", 4),
+    )
 
 
 def test_one_who_comes_to_the_topic_of_another_individual_is_taken_off() -> None:

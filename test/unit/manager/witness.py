@@ -203,14 +203,12 @@ class Witness:
             for name, topics in claim.wiring.items()
             for port, topic in topics.items()
         }
+        fixed = {*self.host.slow, *filter(self._is_fixed, self.host.running)}
         return {
             (receiver, port, topic, sender)
             for receiver, port, topic, sender in self.look()
             if receiver not in self.by_hand
-            if not (
-                receiver in {"client", *self.host.slow}
-                and _publisher(sender) in {ORDINARY, *self.host.slow}
-            )
+            if not (receiver in {"client", *fixed} and _publisher(sender) in {ORDINARY, *fixed})
             # Nor is anybody cut off for one that is not to be there anyway, but cannot be moved.
             if not (
                 receiver in self.host.slow
@@ -218,6 +216,13 @@ class Witness:
                 and (receiver, port, topic) not in needed
             )
         }
+
+    def _is_fixed(self, name: str) -> bool:
+        """Whether a nodelet is in a stock C++ manager, where no port can be moved."""
+        return any(
+            name in process.nodelets and not process.state.rewirable
+            for process in self.host.processes.values()
+        )
 
     def fed_while_pending(self) -> List[str]:
         """Topics of claims that wait, on which something that was made for claims publishes."""
