@@ -11,6 +11,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     DyKnowError
     ├── InvalidName, BadParameter, NoMessageClass, TypeMismatch, RemappedTopic
     ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError, FormulaError
+    ├── BadImage
     ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
     ├── NodeletError
     │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
@@ -93,6 +94,13 @@ class BadParameter(DyKnowError):
         self.name = name
         self.value = value
         super().__init__(f"parameter '{name}' is {value!r}: expected {expected}")
+
+
+class BadImage(DyKnowError):
+    """An image cannot be compressed, or not be made of its compressed form."""
+
+    def __init__(self, image: str, expected: str) -> None:
+        super().__init__(f"{image}: expected {expected}")
 
 
 class FormulaError(DyKnowError):

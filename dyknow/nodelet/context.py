@@ -21,7 +21,7 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
-from dyknow.nodelet.middleware import Closable, Middleware
+from dyknow.nodelet.middleware import Closable, Codec, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
 
@@ -186,11 +186,28 @@ class Context:
         return publication
 
     def subscription(
-        self, what: str, datatype: Any, queue_size: int | None, strand: Strand, **options: Any
+        self,
+        what: str,
+        datatype: Any,
+        queue_size: int | None,
+        strand: Strand,
+        codec: Codec | None = None,
+        **options: Any,
     ) -> Subscription:
-        """Make a subscription that this nodelet owns, without callbacks and not connected yet."""
+        """Make a subscription that this nodelet owns, without callbacks and not connected yet.
+
+        With a ``codec`` the messages on its topic are encoded, and ``datatype`` is that of the
+        decoded ones, which callbacks get.
+        """
         failed = functools.partial(self.failed, f"'{what}'")
-        subscription = Subscription(datatype, queue_size, strand, failed, options, self.name)
+        adapt: Callable[[Receive], Receive] = functools.partial(
+            self.runtime.transport.adapt, datatype
+        )
+        if codec is not None:
+            adapt, datatype = codec.decoding, codec.datatype
+        subscription = Subscription(
+            datatype, queue_size, strand, failed, options, self.name, adapt
+        )
         self._keep(subscription)
         return subscription
 

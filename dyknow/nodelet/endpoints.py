@@ -180,8 +180,8 @@ class Subscription:
     """Callbacks with a queue on a strand, connected to one topic or to none."""
 
     __slots__ = tuple(
-        """_callbacks closed connection datatype failed options owner queue_size receive strand
-        traffic""".split()
+        """_callbacks adapt closed connection datatype failed options owner queue_size receive
+        strand traffic""".split()
     )
 
     def __init__(
@@ -192,9 +192,15 @@ class Subscription:
         failed: Callable[[BaseException], None],
         options: dict[str, Any],
         owner: str,
+        adapt: Callable[[Receive], Receive],
     ) -> None:
-        """Describe a subscription; ``failed`` is called with the errors of its callbacks."""
+        """Describe a subscription.
+
+        ``failed`` is called with the errors of its callbacks, and ``adapt`` makes of callbacks
+        what takes the messages of its topic.
+        """
         self.datatype = datatype
+        self.adapt = adapt
         self.queue_size = queue_size
         self.strand = strand
         self.failed = failed
@@ -217,13 +223,11 @@ class Subscription:
     def outside(self) -> OutsideSubscriber | None:
         return self.connection.outside if self.connection is not None else None
 
-    def add(
-        self, transport: Transport, callback: Callable[..., Any], args: tuple[Any, ...]
-    ) -> int:
+    def add(self, callback: Callable[..., Any], args: tuple[Any, ...]) -> int:
         """Call this back too; returns the number of the callback."""
         self._callbacks = (*self._callbacks, (callback, args))
         alone = len(self._callbacks) == 1 and not args
-        self.receive = transport.adapt(self.datatype, callback if alone else self._call_all)
+        self.receive = self.adapt(callback if alone else self._call_all)
         return len(self._callbacks) - 1
 
     def _call_all(self, message: Any) -> None:
@@ -294,9 +298,7 @@ class Publication:
                 ``rospy.ROSException``).
         """
         if message.__class__ is not self.datatype or fields or named:
-            if message is not NOTHING:
-                fields = (message, *fields)
-            message = self._build(self.datatype, fields, named)
+            message = self.built(message, fields, named)
         if not _attempt(False):
             _wait()
         try:
@@ -317,6 +319,23 @@ class Publication:
         finally:
             _leave()
         _hand_over(outside, outside.latch if self.latch else outside.publish, message)
+
+    def built(self, message: Any, fields: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        """Return the message that the arguments of ``publish`` stand for."""
+        if message is not NOTHING:
+            fields = (message, *fields)
+        return self._build(self.datatype, fields, named)
+
+    @property
+    def heard(self) -> bool:
+        """Whether a message published now reaches somebody, or is kept for later."""
+        outside = self.outside
+        return bool(self._route or (outside is not None and (self.latch or outside.heard)))
+
+    def drop(self) -> None:
+        """Count a message that could not be published."""
+        with message_lock:
+            self.traffic.dropped += 1
 
     def publish_to(self, topic: str, peer: Any, message: Any) -> None:
         """Send a message to one of the ``peers`` of a topic, uncounted; nothing if it has left."""

@@ -31,6 +31,7 @@ from typing import Callable, Iterable, Mapping
 
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
+from dyknow.nodelet.middleware import FORMS
 
 #: Seconds before the end of a lease from which the manager's host is probed.
 PROBE_AHEAD = 1.2
@@ -73,7 +74,8 @@ class Leases:
 
     Args:
         owners: returns the nodelets of this process that publish on a topic.
-        guard: called with a fence for each topic of a claim, whenever these change.
+        guard: called with a fence for each topic of a claim, and for each that may carry another
+            form of its messages, whenever these change.
         clock: time that runs on while the process is stopped, in seconds.
     """
 
@@ -121,7 +123,9 @@ class Leases:
             topics = frozenset(t for each in self._leases.values() for t in each.producers)
             is_new, self._topics = topics != self._topics, topics
         if is_new:
-            self._guard({t: functools.partial(self.may_publish, topic=t) for t in topics})
+            fences = {t: functools.partial(self.may_publish, topic=t) for t in topics}
+            forms = {f"{t}/{form}": fence for t, fence in fences.items() for form in FORMS}
+            self._guard({**forms, **fences})
         return self._clock()
 
     def may_publish(self, nodelet: str, topic: str) -> bool:

@@ -15,11 +15,13 @@ from typing import Any, Callable, Sequence
 from dyknow.locks import assert_no_state_lock, state_condition
 from dyknow.nodelet.middleware import (
     Closable,
+    Codec,
     Handler,
     Middleware,
     Node,
     OutsidePublisher,
     OutsideSubscriber,
+    Parameter,
     Receive,
     Services,
     Ticker,
@@ -177,6 +179,7 @@ class LocalTransport(Transport):
         publishers: registered publishers.
         subscribers: registered subscribers.
         types: topics that live outside, with their types.
+        codecs: forms of messages, by the value of a port's parameter ``image_transport``.
     """
 
     def __init__(self) -> None:
@@ -184,6 +187,7 @@ class LocalTransport(Transport):
         self.publishers: list[LocalPublisher] = []
         self.subscribers: list[LocalSubscriber] = []
         self.types: dict[str, str] = {}
+        self.codecs: dict[str, Codec] = {}
 
     @property
     def registrations(self) -> list[tuple[str, str]]:
@@ -231,6 +235,9 @@ class LocalTransport(Transport):
     def datatype_of(self, topic: str) -> str:
         assert_no_state_lock(f"asking for the type of {topic}")
         return self.types.get(topic, "")
+
+    def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
+        return self.codecs.get(parameter("image_transport", "")) if self.codecs else None
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message from its fields; one that is a message already passes."""

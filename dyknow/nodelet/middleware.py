@@ -23,6 +23,12 @@ from dyknow.errors import DyKnowError, HandleClosed
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 
+#: Forms of messages that travel on topics below those of the messages themselves.
+FORMS = ("compressed",)
+
+Parameter = Callable[[str, Any], Any]
+"""Returns a parameter of a port by its name, or the given default."""
+
 #: Stands for all subscribers of this process: among the peers of a publication they are one.
 HERE: Any = object()
 
@@ -35,6 +41,31 @@ class Closable(ABC):
     @abstractmethod
     def close(self) -> None:
         """Withdraw it."""
+
+
+@dataclass(frozen=True)
+class Codec:
+    """Another form of the messages of a port, which travels on a topic below that of the port.
+
+    Attributes:
+        form: the last part of that topic's name, ``compressed`` of ``/image/compressed``.
+        datatype: class of the encoded messages.
+        encode: returns the encoded form of a message; any exception says that it has none.
+        decode: returns the message of an encoded form, likewise.
+    """
+
+    form: str
+    datatype: Any
+    encode: Callable[[Any], Any]
+    decode: Callable[[Any], Any]
+
+    def below(self, topic: str) -> str:
+        """Name of the topic of this form; empty without a topic."""
+        return f"{topic}/{self.form}" if topic else ""
+
+    def decoding(self, receive: Receive) -> Receive:
+        """Wrap ``receive`` so that it takes encoded messages."""
+        return lambda message: receive(self.decode(message))
 
 
 class OutsidePublisher(Closable):
@@ -134,6 +165,14 @@ class Transport(ABC):
 
     def age_of(self, message: Any) -> float | None:
         """Seconds since the time stamp of a message, None without one; quick, raises nothing."""
+        return None
+
+    def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
+        """Return the further form in which the messages of a port travel, if it is to have one.
+
+        Raises:
+            BadParameter: a parameter of the port is none that the form has, or has no such value.
+        """
         return None
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:

@@ -11,7 +11,7 @@ in ``dyknow.proxy``.
 from __future__ import annotations
 
 import functools
-from typing import Any, Callable
+from typing import Any, Callable, Sequence
 
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
@@ -22,10 +22,10 @@ from dyknow.nodelet.middleware import Closable
 class _Handle:
     """Members of publishers and subscribers that rospy's have too."""
 
-    def __init__(self, context: Context, endpoint: Endpoint) -> None:
+    def __init__(self, context: Context, endpoint: Endpoint, datatype: Any) -> None:
         self._context = context
         self._endpoint = endpoint
-        self.data_class = endpoint.datatype
+        self.data_class = datatype
         self.type = self.data_class._type
         self.md5sum = self.data_class._md5sum
 
@@ -39,10 +39,13 @@ class _Handle:
     def connect(self, topic: str) -> None:
         """Connect it to its first topic, or withdraw it."""
         try:
-            self._context.runtime.bus.rewire([(self._endpoint, topic)])
+            self._context.runtime.bus.rewire(self._moves(topic))
         except BaseException:
             self.unregister()
             raise
+
+    def _moves(self, topic: str) -> Sequence[tuple[Endpoint, str]]:
+        return [(self._endpoint, topic)]
 
     def unregister(self) -> None:
         self._context.release(self._endpoint)
@@ -55,7 +58,7 @@ class Publisher(_Handle):
         self, context: Context, name: str, publication: Publication, listener: Any = None
     ) -> None:
         """Make a handle on a publication; ``name`` is for errors and logs."""
-        super().__init__(context, publication)
+        super().__init__(context, publication, publication.datatype)
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
         self.publication = publication
@@ -108,12 +111,12 @@ class Subscriber(_Handle):
         """Make a handle with a subscription of its own, which is not connected yet.
 
         If it ``overlaps`` with other callbacks of the nodelet it has a strand of its own, which
-        runs ``at_once``, or after ``on_init``.
+        runs ``at_once``, or after ``on_init``. ``options`` are those of ``Context.subscription``.
         """
         check_message_class(name, datatype)
         strand = context.new_strand(name, at_once) if overlaps else context.strand
         self.subscription = context.subscription(name, datatype, queue_size, strand, **options)
-        super().__init__(context, self.subscription)
+        super().__init__(context, self.subscription, datatype)
         if callback is not None:
             self.registerCallback(callback, *(() if callback_args is None else (callback_args,)))
 
@@ -128,7 +131,7 @@ class Subscriber(_Handle):
         Returns:
             The number of the callback.
         """
-        return self.subscription.add(self._context.runtime.transport, callback, args)
+        return self.subscription.add(callback, args)
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""

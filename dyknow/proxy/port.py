@@ -5,6 +5,10 @@
 
 A port lives as long as its nodelet, while handles on it come and go: it keeps its type and its
 topic, so a handle that is made later has the same connection.
+
+The port of an image may have a *companion*, for the same images in another form (``Codec``): port
+``image/compressed``, on a topic below that of the image. It moves with its port. An in-port with a
+companion receives through it alone; an out-port publishes both.
 """
 
 from __future__ import annotations
@@ -19,13 +23,20 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import NOTHING, Publication, Traffic
+from dyknow.nodelet.middleware import Codec
 from dyknow.nodelet.pubsub import Publisher, Subscriber
+from dyknow.proxy.encoding import EncodingPublication
 
 
 class ProxyPort:
     """A named place of a nodelet that can be connected to a topic, or to none (empty)."""
 
     direction = ""
+    #: Encodes messages for the companion, if there is one.
+    codec: Codec | None = None
+    #: A port of the same kind.
+    companion: Any = None
+    is_companion = False
 
     def __init__(self, name: str, datatype: Any, topic: str) -> None:
         self.name = name
@@ -34,6 +45,24 @@ class ProxyPort:
         self.handles: list[Any] = []
         self._traffics: list[Traffic] = []
         self._free: list[Traffic] = []
+
+    def accompany(self, codec: Codec) -> None:
+        """Make the companion."""
+        name = f"{self.name}/{codec.form}"
+        self.codec = codec
+        self.companion = type(self)(name, codec.datatype, codec.below(self.topic))
+        self.companion.is_companion = True
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """The port and its companion."""
+        return (self,) if self.companion is None else (self, self.companion)
+
+    def takes_along(self, topic: str) -> str | None:
+        """Where the companion goes when the port moves to a topic; None if it stays."""
+        if self.codec is None or self.companion.topic != self.codec.below(self.topic):
+            return None
+        return self.codec.below(topic)
 
     @property
     def state(self) -> PortState:
@@ -96,6 +125,17 @@ class OutPort(ProxyPort):
     def is_watched(self) -> bool:
         return any(handle.is_watched for handle in self.handles)
 
+    def open(
+        self, context: Context, latch: bool, queue_size: int | None, options: dict[str, Any]
+    ) -> None:
+        """Make the publication, and that of the companion."""
+        for part in self.parts:
+            publication = context.publication(
+                part.name, part.datatype, latch, queue_size, **options
+            )
+            part.publication = publication
+            part.count(publication)
+
     def endpoints(self) -> Sequence[Endpoint]:
         return () if self.publication is None else (self.publication,)
 
@@ -112,43 +152,65 @@ class InPort(ProxyPort):
 
     direction = IN
 
+    def accompany(self, codec: Codec) -> None:
+        """Make the companion, to which the subscriptions belong as well."""
+        super().accompany(codec)
+        self.companion.handles, self.companion._traffics = self.handles, self._traffics
+
     def endpoints(self) -> Sequence[Endpoint]:
+        if self.companion is not None:
+            return ()
         return tuple(handle.subscription for handle in self.handles)
 
 
 class PortPublisher(Publisher):
     """A handle on an out-port."""
 
-    def __init__(
-        self, context: Context, port: OutPort, publication: Publication, listener: Any = None
-    ) -> None:
-        super().__init__(context, port.name, publication, listener)
+    def __init__(self, context: Context, port: OutPort, listener: Any = None) -> None:
+        publication: Any = port.publication
+        if port.codec is not None:
+            publication = EncodingPublication(context, port.companion, publication, port.codec)
         self._port = port
+        super().__init__(context, port.name, publication, listener)
         port.handles.append(self)
-        if port.publication is None:
-            port.publication = publication
-            port.count(publication)
+
+    def _moves(self, topic: str) -> Sequence[tuple[Endpoint, str]]:
+        return [(each, part.topic) for part in self._port.parts for each in part.endpoints()]
 
     def _withdraw(self) -> None:
-        """Withdraw the publication with the last handle; the port stays."""
-        port, last = self._port, None
+        """Withdraw the publications with the last handle; the port stays."""
+        port, last = self._port, []
         with port.lock:
             if self in port.handles:
                 port.handles.remove(self)
                 if not port.handles:
-                    last, port.publication = port.publication, None
-        if last is not None:
-            self._context.release(last)
-            port.leave(last)
+                    last = [(part, part.publication) for part in port.parts]
+                    for part in port.parts:
+                        part.publication = None
+        if last:
+            self._context.release(*(publication for _, publication in last))
+        for part, publication in last:
+            part.leave(publication)
 
 
 class PortSubscriber(Subscriber):
     """A handle on an in-port."""
 
-    def join(self, port: InPort) -> None:
+    def __init__(self, context: Context, port: InPort, *args: Any, **options: Any) -> None:
+        super().__init__(context, port.name, *args, codec=port.codec, **options)
         self._port = port
         port.handles.append(self)
         port.count(self.subscription)
+
+    @property
+    def name(self) -> str:
+        """Global name of the topic that the port is connected to now."""
+        return self._port.topic if self.subscription.topic else ""
+
+    resolved_name = name
+
+    def _moves(self, topic: str) -> Sequence[tuple[Endpoint, str]]:
+        return [(self.subscription, self._port.parts[-1].topic)]
 
     def unregister(self) -> None:
         joined = self in self._port.handles

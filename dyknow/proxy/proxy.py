@@ -11,6 +11,7 @@ no callback, and looking at ports and statistics needs no turn.
 from __future__ import annotations
 
 import collections
+import functools
 from typing import Any, Callable, Dict, Sequence, Tuple
 
 from dyknow import names
@@ -130,17 +131,14 @@ class NodeletProxy(Closable):
         with self._turn:
             port: OutPort = self._declare(OutPort, handle, name, datatype)
             with port.lock:
-                publication = port.publication
-                if publication is None:
-                    publication = self._context.publication(
-                        name, datatype, latch, queue_size, **options
-                    )
-                elif publication.latch != latch:
+                if port.publication is None:
+                    port.open(self._context, latch, queue_size, options)
+                elif port.publication.latch != latch:
                     wanted = "latched" if latch else "not latched"
                     raise PortConflict(name, port.kind, wanted)
-                publisher = PortPublisher(self._context, port, publication, listener)
+                publisher = PortPublisher(self._context, port, listener)
             publisher.connect(port.topic)
-            self._ports[port.name] = port
+            self._add(port)
         self.on_change()
         return publisher
 
@@ -150,10 +148,9 @@ class NodeletProxy(Closable):
         """Declare an in-port, or share one that is there; ``args`` are those of ``Subscriber``."""
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
-            subscriber = PortSubscriber(self._context, name, datatype, *args, **options)
-            subscriber.join(port)
+            subscriber = PortSubscriber(self._context, port, datatype, *args, **options)
             subscriber.connect(port.topic)
-            self._ports[port.name] = port
+            self._add(port)
         self.on_change()
         return subscriber
 
@@ -169,11 +166,23 @@ class NodeletProxy(Closable):
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)
             port = kind(name, datatype, self._context.remappings.get(resolved, ""))
+            parameter = functools.partial(_parameter, handle, name)
+            codec = self._context.runtime.transport.codec(datatype, parameter)
+            if codec is not None:
+                port.accompany(codec)
+                taken = self._ports.get(port.companion.name)
+                if taken is not None:
+                    raise PortConflict(taken.name, taken.kind, f"the companion of '{name}'")
+        elif port.is_companion:
+            raise PortConflict(name, "the companion of an image", "a port of its own")
         elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
         return port
 
     # Inside
+
+    def _add(self, port: ProxyPort) -> None:
+        self._ports.update({part.name: part for part in port.parts})
 
     def _checked(self, config: Sequence[tuple[str, str]]) -> list[Change]:
         guards = self._context.runtime.guards()
@@ -189,10 +198,15 @@ class NodeletProxy(Closable):
                 continue
             try:
                 topic = self._topic(text)
-                if topic:
-                    guards.check_topic(topic)
-                    self._check_type(port, topic, types)
-                changes.append((port, topic))
+                together = [(port, topic)]
+                along = port.takes_along(topic)
+                if along is not None and port.companion.name not in counts:
+                    together.append((port.companion, along))
+                for part, there in together:
+                    if there:
+                        guards.check_topic(there)
+                        self._check_type(part, there, types)
+                changes += together
             except DyKnowError as problem:
                 problems.append(problem)
         if problems:
@@ -226,6 +240,8 @@ class NodeletProxy(Closable):
         topics = {port.name: topic for port, topic in changes}
         maps: dict[str, dict[str, str]] = {IN: {}, OUT: {}}
         for port in self._ports.values():
+            if port.is_companion:  # the author declared none
+                continue
             maps[port.direction][port.name] = topics.get(port.name, port.topic)
         return maps[IN], maps[OUT]
 
@@ -259,3 +275,9 @@ class NodeletProxy(Closable):
         except TypeMismatch as problem:
             raise InvalidConfiguration(self.name, [problem]) from problem
         return True
+
+
+def _parameter(handle: PlainNodeHandle, port: str, key: str, default: Any) -> Any:
+    """Return a parameter of a port, else that of the nodelet."""
+    of_port = f"~{port.lstrip('~/')}/{key}"
+    return handle.get_param(of_port, handle.get_param(f"~{key}", default))

@@ -18,13 +18,16 @@ from dyknow.locks import assert_no_state_lock
 from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import (
     Closable,
+    Codec,
     Handler,
     Middleware,
+    Parameter,
     Receive,
     Services,
     Transport,
 )
 from dyknow.nodelet.scheduler import Executor
+from dyknow.ros.transport import images
 from dyknow.ros.transport.conversions import serialised
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
@@ -97,6 +100,9 @@ class RospyTransport(Transport):
 
     def age_of(self, message: Any) -> float | None:
         return ages.age_of(message)
+
+    def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
+        return images.codec(datatype, parameter)
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Give subscribers of ``rospy.AnyMsg`` the serialised message that they expect."""
