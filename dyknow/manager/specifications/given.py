@@ -9,6 +9,7 @@ A name such as `rate` overrides the transformation's parameter, or adds one. A v
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Iterable, Mapping, Sequence
 
@@ -18,6 +19,9 @@ from dyknow.manager.specifications.tags import Subsumption, Term, read_tags, typ
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import OUT, Parameter, Transformation
+
+#: Parameters that every port of images reads, its own or those of its nodelet.
+_OF_IMAGES = re.compile(r"(?:\w+/)*(?:image_transport|compressed/\w+)\Z")
 
 
 def bindings_of(given: Iterable[Parameter]) -> dict[str, str]:
@@ -42,7 +46,7 @@ def undeclared(transformation: Transformation | None, given: Iterable[Parameter]
         f"transformation '{transformation.label}' declares no parameter '{shorten(name)}': it is "
         f"set, but perhaps not read{meant(name, known)}"
         for name in names_of(given)
-        if name not in known
+        if name not in known and not _OF_IMAGES.match(name)
     ]
 
 

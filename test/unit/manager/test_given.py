@@ -38,7 +38,9 @@ def values(*parameters: Parameter) -> Dict[str, str]:
 
 
 def test_parameters_that_are_not_declared_are_reported() -> None:
-    (remark,) = undeclared(TRANSFORMATION, given(rte="5", rate="5", v_camera="left"))
+    of_images = {"image_transport": "raw", "camera/image/compressed/png_level": "1"}
+    asked = given(rte="5", rate="5", v_camera="left", **of_images)
+    (remark,) = undeclared(TRANSFORMATION, asked)
     assert "declares no parameter 'rte'" in remark
     assert remark.endswith("did you mean rate?")
     bare = TRANSFORMATION._replace(parameters=())
