@@ -76,3 +76,46 @@ class PictureListener(Puppet):
     def received(self):
         assert not self.broken, self.broken
         return self.numbers
+
+
+def gray(number):
+    """A small picture, every pixel of which is the number."""
+    data = number.to_bytes(2, "little") * 64
+    return Image(height=8, width=8, encoding="mono16", step=16, data=data)
+
+
+class Painter(Puppet):
+    """Publishes gray pictures on `out`."""
+
+    def set_up(self):
+        self.out = self.nh.Publisher("out", Image, queue_size=100)
+        self.number = self.nh.get_param("~first", 0)
+        self.timer = None
+
+    def paint(self, count):
+        for _ in range(count):
+            self.out.publish(gray(self.number))
+            self.number += 1
+
+    def paint_often(self, rate):
+        period = self.nh.Duration(1.0 / rate)
+        self.timer = self.nh.Timer(period, lambda event: self.paint(1))
+
+    def spoil(self):
+        """Publish an image that has no compressed form."""
+        self.out.publish(Image(encoding="32FC1", height=1, width=1, step=4, data=bytes(4)))
+
+
+class Viewer(Puppet):
+    """Notes the numbers of gray pictures at `in`, with the topics that came in between."""
+
+    def set_up(self):
+        self.story = []
+        self.sub = self.nh.Subscriber("in", Image, self.view)
+        self.nh.set_reconfigure_callback(lambda inputs, outputs: self.story.append(inputs["in"]))
+
+    def view(self, image):
+        self.story.append(int.from_bytes(image.data[:2], "little"))
+
+    def seen(self):
+        return self.story
