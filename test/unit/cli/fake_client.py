@@ -9,11 +9,11 @@ import io
 import json
 import re
 import shlex
-import textwrap
 from dataclasses import dataclass
 from typing import Any, Callable, Collection, Sequence
 
 from clocks import HandClock
+from transcripts import steps
 from unit.manager.world import LIBRARY, World
 
 from dyknow.cli.main import execute, parse
@@ -189,10 +189,8 @@ def play(client: FakeClient | None, transcript: str) -> None:
     A line that begins with ``$`` is run. Below it is its output, then what it writes to stderr,
     then its exit code in brackets unless that is 0. ``...`` stands for any text.
     """
-    for each in textwrap.dedent(transcript).strip().split("$ ")[1:]:
-        line, _, expected = each.rstrip().partition("\n")
-        outcome = run(client, line)
+    for step in steps(transcript):
+        outcome = run(client, step.line)
         code = f"[{outcome.code}]" if outcome.code else ""
-        printed = (outcome.out + outcome.err + code).rstrip()
-        pattern = re.escape(expected).replace(r"\.\.\.", ".*")
-        assert re.fullmatch(pattern, printed, re.DOTALL), f"$ {line}\n{printed}"
+        printed = (outcome.out + outcome.err + code).rstrip() + "\n" * bool(step.printed)
+        assert re.fullmatch(step.pattern, printed), f"$ {step.line}\n{printed}"
