@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from string import Template
 
 import pytest
 
@@ -38,5 +39,10 @@ def test_a_recipe_is_on_the_page_and_names_parameters_of_the_manager(file):
 
 def test_the_container_copies_what_is_there():
     text = (ROOT / "examples" / "boot" / "Containerfile").read_text()
+    given = [{}, dict(re.findall(r"--build-arg (\w+)=(\S+)", text))]
+    defaults = dict(re.findall(r"^ARG (\w+)=(\S+)", text, re.MULTILINE))
+    assert set(defaults) == set(given[1])
     for source in re.findall(r"^COPY (\S+)", text, re.MULTILINE):
-        assert (ROOT / source).exists()
+        for arguments in given:
+            path = Template(source).substitute({**defaults, **arguments})
+            assert (ROOT / path).exists()
