@@ -16,6 +16,9 @@ from typing import Callable, Sequence
 
 from dyknow.errors import BadRemapping, InvalidName
 
+#: Forms in which image_transport sends messages on topics below those of the messages themselves.
+FORMS = ("compressed",)
+
 _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 
 
@@ -64,6 +67,11 @@ def disconnected(node: str, port: str) -> str:
 def topic_after(nodelet: str, port: str) -> str:
     """Name a topic after a port of a nodelet."""
     return join(nodelet, port.lstrip("~/"))
+
+
+def below(topic: str, form: str) -> str:
+    """Topic of another form of a topic's messages; empty without a topic."""
+    return f"{topic}/{form}" if topic else ""
 
 
 def free_topic(nodelet: str, port: str, is_taken: Callable[[str], bool]) -> str:

@@ -14,7 +14,7 @@ from dyknow import names
 from dyknow.manager.bodies import pack, read_fields, unpack
 from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
-from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State
+from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State, moved_ports
 from dyknow.model.transformation import Parameter, Transformation
 
 
@@ -254,13 +254,14 @@ def movable_ports(record: Record) -> Tuple[PortState, ...]:
     it puts them until a user moves them.
     """
     if record.kind.is_written_for_dyknow or record.transformation is None:
-        return record.ports
+        return moved_ports(record.ports, record.kind)
     declared = {port.name for port in record.transformation.ports}
     return tuple(port for port in record.ports if port.name in declared)
 
 
 def topics_of(record: Record) -> Dict[str, str]:
-    return {port.name: port.topic for port in record.ports if port.topic}
+    ports = moved_ports(record.ports, record.kind)
+    return {port.name: port.topic for port in ports if port.topic}
 
 
 def ports_on(record: Record, direction: str, topic: str) -> List[str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
 from dyknow.model.transformation import Parameter, Transformation
+from dyknow.names import FORMS, below
 
 
 class State(enum.IntEnum):
@@ -90,6 +91,23 @@ class PortState:
     tags: Tuple[str, ...] = ()
 
 
+def moved_ports(ports: Tuple[PortState, ...], kind: NodeletKind) -> Tuple[PortState, ...]:
+    """Return the ports without the companions of images that move with their ports.
+
+    Whether there is such a companion is up to a parameter of the nodelet. Nodelets in C++ make
+    theirs where they put their images.
+    """
+    if not kind.is_written_for_dyknow:
+        return ports
+    topics = {port.name: port.topic for port in ports}
+
+    def follows(port: PortState) -> bool:
+        main, _, form = port.name.rpartition("/")
+        return form in FORMS and main in topics and port.topic == below(topics[main], form)
+
+    return tuple(port for port in ports if not follows(port))
+
+
 @dataclass(frozen=True)
 class PortRef:
     """A port, named from outside its nodelet; written ``NODELET:PORT``."""
@@ -148,8 +166,8 @@ class NodeletStatus:
 
     @property
     def connections(self) -> Dict[str, str]:
-        """Topics of the ports that are connected, by port, sorted."""
-        ports = sorted(self.ports, key=lambda port: port.name)
+        """Topics of the ports that are connected, by port, sorted; without companions."""
+        ports = sorted(moved_ports(self.ports, self.kind), key=lambda port: port.name)
         return {port.name: port.topic for port in ports if port.topic}
 
     @property

@@ -29,9 +29,9 @@ import time
 from dataclasses import dataclass
 from typing import Callable, Iterable, Mapping
 
+from dyknow import names
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
-from dyknow.nodelet.middleware import FORMS
 
 #: Seconds before the end of a lease from which the manager's host is probed.
 PROBE_AHEAD = 1.2
@@ -124,7 +124,7 @@ class Leases:
             is_new, self._topics = topics != self._topics, topics
         if is_new:
             fences = {t: functools.partial(self.may_publish, topic=t) for t in topics}
-            forms = {f"{t}/{form}": fence for t, fence in fences.items() for form in FORMS}
+            forms = {names.below(t, form): fences[t] for t in fences for form in names.FORMS}
             self._guard({**forms, **fences})
         return self._clock()
 

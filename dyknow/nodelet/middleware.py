@@ -23,9 +23,6 @@ from dyknow.errors import DyKnowError, HandleClosed
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 
-#: Forms of messages that travel on topics below those of the messages themselves.
-FORMS = ("compressed",)
-
 Parameter = Callable[[str, Any], Any]
 """Returns a parameter of a port by its name, or the given default."""
 
@@ -58,10 +55,6 @@ class Codec:
     datatype: Any
     encode: Callable[[Any], Any]
     decode: Callable[[Any], Any]
-
-    def below(self, topic: str) -> str:
-        """Name of the topic of this form; empty without a topic."""
-        return f"{topic}/{self.form}" if topic else ""
 
     def decoding(self, receive: Receive) -> Receive:
         """Wrap ``receive`` so that it takes encoded messages."""

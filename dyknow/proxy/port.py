@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Sequence
 
+from dyknow import names
 from dyknow.locks import state_lock
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import PortStatistics
@@ -50,7 +51,7 @@ class ProxyPort:
         """Make the companion."""
         name = f"{self.name}/{codec.form}"
         self.codec = codec
-        self.companion = type(self)(name, codec.datatype, codec.below(self.topic))
+        self.companion = type(self)(name, codec.datatype, names.below(self.topic, codec.form))
         self.companion.is_companion = True
 
     @property
@@ -60,9 +61,10 @@ class ProxyPort:
 
     def takes_along(self, topic: str) -> str | None:
         """Where the companion goes when the port moves to a topic; None if it stays."""
-        if self.codec is None or self.companion.topic != self.codec.below(self.topic):
+        form = self.codec.form if self.codec is not None else ""
+        if not form or self.companion.topic != names.below(self.topic, form):
             return None
-        return self.codec.below(topic)
+        return names.below(topic, form)
 
     @property
     def state(self) -> PortState:

@@ -179,6 +179,9 @@ class ManagerTest(ManagerCase):
         for words in (("save", file), ("destroy", "p", "v"), ("load", file)):
             self.assertEqual(Done(*words).code, 0)
         manager.shows("/v", **topics)
+        for words in (("set", "v", "in/image_transport", "raw"), ("restart", "v")):
+            self.assertEqual(Done(*words).code, 0)
+        self.assertEqual(topics_of_ports("/v"), {"in": "/p/out"})
         refused = Done("spawn", "viewer", "w", "--param", "image_transport=theora")
         self.assertEqual(refused.code, 1)
         self.assertIn("'theora': expected 'raw' or 'compressed'", refused.err)

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from unit.nodelet.fakes import Message, OtherMessage, World, numbers
 from unit.proxy.bench import Bench
 
 from dyknow.errors import Denied, InvalidConfiguration, PortConflict, TypeMismatch
 from dyknow.guards import Guards
+from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State, moved_ports
 from dyknow.nodelet.leases import Leases
 from dyknow.nodelet.middleware import Codec
 
@@ -267,3 +270,20 @@ def test_a_fence_around_a_topic_of_a_claim_keeps_back_its_compressed_form():
     assert [fence("/camera") for fence in fenced.values()] == [True, True]
     clock[0] = 3.0
     assert [fence("/camera") for fence in fenced.values()] == [False, False]
+
+
+def test_a_companion_that_moves_with_its_port_is_no_connection_of_its_own():
+    """Another value of the parameter would take it from the nodelet, which is to come back."""
+    ports = [
+        PortState("cam/image", "out", "sensor_msgs/Image", "/a"),
+        PortState("cam/image/compressed", "out", "sensor_msgs/CompressedImage", "/a/compressed"),
+    ]
+    moved = replace(ports[1], topic="/b")
+    alone = PortState("compressed", "in", "", "/compressed")
+    nodelet = NodeletStatus(
+        "/n", "", "/m", False, False, False, State.RUNNING, "", (*ports, alone)
+    )
+    assert nodelet.connections == {"cam/image": "/a", "compressed": "/compressed"}
+    assert moved_ports((ports[0], moved), NodeletKind.PYTHON) == (ports[0], moved)
+    assert moved_ports((ports[1],), NodeletKind.PYTHON) == (ports[1],)
+    assert moved_ports((*ports,), NodeletKind.CPP) == (*ports,)
