@@ -60,5 +60,7 @@ def _reason(element: ElementTree.Element) -> str:
     message = element.get("message", "").strip()
     if message:
         return message.splitlines()[0]
-    places = re.findall(r'File "[^"]*?([^"/]+)", line (\d+).*\n *(.*)', element.text or "")
+    places = re.findall(
+        r'File "(?![^"]*/unittest/)[^"]*?([^"/]+)", line (\d+).*\n *(.*)', element.text or ""
+    )
     return "{}:{}: {}".format(*places[-1]) if places else element.get("type", "no reason given")
