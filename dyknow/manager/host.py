@@ -20,6 +20,7 @@ from typing import (
 )
 
 from dyknow.model.graph import NodeletKind, PortState
+from dyknow.model.hosts import UNKNOWN_MACHINE, UNKNOWN_OFFSET, ClockOffset, Machine
 from dyknow.model.transformation import Parameter, Transformation
 
 
@@ -38,6 +39,8 @@ class ProcessState:
         unseen: whether the first probe is not over; until then the earlier records hold.
         rewirable: whether its nodelets have live ports; those of a stock C++ one do not.
         host: its machine, as ROS names it; empty if unknown.
+        machine: the load of the machine, as it said last.
+        clock: how the clock of the machine differs from ours.
         cure: advice for users if it does not answer.
     """
 
@@ -51,6 +54,8 @@ class ProcessState:
     unseen: bool = False
     rewirable: bool = True
     host: str = ""
+    machine: Machine = UNKNOWN_MACHINE
+    clock: ClockOffset = UNKNOWN_OFFSET
     cure: str = ""
 
     @property
@@ -206,6 +211,19 @@ class Host(ABC):
     @abstractmethod
     def poll(self) -> HostReport:
         """Ask all nodelet managers for their nodelets, side by side."""
+
+    @property
+    @abstractmethod
+    def here(self) -> str:
+        """The machine that this process runs on, as ROS names it."""
+
+    def address_of(self, name: str) -> str:
+        """Return the IP address of a machine; empty if it is not known yet."""
+        return ""
+
+    @abstractmethod
+    def publishing_hosts(self, topics: Iterable[str]) -> frozenset[str]:
+        """Return the machines of the nodes that publish on any of these topics now."""
 
     def may_publish(self, manager: str) -> bool:
         """Whether a process that does not answer may still publish on topics of claims.

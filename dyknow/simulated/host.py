@@ -152,6 +152,10 @@ class FakeHost(Host):
         self.taken: dict[str, int] = {}
         #: Problems by nodelet.
         self.details: dict[str, str] = {}
+        #: The machine of the processes that are not external.
+        self.machine = ""
+        #: Hosts of the nodes that publish on ordinary topics.
+        self.publishing: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
         #: Topics of verdicts that are followed, and the last verdict on each.
@@ -259,9 +263,9 @@ class FakeHost(Host):
         self.processes[name].nodelets[name] = nodelet
         self.on_change()
 
-    def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
-        """Start, or restart, an external nodelet manager."""
-        state = self._state(manager, kind, own=False)
+    def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON, machine: str = "") -> None:
+        """Start, or restart, an external nodelet manager, on a machine."""
+        state = replace(self._state(manager, kind, own=False), host=machine)
         self.processes[manager] = FakeProcess(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
@@ -353,6 +357,13 @@ class FakeHost(Host):
         )
 
     # The host
+
+    @property
+    def here(self) -> str:
+        return self.machine
+
+    def publishing_hosts(self, topics: Iterable[str]) -> frozenset[str]:
+        return frozenset(self.publishing[each] for each in topics if each in self.publishing)
 
     def kind_of(self, transformation: Transformation) -> NodeletKind:
         source = transformation.source
@@ -589,7 +600,10 @@ class FakeHost(Host):
     ) -> ProcessState:
         rewirable = kind is not NodeletKind.CPP or not self.stock
         incarnation = str(next(self._incarnations))
-        return ProcessState(name, kind, incarnation, isolated_for, own, rewirable=rewirable)
+        host = self.machine if own else ""
+        return ProcessState(
+            name, kind, incarnation, isolated_for, own, rewirable=rewirable, host=host
+        )
 
     def _step(self, operation: str, argument: str) -> None:
         assert_no_state_lock(f"asking the host: {operation} {argument}")

@@ -17,6 +17,8 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdlib>
+#include <fstream>
 #include <limits>
 #include <map>
 #include <mutex>
@@ -167,6 +169,34 @@ dyknow_msgs::NodeletCounts countsOf(const NodeletProxy& proxy)
     nodelet.ports.push_back(port);
   }
   return nodelet;
+}
+
+/// Share of the memory that is in use; NaN if it is not known.
+double memoryInUse()
+{
+  std::ifstream file("/proc/meminfo");
+  std::map<std::string, double> found;
+  std::string name, rest;
+  double kilobytes = 0.0;
+  while (found.count("MemAvailable:") == 0 && file >> name >> kilobytes && std::getline(file, rest))
+  {
+    found[name] = kilobytes;
+  }
+  const double total = found["MemTotal:"];
+  return found.count("MemAvailable:") > 0 && total > 0.0 ? 1.0 - found["MemAvailable:"] / total
+                                                         : std::numeric_limits<double>::quiet_NaN();
+}
+
+dyknow_msgs::Machine machine()
+{
+  dyknow_msgs::Machine found;
+  double load = 0.0;
+  found.cores = std::max(std::thread::hardware_concurrency(), 1U);
+  found.load = getloadavg(&load, 1) == 1 ? load / found.cores : std::numeric_limits<double>::quiet_NaN();
+  found.memory = memoryInUse();
+  const auto now = ros::WallTime::now();
+  found.stamp = ros::Time(now.sec, now.nsec);
+  return found;
 }
 
 void renewLease(const dyknow_msgs::Poll::Request& request, const std::string& caller)
@@ -332,6 +362,7 @@ private:
         answer.counts.push_back(countsOf(*proxy));
       }
     }
+    answer.machine = machine();
     answer.clock = Leases::clock();
     return true;
   }

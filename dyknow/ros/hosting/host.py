@@ -47,6 +47,7 @@ from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
+from dyknow.ros.wire.addresses import ADDRESSES, host_of
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
@@ -127,6 +128,21 @@ class RosHost(Host):
                 nodelets[peer.name] = frozenset(self._list(peer, number, state.incarnation))
         return HostReport({peer.name: state for peer, state in peers}, nodelets, crashes)
 
+    @property
+    def here(self) -> str:
+        return str(rosgraph.network.get_host_name())
+
+    def address_of(self, name: str) -> str:
+        with contextlib.suppress(OSError):  # socket.timeout too: it is being looked up
+            return next(iter(ADDRESSES.of(name, 0.0)), "")
+        return ""
+
+    def publishing_hosts(self, topics: Iterable[str]) -> frozenset[str]:
+        with host_errors():
+            publishers = self._master.publications()
+            nodes = {node for topic in topics for node in publishers.get(topic, ())}
+            return frozenset(host_of(self._master.node(node)) for node in nodes) - {""}
+
     def look_for(self, manager: str) -> None:
         external = self._external.find(manager)
         if external is not None:
@@ -187,7 +203,7 @@ class RosHost(Host):
     def code_of(self, manager: str, transformation: Transformation, anew: bool = False) -> str:
         """Look at the files of this machine, for processes that run here."""
         peer = self._peer(manager)
-        is_here = peer is None or peer.state.host == rosgraph.network.get_host_name()
+        is_here = peer is None or peer.state.host == self.here
         return self._code.of(transformation, anew) if is_here else ""
 
     def check_code(self, transformation: Transformation) -> None:

@@ -30,10 +30,12 @@ from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.guards import NO_GUARDS
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, ProcessState, Reported
+from dyknow.model.hosts import UNKNOWN_OFFSET, ClockOffset
 from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.grants import Lease, PeerContext
 from dyknow.ros.nodelets.announcements import TOPIC
-from dyknow.ros.wire.messages import guards_message, port_from
+from dyknow.ros.wire.machines import OffsetMeter
+from dyknow.ros.wire.messages import guards_message, machine_from, port_from
 from dyknow.ros.wire.poll_client import PollClient
 
 #: Seconds for a poll, over a connection that is there.
@@ -108,6 +110,7 @@ class Peer(ABC):
         self._is_traffic_wanted = False
         self._traffic: Sequence[NodeletCounts] = ()
         self._is_prompt = True
+        self._meter = OffsetMeter()
         self._subscriber: rospy.Subscriber | None = None
         self._key = f"polling {name}"
         self.loop = ControlLoop(name=f"peer {name}")
@@ -273,10 +276,11 @@ class Peer(ABC):
         """Note which process it is now, and how it answered."""
         self._let_go(client)
         self._guards = None
+        self._meter = OffsetMeter()
         if self.state.incarnation != state.incarnation:
             self.lease.forget_clock()
         with self._state_lock:
-            self.presence = _answered(Presence(state), answer)
+            self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
         if not client.is_stock:
             self.lease.answered(answer.clock)
         if self._subscriber is None and state.rewirable and not self.is_node:
@@ -294,6 +298,7 @@ class Peer(ABC):
         handed = [guards] if guards != self._guards else []
         is_traffic, self._is_traffic_wanted = self._is_traffic_wanted, False
         asked_for = sorted({*counted, *self.presence.nodelets}) if is_traffic else counted
+        began = self._meter.begin()
         try:
             answer = client.ask(
                 POLL_TIMEOUT, counted=asked_for, guards=handed, **self.lease.renewal()
@@ -306,9 +311,10 @@ class Peer(ABC):
         self._guards = guards
         if not client.is_stock:
             self.lease.answered(answer.clock)
+            self._meter.add(began, answer.machine.stamp)
         with self._state_lock:
             if client is self._client:
-                self.presence = _answered(self.presence, answer)
+                self.presence = _answered(self.presence, answer, self._meter.offset)
             self._traffic = answer.counts if is_traffic else self._traffic
         found: Counts = dict.fromkeys(counted)
         answered = time.monotonic()
@@ -325,12 +331,13 @@ class Peer(ABC):
             self._counts.update(found)
 
 
-def _answered(known: Presence, answer: PollResponse) -> Presence:
-    """Return the knowledge of a process that has answered."""
+def _answered(known: Presence, answer: PollResponse, clock: ClockOffset) -> Presence:
+    """Return the knowledge of a process that has answered, and of its clock."""
     changes = answer.changes
     before = known.nodelets if changes.process == known.process else {}
     nodelets = _merged({name: before.get(name) for name in answer.nodelets}, changes)
-    state = replace(known.state, responsive=True, away=False)
+    machine = machine_from(answer.machine)
+    state = replace(known.state, responsive=True, away=False, machine=machine, clock=clock)
     return Presence(state, nodelets=nodelets, process=changes.process)
 
 

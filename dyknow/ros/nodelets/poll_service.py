@@ -36,6 +36,7 @@ from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
 from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.machines import machine_message
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import counts_message
 from dyknow.ros.wire.poll_client import SERVICE
@@ -110,6 +111,7 @@ class PollService(Closable):
                 if context.name in counted and isinstance(context.attached, NodeletProxy)
             ],
             self._stuck.remains(),
+            machine_message(),
         )
 
     def _renew(self, request: Any) -> None:

@@ -22,6 +22,7 @@ from genpy import Duration, Time, TVal
 from dyknow.errors import Result, StreamRefused
 from dyknow.guards import Guards
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
+from dyknow.model.hosts import UNKNOWN_MACHINE, HostStatus, Machine
 from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -158,6 +159,21 @@ def model_from(message: msg.Model) -> Model:
 def spawn_message(request: SpawnRequest) -> srv.SpawnRequest:
     config, parameters = config_message(request.config), _parameter_messages(request.parameters)
     return _message(srv.SpawnRequest, request, config=config, parameters=parameters)
+
+
+# Hosts
+
+
+def machine_from(message: msg.Machine) -> Machine:
+    """Read the machine of a process; a stock nodelet manager does not describe it."""
+    return _value(Machine, message) if message.cores else UNKNOWN_MACHINE
+
+
+host_message = partial(_message, msg.HostStatus)
+
+
+def host_from(message: msg.HostStatus) -> HostStatus:
+    return _value(HostStatus, message)
 
 
 # Statistics: a rate or an age of NaN is unknown
