@@ -14,6 +14,7 @@ from python_qt_binding.QtWidgets import QFileDialog, QMenu, QWidget
 
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef
+from dyknow.model.hosts import pins
 from dyknow.wiring.wiring import read_wiring, wiring_of
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import edge_refs
@@ -37,7 +38,7 @@ class WiringFiles:
         """Write the nodelets, their connections and their transformations to a file."""
 
         def write(client: BaseManagerClient) -> Tuple[int, List[str]]:
-            wiring, left_out = wiring_of(client.get_model())
+            wiring, left_out = wiring_of(client.get_model(), pins(client.list_hosts()))
             with open(path, "w", encoding="utf-8") as file:
                 file.write(wiring.to_xml())
             return len(wiring.nodelets), [each.name for each in left_out]

@@ -136,6 +136,7 @@ KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "A:PORT": (port_reference, completion.ports),
     "FILE": (None, completion.files),
     "FORMULA": (None, completion.formulas),
+    "HOST": (None, completion.hosts),
     "HZ": (hertz, None),
     "ID": (None, completion.claims),
     "LABEL": (None, completion.labels),

@@ -44,7 +44,7 @@ def load(manager: str, data: bytes, file: str, most: int, from_files: Collection
     plan = plan_load(
         replace(wiring, transformations=tuple(own)),
         client.get_model(),
-        client.nodelet_managers(),
+        client.places(),
         client.is_own_manager,
         replace=True,
         stored=client.stored_parameters,

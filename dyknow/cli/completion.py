@@ -141,6 +141,7 @@ def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
 topics = _completer(lambda cursor: cursor.as_typed(cursor.topics()))
 managers = _completer(lambda cursor: cursor.client.managers())
 nodelet_managers = _completer(lambda cursor: cursor.as_typed(cursor.client.nodelet_managers()))
+hosts = _completer(lambda cursor: (each.name for each in cursor.client.list_hosts()))
 ports = _completer(lambda cursor: cursor.ports())
 stream_sources = _completer(lambda cursor: [*cursor.ports(OUT), *cursor.topics_beside_ports()])
 

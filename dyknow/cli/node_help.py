@@ -38,6 +38,8 @@ Private parameters (default):
                          0: for ever (300)
   ~recover               seconds for which a verdict has to be TRUE again before the
                          transformations that require it are used (2)
+  ~max_clock_offset      seconds by which the clock of another host may differ before
+                         'dyknow doctor' and /diagnostics warn of it (0.1)
   ~shared_memory         whether its processes exchange large messages through shared
                          memory, where they can (true)
   ~watchdog/hung, ~watchdog/stuck, ~watchdog/memory

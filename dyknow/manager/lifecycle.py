@@ -33,7 +33,8 @@ from dyknow.errors import (
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_condition
 from dyknow.manager.graph import PATIENCE, Graph
-from dyknow.manager.host import Host, LoadRequest
+from dyknow.manager.host import Host, LoadRequest, ProcessState
+from dyknow.manager.hosts import HostTable
 from dyknow.manager.library import Library
 from dyknow.manager.record import (
     NOTHING_HEARD,
@@ -48,6 +49,7 @@ from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
+from dyknow.model.hosts import AT
 from dyknow.model.transformation import NODE, Port, Program, Transformation
 from dyknow.periodic import STEADY, Clock
 
@@ -128,6 +130,8 @@ class Lifecycle:
         self.fitting = context.keeper.fitting
         #: Nodelets that are isolated since they crashed their processes.
         self.suspects = Suspects(context.clock.now)
+        #: Where they run.
+        self.hosts = HostTable(context.host, context.clock.now)
 
     # Making
 
@@ -152,21 +156,25 @@ class Lifecycle:
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation)
-            by_default = transformation.isolated and not request.manager
+            is_here = request.host != "" and request.host == self._host.here
+            by_default = transformation.isolated and (is_here or not request.manager)
             isolated = request.isolated or kind.is_node or by_default
             record = Record(
                 request.name,
                 transformation,
-                request.manager,
+                "" if request.host else request.manager,
                 request.is_protected,
                 isolated,
                 topics=config,
                 claimed=claimed,
                 parameters=parameters,
                 kind=kind.alone if isolated else kind,
+                pinned=request.host,
             )
             self.suspects.know(record)
-            if request.manager:
+            if request.host:
+                self._check_host(record)
+            elif request.manager:
                 self._check_place(record)
             else:
                 record = self._judged(record)
@@ -265,39 +273,63 @@ class Lifecycle:
     def _place(self, record: Record, near: Iterable[str] = ()) -> str:
         """Return the nodelet manager of a nodelet that is made or brought back, started if needed.
 
-        It is the one where it was, or that the spawn names. Without one, it is the one that runs
-        most neighbours of the nodelet on its topics and those ``near`` it, since messages go by
-        reference there; else the one with fewest nodelets. One without live ports is used only if
-        the spawn names it, or if the host can start no other.
+        It is the one where it was, or that the spawn names, or one on the host that it names.
+        Without one, it is the one that runs most neighbours of the nodelet on its topics and those
+        ``near`` it, since messages go by reference there; then one on their host; then one on a
+        host that is not overloaded; else the one with fewest nodelets. A host that was away too
+        often lately is the last choice. One without live ports is used only if the spawn names it,
+        or if the host can start no other.
         """
         kind = record.kind.host
         if record.isolated:
             return self._host.ensure(kind, record.name)
-        states = self._host.states()
-        present = states.get(record.manager)
-        if present is not None:
+        present = self._host.states().get(record.manager)
+        if present is not None and (present.alive or not record.pinned):
             if present.own and not present.alive:
                 self._host.ensure(present.kind)
             return record.manager
-        shared = [
-            state.name
-            for state in states.values()
-            if state.alive
-            and state.responsive
-            and state.rewirable
-            and state.kind is kind
-            and not state.isolated_for
-        ]
+        shared = [*self.hosts.managers(record.pinned, kind)]
         if not shared:
+            if record.pinned not in ("", self._host.here):
+                raise HostError(f"no nodelet manager on host '{record.pinned}' answers")
             return self._host.ensure(kind)
-        wanted = {*record.topics.values(), *near}
+        wanted = {*record.topics.values(), *near} - {""}
         load: Counter[str] = collections.Counter()
         neighbours: Counter[str] = collections.Counter()
+        outside = set(wanted)
         for each in self._graph.all():
             load[each.manager] += 1
             used = {*topics_of(each).values(), *each.topics.values()}
             neighbours[each.manager] += not wanted.isdisjoint(used)
-        return min(shared, key=lambda name: (-neighbours[name], load[name], name))
+            neighbours[AT + each.host] += not wanted.isdisjoint(used)
+            outside -= used
+        if outside and len({state.host for state in shared}) > 1:
+            with contextlib.suppress(HostError):  # without the ROS master they are not known
+                neighbours.update(AT + host for host in self._host.publishing_hosts(outside))
+
+        paused = self.hosts.paused
+
+        def rank(state: ProcessState) -> tuple[object, ...]:
+            return (
+                state.host in paused,
+                -neighbours[state.name],
+                -neighbours[AT + state.host],
+                state.machine.is_overloaded,
+                load[state.name],
+                state.name,
+            )
+
+        return min(shared, key=rank).name
+
+    def _check_host(self, record: Record) -> None:
+        """Raise HostError if a new nodelet cannot be on the host that was requested."""
+        here = self._host.here
+        if record.isolated and record.pinned != here:
+            raise HostError(
+                f"'{record.name}' would have a process of its own, which is started on host "
+                f"'{here}' alone; '{record.pinned}' needs a nodelet in a nodelet manager"
+            )
+        self.hosts.check(record.pinned, record.kind.host)
 
     def _check_place(self, record: Record) -> None:
         """Raise HostError if a new nodelet cannot be in the nodelet manager that was requested."""

@@ -39,6 +39,7 @@ from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest
+from dyknow.model.hosts import HostStatus
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 
 
@@ -238,6 +239,10 @@ class Manager:
             self.host.connect(move.name, back)
 
     # The model
+
+    def hosts(self) -> tuple[HostStatus, ...]:
+        """Return the hosts of the processes that the manager knows, by name."""
+        return self.lifecycle.hosts.all(self.graph.all())
 
     def graph_model(self) -> Model:
         nodelets = tuple([record.status for record in self.graph.all()])

@@ -108,6 +108,7 @@ class Observer:
                 each.name: self._shown[each.name] for each in records if each.name in self._shown
             }
             report = self._host.poll()
+            self._lifecycle.hosts.look(report.processes)
             for incarnation, crash in report.crashes.items():
                 if incarnation not in self._accused:
                     self._accuse(crash)

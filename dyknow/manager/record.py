@@ -59,6 +59,7 @@ class Record:
         parameters: from the spawn, for life.
         kind: kind of nodelet or node.
         host: its machine, as ROS names it.
+        pinned: the machine that its spawn named, where it is for life; empty for any.
         heard: values of its variables in its messages.
         awaited: declared ports that it has not made yet, or not at present.
         code: a text that differs when its files do, as they were when it was loaded; empty if
@@ -83,6 +84,7 @@ class Record:
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
     host: str = ""
+    pinned: str = ""
     heard: Heard = NOTHING_HEARD
     awaited: Tuple[str, ...] = ()
     code: str = ""
@@ -146,8 +148,9 @@ class Record:
             "outdated",
         ):  # the key, and observations of each life
             del body[name]
-        for name, is_needed in (("heard", self.heard.ways), ("code", self.code)):
-            if not is_needed:
+        is_needed = {"heard": self.heard.ways, "code": self.code, "pinned": self.pinned}
+        for name, value in is_needed.items():
+            if not value:
                 del body[name]  # earlier versions do not read it
         body["transformation"] = pack(self.transformation) if self.transformation else None
         body.update(topics=dict(self.topics), state=int(self.state), kind=self.kind.value)

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from typing import Mapping, Optional, Sequence, Tuple
 
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
+from dyknow.model.hosts import AT, HostStatus
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added, Parameter
@@ -109,6 +110,15 @@ class BaseManagerClient(ABC):
     @abstractmethod
     def nodelet_managers(self) -> Sequence[str]:
         """Return the global names of the nodelet managers that are up, sorted."""
+
+    @abstractmethod
+    def list_hosts(self) -> Tuple[HostStatus, ...]:
+        """Return the hosts of the processes that the manager knows, by name."""
+
+    def places(self) -> Sequence[str]:
+        """Return where a spawn may ask to be: nodelet managers, and ``@HOST`` for each host."""
+        hosts = (AT + each.name for each in self.list_hosts() if not each.is_away)
+        return [*self.nodelet_managers(), *hosts]
 
     # Proxies
 

@@ -9,6 +9,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
+from dyknow.model.hosts import AT
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow.names import FORMS, below
 
@@ -240,7 +241,8 @@ class SpawnRequest:
         config: topics by port; ports that are not named start disconnected.
         is_protected: refuse to destroy it.
         isolated: give it a process of its own.
-        manager: nodelet manager to use; empty for the manager's choice.
+        manager: nodelet manager to use, or ``@HOST`` for one on that host, always; empty for the
+            manager's choice.
         parameters: names override the transformation's parameters, variables such as ``?camera``
             carry their names; an empty type is the transformation's, or follows from the text.
     """
@@ -252,3 +254,8 @@ class SpawnRequest:
     isolated: bool = False
     manager: str = ""
     parameters: Tuple[Parameter, ...] = ()
+
+    @property
+    def host(self) -> str:
+        """The host that it names; empty if it names none."""
+        return self.manager[1:] if self.manager[:1] == AT else ""

@@ -22,6 +22,7 @@ from dyknow.errors import Refused
 from dyknow.locks import state_lock
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
+from dyknow.model.hosts import HostStatus
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added, Parameter
@@ -30,6 +31,7 @@ from dyknow.ros.wire.messages import (
     acquire_message,
     acquisition_from,
     config_message,
+    host_from,
     model_from,
     port_from,
     replanned_from,
@@ -147,6 +149,10 @@ class ManagerClient(ProxyClient, BaseManagerClient):
 
     def nodelet_managers(self) -> list[str]:
         return self._nodes_with("/load_nodelet")
+
+    def list_hosts(self) -> tuple[HostStatus, ...]:
+        answer = self._ask("list_hosts", srv.ListHosts, ASK_TIMEOUT)
+        return tuple(map(host_from, answer.hosts))
 
     # Streams; connections for frequent calls are kept, so that a later renewal of a lease
     # needs no master

@@ -32,6 +32,7 @@ from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
+from dyknow.model.hosts import HostStatus
 from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -228,6 +229,10 @@ class SimulatedManagerClient(BaseManagerClient):
     def nodelet_managers(self) -> list[str]:
         with self._request("nodelet_managers"):
             return sorted(self.host.processes)
+
+    def list_hosts(self) -> tuple[HostStatus, ...]:
+        with self._request("list_hosts"):
+            return self.core.hosts()
 
     def get_config(self, nodelet: str) -> tuple[PortState, ...]:
         with self._request("get_config", nodelet):

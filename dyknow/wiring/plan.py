@@ -123,7 +123,7 @@ def plan_load(
     Args:
         wiring: the wanted state.
         snapshot: the present state, with its transformations.
-        managers: nodelet managers that are up.
+        managers: nodelet managers that are up, and hosts that answer, as ``@HOST``.
         is_own_manager: tells a nodelet manager that the DyKnow manager starts when it is needed.
         replace: replace transformations that differ, and make nodelets again that were made
             otherwise.
@@ -190,11 +190,13 @@ def _problems_of_blueprint(
 
 def _problems_of_place(nodelet: SpawnRequest, managers: Collection[str]) -> Iterator[str]:
     if nodelet.manager and nodelet.manager not in managers:
-        yield (
-            f"its nodelet manager '{nodelet.manager}' is not running; start it, or let the "
-            "manager choose with --any-manager"
+        what = (
+            f"its host '{nodelet.host}' does not answer; start a nodelet manager there"
+            if nodelet.host
+            else f"its nodelet manager '{nodelet.manager}' is not running; start it"
         )
-    elif nodelet.manager and nodelet.isolated:
+        yield f"{what}, or let the manager choose with --any-manager"
+    elif nodelet.manager and not nodelet.host and nodelet.isolated:
         yield (
             f"isolated, and in nodelet manager '{nodelet.manager}'; expected a process of its own "
             "or a named one, not both"

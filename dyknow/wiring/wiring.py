@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Callable, Iterable, Iterator, Mapping
 from xml.sax.saxutils import quoteattr
 
 from dyknow import names
@@ -26,6 +27,7 @@ from dyknow.manager.specifications.xml_reader import (
     XmlReader,
 )
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
+from dyknow.model.hosts import AT
 from dyknow.model.transformation import Parameter, Transformation
 
 VERSION = "1"
@@ -56,8 +58,14 @@ class Wiring:
         return "\n".join(lines)
 
 
-def wiring_of(snapshot: Model) -> tuple[Wiring, list[NodeletStatus]]:
+def wiring_of(
+    snapshot: Model, pinned: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Wiring, list[NodeletStatus]]:
     """Take the wiring out of a model.
+
+    Args:
+        snapshot: the model.
+        pinned: hosts of the nodelets whose spawn named one, by nodelet.
 
     Returns:
         The wiring, and the nodelets that it leaves out: those without a transformation.
@@ -80,16 +88,21 @@ def wiring_of(snapshot: Model) -> tuple[Wiring, list[NodeletStatus]]:
             "nodelet (import it again, or destroy the nodelet)"
         )
     used = {nodelet.transformation for nodelet in own}
+    requests = {each.name: each.request for each in own}
+    for name, host in pinned.items():
+        if name in requests:
+            requests[name] = replace(requests[name], manager=AT + host)
     wiring = Wiring(
         tuple(known[label] for label in sorted(used)),
-        tuple(nodelet.request for nodelet in sorted(own, key=lambda each: each.name)),
+        tuple(requests[name] for name in sorted(requests)),
     )
     return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
 
 
 def _nodelet_xml(nodelet: SpawnRequest) -> list[str]:
     attributes = [("name", nodelet.name), ("transformation", nodelet.label)]
-    attributes.extend([("manager", nodelet.manager)] if nodelet.manager else [])
+    place = ("host", nodelet.host) if nodelet.host else ("manager", nodelet.manager)
+    attributes.extend([place] if nodelet.manager else [])
     attributes.extend([("protected", "true")] if nodelet.is_protected else [])
     attributes.extend([("isolated", "true")] if nodelet.isolated else [])
     opening = "  <nodelet" + "".join(f" {key}={quoteattr(value)}" for key, value in attributes)
@@ -121,6 +134,7 @@ _NODELET = Element(
         "name": NEEDED,
         "transformation": NEEDED,
         "manager": ANY,
+        "host": ANY,
         "protected": _BOOL,
         "isolated": _BOOL,
     },
@@ -214,7 +228,7 @@ class _NodeletReader:
                 config,
                 nodelet.get("protected") in ("true", "1"),
                 nodelet.get("isolated") in ("true", "1"),
-                self._global(nodelet, "manager") if nodelet.get("manager") else "",
+                self._place(nodelet),
                 tuple(
                     Parameter(each.get("name"), each.get("type"), each.get("value"))
                     for each in good
@@ -222,6 +236,17 @@ class _NodeletReader:
                 ),
             )
         )
+
+    def _place(self, nodelet: XmlNode) -> str:
+        """Return the nodelet manager, or the host, that a nodelet is to run in."""
+        manager, host = nodelet.get("manager"), nodelet.get("host")
+        if manager and host:
+            self._findings.problem(
+                nodelet.line, f'manager="{manager}" and host="{host}"; expected one of them'
+            )
+        if host:
+            return AT + host
+        return self._global(nodelet, "manager") if manager else ""
 
     def _connect(self, config: dict[str, str], connection: XmlNode) -> None:
         port = connection.get("port")

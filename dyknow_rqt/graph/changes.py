@@ -283,7 +283,7 @@ def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
 
     def plan(present: Present) -> List[ReversibleStep]:
         client = present.client
-        model, managers = client.get_model(), client.nodelet_managers()
+        model, managers = client.get_model(), client.places()
         found = plan_load(wiring, model, managers, replace=True, any_manager=True)
         if found.problems:
             raise CannotLoad("\n".join(found.problems))

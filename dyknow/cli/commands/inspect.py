@@ -19,6 +19,7 @@ from typing import (
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import argument, flag, namespace
+from dyknow.cli.host_table import host_json, host_table
 from dyknow.cli.output import (
     Json,
     Screen,
@@ -40,11 +41,17 @@ if TYPE_CHECKING:
     from dyknow.model.statistics import NodeletStatistics, PortStatistics
 
 
+def _list_problem(arguments: argparse.Namespace) -> str:
+    if arguments.hosts and (arguments.namespace or arguments.long):
+        return "--hosts lists hosts; expected it without a namespace and --long"
+    return ""
+
+
 @command(
     "list",
     "list the nodelets",
-    "List the nodelets that the manager knows of, one name a line.",
-    "dyknow list\ndyknow list -l\ndyknow list /robot\n"
+    "List the nodelets that the manager knows of, one name a line, or the hosts that they run on.",
+    "dyknow list\ndyknow list -l\ndyknow list /robot\ndyknow list --hosts\n"
     "dyknow list --json | jq -r '.nodelets[] | select(.state != \"running\") | .name'",
     argument(
         "namespace",
@@ -55,8 +62,14 @@ if TYPE_CHECKING:
         type=namespace,
     ),
     flag("-l --long", "show transformation, state, ports and manager"),
+    flag("--hosts", "list the hosts: what runs there, their load, and their clocks"),
+    problem=_list_problem,
 )
 def _list(arguments: argparse.Namespace, shell: Shell) -> None:
+    if arguments.hosts:
+        hosts = shell.client.list_hosts()
+        shell.show({"hosts": [host_json(each) for each in hosts]}, host_table(hosts, time.time()))
+        return
     nodelets = shell.client.get_graph().nodelets
     if arguments.namespace:
         inside = shell.resolve(arguments.namespace).rstrip("/") + "/"

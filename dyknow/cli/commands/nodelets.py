@@ -15,6 +15,7 @@ from dyknow.cli.output import nodelet_json, state_of
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import DuplicatePort, DyKnowError
 from dyknow.model.graph import PortRef, PortState
+from dyknow.model.hosts import AT
 from dyknow.wiring.ports import CannotConnect
 
 if TYPE_CHECKING:
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
 
 
 _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
+
+
+def _spawn_problem(arguments: argparse.Namespace) -> str:
+    if arguments.host and arguments.manager:
+        return "--host and --manager both say where it is to run; expected one of them"
+    return ""
 
 
 @command(
@@ -34,6 +41,7 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
     "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
     "dyknow spawn relay slow --connect in:camera:image\n"
     "dyknow spawn detector ball --isolated\n"
+    "dyknow spawn detector ball --host rover\n"
     "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
     "dyknow spawn tracker tracker _rate:=5",
     argument(
@@ -53,6 +61,12 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
         type=graph_name,
     ),
     argument(
+        "--host",
+        "HOST",
+        "the host to run it on, now and whenever it is brought back (default: the DyKnow "
+        "manager's choice); 'dyknow list --hosts' has their names",
+    ),
+    argument(
         "--connect",
         "PORT:END",
         "connect its ports from the start, each to a topic or to a port, NODELET:PORT; relative "
@@ -66,6 +80,7 @@ _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
         "in its tags and parameters stands for; _NAME:=VALUE does the same",
         **SEVERAL,
     ),
+    problem=_spawn_problem,
 )
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     name = shell.resolve(arguments.name)
@@ -85,7 +100,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         config,
         arguments.protected,
         arguments.isolated,
-        shell.resolve(arguments.manager) if arguments.manager else "",
+        _place(arguments, shell),
         arguments.param,
     )
     try:
@@ -104,6 +119,12 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         nodelet_json(nodelet),
         [f"spawned {name} from {nodelet.transformation} {where}", *connections],
     )
+
+
+def _place(arguments: argparse.Namespace, shell: Shell) -> str:
+    if arguments.host:
+        return AT + str(arguments.host)
+    return shell.resolve(arguments.manager) if arguments.manager else ""
 
 
 def _declared(shell: Shell, label: str, name: str) -> PortState:

@@ -16,6 +16,7 @@ from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import ManagerUnreachable, Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.steps import StepFailed, carry_out
+from dyknow.model.hosts import pins
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import LoadPlan, plan_load
 from dyknow.wiring.settled import unsettled
@@ -38,7 +39,7 @@ _PERIOD = 0.25
     argument("file", "FILE", f"where to write it; {STDIO} for standard output"),
 )
 def _save(arguments: argparse.Namespace, shell: Shell) -> None:
-    wiring, left_out = wiring_of(shell.client.get_model())
+    wiring, left_out = wiring_of(shell.client.get_model(), pins(shell.client.list_hosts()))
     for nodelet in left_out:
         shell.warn(f"'{nodelet.name}' is not saved: others loaded it, from no transformation")
     text = wiring.to_xml()
@@ -166,7 +167,7 @@ def _plan(arguments: argparse.Namespace, wiring: Wiring, client: ShellClient) ->
     plan = plan_load(
         wiring,
         client.get_model(),
-        client.nodelet_managers(),
+        client.places(),
         client.is_own_manager,
         arguments.replace,
         arguments.any_manager,

@@ -4,7 +4,7 @@
 """The state of the manager, its nodelets and claims on ``/diagnostics``.
 
 Diagnostic tools of ROS group by the names of statuses. They are ``NODE: manager``, ``NODE: nodelet
-NAME`` and ``NODE: claim ID TAG``, with the manager's node first.
+NAME``, ``NODE: claim ID TAG`` and ``NODE: host NAME``, with the manager's node first.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 import dyknow
 from dyknow.model.graph import Model, NodeletStatus, State
+from dyknow.model.hosts import HostStatus
 from dyknow.model.streams import ClaimState, StreamStatus
 
 TOPIC = "/diagnostics"
@@ -40,6 +41,7 @@ class DiagnosticsTopic:
         claims: Callable[[], Iterable[StreamStatus]],
         trouble: Callable[[], str],
         dropped: Callable[[], Mapping[str, int]],
+        hosts: Callable[[], tuple[Sequence[HostStatus], float]] = lambda: ((), 0.0),
     ) -> None:
         """Advertise the topic.
 
@@ -48,11 +50,13 @@ class DiagnosticsTopic:
             claims: returns the claims.
             trouble: returns why changes are not on disk; empty if they are.
             dropped: counts the messages that in-ports dropped, by nodelet.
+            hosts: returns the hosts, and the seconds by which their clocks may differ.
         """
         self._model = model
         self._claims = claims
         self._trouble = trouble
         self._count_dropped = dropped
+        self._hosts = hosts
         self._dropped: Mapping[str, int] = {}
         self._publisher = rospy.Publisher(TOPIC, DiagnosticArray, queue_size=1)
         self.close = self._publisher.unregister
@@ -66,7 +70,8 @@ class DiagnosticsTopic:
                 name: (count, count - before.get(name, count))
                 for name, count in self._dropped.items()
             }
-            found = statuses(node, self._model(), list(self._claims()), self._trouble(), drops)
+            claims, trouble = list(self._claims()), self._trouble()
+            found = statuses(node, self._model(), claims, trouble, drops, *self._hosts())
             array = DiagnosticArray(status=found)
             array.header.stamp = rospy.Time.now()
             self._publisher.publish(array)
@@ -79,10 +84,13 @@ def statuses(
     claims: Sequence[StreamStatus],
     trouble: str,
     drops: Mapping[str, tuple[int, int]] = MappingProxyType({}),
+    hosts: Sequence[HostStatus] = (),
+    max_offset: float = 0.0,
 ) -> list[DiagnosticStatus]:
-    """Describe the manager, each nodelet, and each claim that has not ended.
+    """Describe the manager, each nodelet, each claim that has not ended, and each host.
 
-    ``drops`` has the messages that in-ports of a nodelet have dropped in all, and just now.
+    ``drops`` has the messages that in-ports of a nodelet have dropped in all, and just now;
+    ``max_offset`` is the number of seconds by which the clocks of the hosts may differ.
     """
     claims = [each for each in claims if not each.state.ended]
     running = sum(each.state is State.RUNNING for each in model.nodelets)
@@ -96,6 +104,7 @@ def statuses(
         _status(f"{node}: manager", _WARN if trouble else _OK, trouble or "answers", node, values),
         *(_of_nodelet(node, each, drops.get(each.name)) for each in model.nodelets),
         *(_of_claim(node, each) for each in claims),
+        *(_of_host(node, each, max_offset) for each in hosts),
     ]
 
 
@@ -132,6 +141,23 @@ def _of_claim(node: str, claim: StreamStatus) -> DiagnosticStatus:
     }
     message = claim.detail or claim.state.name.lower()
     return _status(f"{node}: claim {claim.claim_id} {claim.tag}", level, message, node, values)
+
+
+def _of_host(node: str, host: HostStatus, limit: float) -> DiagnosticStatus:
+    problems = ["none of its processes answers"] if host.is_away else []
+    if host.clock.exceeds(limit):
+        problems.append(f"its clock differs by {host.offset:+.3f} s")
+    values = {
+        "address": host.address,
+        "nodelet managers": ", ".join(host.managers),
+        "nodelets": str(len(host.nodelets)),
+        "load": f"{host.load:.2f}",
+        "memory": f"{host.memory:.2f}",
+        "clock offset": f"{host.offset:.6f}",
+        "clock offset error": f"{host.error:.6f}",
+    }
+    level, message = _WARN if problems else _OK, "; ".join(problems) or "answers"
+    return _status(f"{node}: host {host.name}", level, message, host.name, values)
 
 
 def _status(

@@ -22,6 +22,9 @@ from dyknow.manager.watchdog import NO_WATCHDOG, WatchdogLimits
 from dyknow.ros.manager import tenure
 from dyknow.similar import did_you_mean
 
+#: Seconds by which the clock of another host may differ without a warning.
+MAX_CLOCK_OFFSET = 0.1
+
 #: The private parameters that a DyKnow manager reads.
 PARAMETERS = (
     "nodelet_managers",
@@ -37,6 +40,7 @@ PARAMETERS = (
     "spawn_timeout",
     "orphan_timeout",
     "recover",
+    "max_clock_offset",
     "shared_memory",
     "watchdog",
     "denied_topics",
@@ -66,6 +70,7 @@ class ManagerSettings:
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
         recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
+        max_clock_offset: seconds by which the clock of another host may differ without a warning.
         shared_memory: whether its processes exchange large messages through shared memory.
         watchdog: when its processes are restarted.
         guards: restrictions.
@@ -85,6 +90,7 @@ class ManagerSettings:
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     recover: float = 2.0
+    max_clock_offset: float = MAX_CLOCK_OFFSET
     shared_memory: bool = True
     watchdog: WatchdogLimits = NO_WATCHDOG
     guards: Guards = NO_GUARDS
@@ -112,6 +118,7 @@ class ManagerSettings:
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             recover=_seconds("recover", cls.recover, least=0.0),
+            max_clock_offset=_seconds("max_clock_offset", cls.max_clock_offset, least=0.0),
             shared_memory=_bool("shared_memory", cls.shared_memory),
             watchdog=WatchdogLimits(
                 _seconds("watchdog/hung", 0.0, least=0.0),

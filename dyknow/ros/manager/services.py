@@ -20,6 +20,7 @@ from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.specifications.given import undeclared
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.graph import Model, SpawnRequest
+from dyknow.model.hosts import AT
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.nodelets.process_guards import caller_of
 from dyknow.ros.nodelets.proxy_services import for_log
@@ -28,6 +29,7 @@ from dyknow.ros.wire.messages import (
     acquisition_message,
     config_pairs,
     event_message,
+    host_message,
     parameters_from,
     refusal_message,
     replanned_message,
@@ -127,6 +129,7 @@ class ManagerServices:
         )
         self._offer("list_streams", srv.ListStreams, self._list)
         self._offer("find_bindings", srv.FindBindings, self._find_bindings)
+        self._offer("list_hosts", srv.ListHosts, self._list_hosts)
         # Last, since clients take a manager that answers it for one that is up.
         self._offer("get_model", srv.GetModel, self._get_model)
 
@@ -214,11 +217,16 @@ class ManagerServices:
                 _mapping(request.name, pairs),
                 request.is_protected,
                 request.isolated,
-                self._manager.resolve(request.manager) if request.manager else "",
+                self._place(request.manager),
                 given,
             )
         )
         return srv.SpawnResponse(True, "\n".join(undeclared(made.transformation, given)))
+
+    def _place(self, manager: str) -> str:
+        """Make the name of a nodelet manager global, but not that of a host."""
+        is_relative = manager and manager[:1] != AT
+        return self._manager.resolve(manager) if is_relative else manager
 
     def _destroy(self, request: Any) -> None:
         self._check_sizes(request.name)
@@ -246,6 +254,9 @@ class ManagerServices:
         self._check_sizes(*texts, entries=max([len(moves), *(len(p) for _, p in moves)]))
         self._manager.connect([(name, _mapping(name, pairs)) for name, pairs in moves])
         self._publish()
+
+    def _list_hosts(self, request: Any) -> Any:
+        return srv.ListHostsResponse([host_message(each) for each in self._manager.hosts()])
 
     def _get_model(self, request: Any) -> Any:
         return self._messages.response(self._manager.get_model())

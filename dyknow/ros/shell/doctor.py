@@ -33,7 +33,7 @@ from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow.model.streams import ClaimState
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.installed import missing_here
-from dyknow.ros.manager.manager_settings import state_path, unknown_parameters
+from dyknow.ros.manager.manager_settings import MAX_CLOCK_OFFSET, state_path, unknown_parameters
 from dyknow.ros.nodelets.owner import is_taken
 from dyknow.ros.shell.shell_client import ShellClient
 from dyknow.ros.wire.master import Master
@@ -101,6 +101,7 @@ class Doctor:
         """List the checks, each with the name of its subject."""
         return [
             ("names of hosts", self.names_of_hosts),
+            ("hosts", self.hosts),
             ("nodes", self.dead_nodes),
             ("processes of an earlier master", self.unregistered_processes),
             ("DyKnow manager", self.manager),
@@ -183,6 +184,25 @@ class Doctor:
                     f"the name of the host of {node} does not resolve here: {error.strerror}",
                     "set ROS_IP or ROS_HOSTNAME where the node starts, or add the name to "
                     "/etc/hosts on every host",
+                )
+
+    def hosts(self) -> Iterator[Finding]:
+        """Find hosts that do not answer, and hosts whose clocks differ."""
+        limit = self._parameter(f"{self.client.manager}/max_clock_offset")
+        for host in self.client.list_hosts() if self.model.revision else ():
+            if host.is_away:
+                yield _warning(
+                    host.name,
+                    f"none of its processes has answered for {host.lasts:.0f} s",
+                    "see whether it can be reached, and whether its nodelet managers run",
+                )
+            if host.clock.exceeds(MAX_CLOCK_OFFSET if limit is None else limit):
+                yield _warning(
+                    host.name,
+                    f"its clock differs by {host.offset:+.3f} s (± {host.error:.3f} s) from that "
+                    "of the DyKnow manager's host",
+                    "let both follow one time server (chrony, systemd-timesyncd): stamps, tf and "
+                    "limits of age compare their clocks",
                 )
 
     def dead_nodes(self) -> Iterator[Finding]:

@@ -32,6 +32,7 @@ _QUESTIONS = (
     "get_config",
     "get_statistics",
     "nodelet_managers",
+    "list_hosts",
     "list_streams",
     "find_bindings",
 )

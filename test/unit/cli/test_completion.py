@@ -29,6 +29,8 @@ needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is mi
 def _client():
     client = FakeClient(World())
     client.world.manager.add_transformation(TRACKER)
+    client.host.machine = "rover"
+    client.core.look()
     client.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
     client.world.spawn("camera", "cam", config={"image": "raw"})
     client.world.spawn("relay", "/robot/relay")
@@ -84,6 +86,7 @@ def offered(client, text):
         ("spawn relay r --connect in:/raw o", ["out:"]),
         ("spawn tracker r --param ", ["?camera=", "frame="]),
         ("spawn relay r --manager ", ["/fake_0"]),
+        ("spawn relay r --host r", ["rover"]),
         ("restart cam ", ["/fake_0", "/robot/relay"]),
         ("set cam ", ["rate"]),
         ("connect ", ["/cam:", "/raw", "/robot/relay:", "/rosout"]),

@@ -121,7 +121,7 @@ def test_every_problem_is_told_with_its_line() -> None:
         "w.xml:9: name=\"a\"; expected a global name, '/a'",
         "w.xml:10: <nodelet> has no attribute transformation; expected one",
         "w.xml:10: <nodelet protected=\"maybe\">: expected 'true' or 'false' or ",
-        "w.xml:10: unexpected attribute colour of <nodelet>; expected isolated or manager or name",
+        "w.xml:10: unexpected attribute colour of <nodelet>; expected host or isolated or manager",
         "w.xml:11: '/x y' is not a valid topic",
         "w.xml:12: <connection> has no attribute topic; expected one",
         "w.xml:13: the port 'in' is there already; expected it once",

@@ -14,6 +14,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
+from dyknow.model.hosts import HostStatus
 from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.ros.manager.diagnostics import statuses
 
@@ -89,6 +90,20 @@ def test_claims(state):
     assert [(each.level, each.message) for each in found] == expected
 
 
+@pytest.mark.parametrize(
+    ("host", "level", "message"),
+    [
+        (HostStatus("rover"), OK, "answers"),
+        (HostStatus("rover", offset=0.15, error=0.06), OK, "answers"),
+        (HostStatus("rover", offset=-0.15, error=0.04), WARN, "its clock differs by -0.150 s"),
+        (HostStatus("rover", is_away=True), WARN, "none of its processes answers"),
+    ],
+)
+def test_hosts(host, level, message):
+    *_, found = statuses("manager", Model(1, 1, ()), [], "", hosts=[host], max_offset=0.1)
+    assert (found.name, found.level, found.message) == ("manager: host rover", level, message)
+
+
 def test_a_disk_that_takes_nothing():
     manager = reported(trouble="the disk is full")[0]
     assert (manager.level, manager.message) == (WARN, "the disk is full")
@@ -99,5 +114,6 @@ def test_each_status_has_its_group_in_the_example():
     prefixes = [
         each.get("find_and_remove_prefix", each.get("startswith")) for each in groups.values()
     ]
-    for status in statuses("dyknow_manager", Model(1, 1, (NODELET,)), [CLAIM], ""):
+    model, hosts = Model(1, 1, (NODELET,)), [HostStatus("rover")]
+    for status in statuses("dyknow_manager", model, [CLAIM], "", hosts=hosts):
         assert sum(status.name.startswith(each) for each in prefixes) == 1, status.name
