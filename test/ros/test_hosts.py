@@ -11,17 +11,21 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
+import sys
 from pathlib import Path
 from typing import Callable, ContextManager
 
 import hosts_suite
 import rospy
-from graph import Heard, peer
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from graph import Heard, comes, peer
 from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, HostsCase
-from manager_suite import CHILD, LIBRARY, ManagerProcess, listed
-from processes import DYKNOW, becomes, eventually, suspended
+from manager_suite import CHILD, LIBRARY, MANAGER, ManagerProcess, listed
+from processes import DYKNOW, becomes, eventually, finished, suspended
+from roslib.packages import find_node
 from stream_suite import GOAL
 from stream_suite import LIBRARY as STREAMS
 
@@ -30,6 +34,7 @@ from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.wire.master import Master
 
+CPP_MANAGER = find_node("dyknow", "cpp_nodelet_manager")[0]
 #: Seconds for which each fault lasts, and for which its end is watched; more in the long run.
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 2.0))
 IS_LONG = SECONDS > 2.0
@@ -120,6 +125,75 @@ class AbsentHostsTest(HostsCase):
             manager.is_gone(name)
         manager.becomes("/three", State.RUNNING)
         self.assertEqual(listed("/far"), ["/three"])
+
+
+class ClocksTest(HostsCase):
+    """Hosts tell their load and time, in Python and in C++; a clock that is ahead is named."""
+
+    #: Runs a nodelet manager whose clock is two seconds ahead.
+    AHEAD = """
+import sys, time
+from unittest import mock
+real = time.time
+mock.patch("time.time", lambda: real() + 2.0).start()
+from dyknow.cli.nodelet import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+    def test_the_hosts_and_their_clocks(self):
+        rover, scout = self.host(), self.host()
+        for host, command in (
+            (rover, (sys.executable, "-c", self.AHEAD, "manager", "__name:=ahead")),
+            (scout, (CPP_MANAGER, "__name:=native")),
+        ):
+            self.addCleanup(host.run(*command).__exit__)
+        manager = self.started(own=True, nodelet_managers=["/ahead", "/native"])
+
+        def offsets() -> dict[str, float]:
+            hosts = manager.client.list_hosts()
+            return {each.name: round(each.offset) for each in hosts if each.error < 0.3}
+
+        becomes(offsets, {self.network.desk.address: 0, rover.address: 2, scout.address: 0}, 20.0)
+        self.assertGreater(min(each.cores for each in manager.client.list_hosts()), 0)
+        code, output = finished([*DYKNOW, "doctor", "--json"])
+        clocks = [e for e in json.loads(output)["findings"] if e["check"] == "hosts"]
+        self.assertEqual([each["subject"] for each in clocks], [rover.address], output)
+        self.assertRegex(clocks[0]["problem"], r"its clock differs by \+[12]\.\d+ s")
+        name = f"{MANAGER.lstrip('/')}: host {rover.address}"
+        found = comes("/diagnostics", DiagnosticArray, lambda each: named(each, name))
+        self.assertIn("its clock differs by +", named(found, name).message)
+        self.assertEqual(named(found, name).level, DiagnosticStatus.WARN)
+
+    def test_a_host_that_is_away_is_shown_and_keeps_what_is_pinned(self):
+        rover = self.host()
+        process = self.nodelet_manager(rover, "rover")
+        manager = self.started(own=True, nodelet_managers=["/rover"])
+        self.hosting(manager, "rover")
+        code, output = finished([*DYKNOW, "spawn", "counter", "/kept", "--host", rover.address])
+        self.assertEqual(code, 0, output)
+
+        def state() -> bool:
+            hosts = {each.name: each for each in manager.client.list_hosts()}
+            return hosts[rover.address].is_away
+
+        with self.network.cut(rover):
+            becomes(state, True, NOTICED)
+            manager.becomes("/kept", State.LOST)
+            code, output = finished([*DYKNOW, "spawn", "counter", "/x", "--host", rover.address])
+            self.assertEqual((code, "does not answer" in output), (1, True), output)
+            self.assertRegex(finished([*DYKNOW, "list", "--hosts"])[1], r"away since \d\d:")
+        becomes(state, False, NOTICED)
+        manager.becomes("/kept", State.RUNNING)
+        process.__exit__()
+        manager.becomes("/kept", State.LOST)
+        manager.kill()
+        manager.start()
+        self.nodelet_manager(rover, "rover")
+        becomes(lambda: listed("/rover"), ["/kept"], 20.0)
+
+
+def named(array: DiagnosticArray, name: str) -> DiagnosticStatus | None:
+    return next((each for each in array.status if each.name == name), None)
 
 
 class SplitTest(HostsCase):

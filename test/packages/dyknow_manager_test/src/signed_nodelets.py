@@ -24,7 +24,8 @@ class Signed(dyknow.Nodelet):
     Parameters: ~ports (JSON, a list of name, direction and tag), ~kinds (JSON, what is
     a kind of what), ~rate (Hz) and ~report, a file that gets a line for each message that meets no
     demand. A file beside it, with the ending ``mixed``, gets one for each message that is of
-    another individual than what was received since the last reconfiguration.
+    another individual than what was received since the last reconfiguration. With ~whole, one
+    with the ending ``lost`` gets one for each gap between the numbers of a sender.
     """
 
     def on_init(self):
@@ -32,6 +33,8 @@ class Signed(dyknow.Nodelet):
         self.kinds = json.loads(self.nh.get_param("~kinds"))
         self.report = self.nh.get_param("~report")
         self.rate = float(self.nh.get_param("~rate"))
+        self.is_whole = self.nh.get_param("~whole", False)
+        self.last = {}
         self.number = 0
         self.is_mute = False
         self.outputs = []
@@ -58,10 +61,19 @@ class Signed(dyknow.Nodelet):
         if not ways:
             with open(self.report, "a") as file:
                 file.write(f"{self.name}.{port} demands {tag}, got {found}\n")
+        self.count(found)
         self.remember(port, found, ways)
         self.names[port] = ways[0] if ways else {}
         if leads:
             self.publish()
+
+    def count(self, found):
+        before = self.last.get(found["by"], 0)
+        self.last[found["by"]] = found["number"]
+        is_successor = found["number"] in (1, before + 1)  # or it was loaded again
+        if self.is_whole and before and not is_successor:
+            with open(self.report + ".lost", "a") as file:
+                file.write(f"{self.name} got {found} after number {before}\n")
 
     def forget(self, inputs, outputs):
         self.remembered = [{}]
