@@ -28,7 +28,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     ├── OntologyError
     │   └── OntologyFileError, UnknownConcept, LabelsError, IndividualsError
     ├── HostError
-    │   └── FixedTopics, CannotRun, HostTimeout
+    │   └── FixedTopics, CannotRun, HostTimeout, NotOurs
     └── Refused
         └── StreamRefused
 """
@@ -194,6 +194,23 @@ class FixedTopics(HostError):
 
 class HostTimeout(HostError):
     """A nodelet manager, or a nodelet of it, did not answer in time."""
+
+
+class NotOurs(HostError):
+    """A nodelet that is to be destroyed is in a process that this manager does not use."""
+
+    def __init__(self, name: str, process: str, owner: str) -> None:
+        self.name = name
+        self.owner = owner
+        if name == process:
+            where, end = "a process of its own", f"rosnode kill {name}"
+        else:
+            where = f"nodelet manager '{process}'"
+            end = f"rosrun nodelet nodelet unload {name} {process}"
+        whose = f" of {owner}" if owner not in (name, process) else ""
+        super().__init__(
+            f"'{name}' is not this manager's: it runs in {where}{whose}; end it with: {end}"
+        )
 
 
 class Refused(DyKnowError):

@@ -15,6 +15,8 @@ from typing import Iterable
 
 from dyknow.errors import Denied, LimitExceeded
 
+#: Why a nodelet manager refuses each set_config of its nodelets.
+NOT_REWIRABLE = "their nodelet manager is not to be re-wired (parameter ~rewirable)"
 #: Topics of every process, which no allow list has to name.
 SYSTEM_TOPICS = frozenset(("/rosout", "/rosout_agg", "/clock"))
 

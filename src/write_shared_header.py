@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from dyknow import errors, similar
-from dyknow.guards import NO_GUARDS, Guards
+from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards
 from dyknow.nodelet import leases
 
 
@@ -39,6 +39,7 @@ TEXTS = {
     "INVALID_CONFIGURATION": errors.InvalidConfiguration("{0}", ["{1}"]),
     "READ_ONLY": refusal(Guards(read_only=True).check_writable, "{0}"),
     "NOT_ALLOWED": refusal(Guards(allowed_topics=((),)).check_topic, "{0}"),
+    "NOT_REWIRABLE": errors.Denied("{0}", NOT_REWIRABLE),
     "DENIED": refusal(Guards(denied_topics=(_A_PATTERN,)).check_topic, "{0}").replace(
         _A_PATTERN, "{1}"
     ),

@@ -96,6 +96,8 @@ Private parameters (default):
                        before others get it (0.0005)
   ~shared_memory       whether large messages reach other processes of this host
                        through shared memory, where they can (true)
+  ~rewirable           whether its nodelets may be connected elsewhere; false: each
+                       set_config is refused (true)
 
 Services:
   ~load_nodelet, ~unload_nodelet, ~list            as the C++ nodelet manager has them

@@ -51,7 +51,7 @@ def picked(value: object, names: str) -> Json:
 def nodelet_json(nodelet: NodeletStatus) -> Json:
     named = "name transformation manager protected=is_protected isolated fixed=is_fixed"
     return {
-        **picked(nodelet, f"{named} kind host state detail outdated"),
+        **picked(nodelet, f"{named} kind host state detail outdated owner"),
         "ports": as_json(by_name(nodelet.ports)),
         "parameters": _parameters_json(nodelet.parameters),
     }

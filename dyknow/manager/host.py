@@ -42,6 +42,8 @@ class ProcessState:
         machine: the load of the machine, as it said last.
         clock: how the clock of the machine differs from ours.
         cure: advice for users if it does not answer.
+        foreign: whether another client started it, and this manager is not to use it: nothing is
+            loaded or unloaded there.
     """
 
     name: str
@@ -57,6 +59,7 @@ class ProcessState:
     machine: Machine = UNKNOWN_MACHINE
     clock: ClockOffset = UNKNOWN_OFFSET
     cure: str = ""
+    foreign: bool = False
 
     @property
     def alive(self) -> bool:
@@ -93,11 +96,14 @@ class Reported:
         ports: in the order of their declaration, without tags.
         detail: its problem; empty for none.
         sequence: number of the last change of its process that this contains.
+        loader: node that had it loaded or, of a node, DyKnow manager that started it; empty if
+            unknown.
     """
 
     ports: tuple[PortState, ...] = ()
     detail: str = ""
     sequence: int = 0
+    loader: str = ""
 
 
 @dataclass(frozen=True)

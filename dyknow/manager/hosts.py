@@ -97,7 +97,8 @@ class HostTable:
     def managers(self, name: str, kind: NodeletKind) -> Iterator[ProcessState]:
         """Yield the shared nodelet managers for a kind that answer, on one host or, if '', all."""
         for state in self._host.states().values():
-            fits = state.kind is kind and state.rewirable and not state.isolated_for
+            fits = state.kind is kind and state.rewirable
+            fits = fits and not (state.isolated_for or state.foreign)
             if fits and state.alive and state.responsive and name in ("", state.host):
                 yield state
 

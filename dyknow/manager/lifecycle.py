@@ -25,6 +25,7 @@ from dyknow.errors import (
     InvalidConfiguration,
     LimitExceeded,
     NameTaken,
+    NotOurs,
     NotSpawnable,
     Protected,
     SpawnFailed,
@@ -147,7 +148,7 @@ class Lifecycle:
             what = f"node '{transformation.node}'" if transformation.node else ""
             what = what or f"topic '{transformation.source}'"
             raise NotSpawnable(transformation.label, what)
-        count = len(self._graph.records) + 1
+        count = sum(not each.owner for each in self._graph.all()) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
         if transformation.type == NODE:
@@ -284,7 +285,7 @@ class Lifecycle:
         if record.isolated:
             return self._host.ensure(kind, record.name)
         present = self._host.states().get(record.manager)
-        if present is not None and (present.alive or not record.pinned):
+        if present is not None and not present.foreign and (present.alive or not record.pinned):
             if present.own and not present.alive:
                 self._host.ensure(present.kind)
             return record.manager
@@ -345,10 +346,13 @@ class Lifecycle:
                 "expected a process of its own or a named one, not both"
             )
         self._host.look_for(asked)
-        state = self._host.states().get(asked)
+        states = {each.name: each for each in self._host.states().values() if not each.foreign}
+        state = states.get(asked)
         if state is None:
-            known = ", ".join(self._host.states()) or "none"
-            raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
+            raise HostError(
+                f"unknown nodelet manager '{asked}'; known: {', '.join(states) or 'none'}; the "
+                "parameter ~nodelet_managers of the DyKnow manager names further ones"
+            )
         if state.isolated_for:
             raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
         if not state.alive:
@@ -455,6 +459,9 @@ class Lifecycle:
                 return
             if record.is_protected:
                 raise Protected(name)
+            state = self._host.states().get(record.manager)
+            if state is not None and state.foreign:
+                raise NotOurs(name, record.manager, record.owner)
             try:
                 if record.state in (State.RUNNING, State.LOST):
                     self._unload(record)

@@ -228,6 +228,8 @@ class Manager:
         after = {
             p: names.resolve(t, space, name, "topic name") if t else "" for p, t in config.items()
         }
+        for topic in after.values():  # foreign nodelet managers do not have these guards
+            self.guards.check_topic(topic)
         before = {port.name: port.topic for port in self.host.ports(name)}
         return _Move(name, {port: before.get(port, "") for port in after}, after)
 

@@ -218,7 +218,8 @@ class Observer:
         known = self._shown.get(record.name, ())
         if not (known and known[0] is record and known[1] is reported):
             detail = "; ".join(filter(None, (reported.detail, record.suspicion)))
-            if (seen_ports(record, reported.ports), detail) != (record.ports, record.detail):
+            shown = (seen_ports(record, reported.ports), detail, _owner(record, reported))
+            if shown != (record.ports, record.detail, record.owner):
                 return False
             self._shown[record.name] = record, reported
         return True
@@ -273,7 +274,9 @@ class Observer:
         if reported is not None:
             ports = self._with_late_ports(record, reported.ports)
             detail = "; ".join(filter(None, (reported.detail, record.suspicion)))
-            record = replace(with_present_ports(record, ports), detail=detail)
+            record = replace(
+                with_present_ports(record, ports), detail=detail, owner=_owner(record, reported)
+            )
         self._graph.put(_with_some_ports(record))
 
     def _with_late_ports(
@@ -333,7 +336,9 @@ class Observer:
         with contextlib.suppress(Busy, NameTaken, HostError), self._graph.changing(name, new=True):
             if name in self._host.list(state.name):  # and not gone since the look began
                 is_fixed, kind = not state.rewirable, state.kind
-                record = Record(name, None, state.name, is_fixed=is_fixed, kind=kind)
+                record = Record(
+                    name, None, state.name, is_fixed=is_fixed, kind=kind, owner=state.name
+                )
                 self._update(replace(record, state=State.RUNNING), state)
 
     def _description(self, record: Record) -> Transformation | None:
@@ -361,6 +366,10 @@ def _with_some_ports(record: Record) -> Record:
     if record.ports or record.is_described:
         return record
     return replace(record, ports=declared_ports(record))
+
+
+def _owner(record: Record, reported: Reported) -> str:
+    return "" if record.is_spawned else reported.loader or record.manager
 
 
 def _fate(record: Record, report: HostReport) -> Fate:

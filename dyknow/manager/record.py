@@ -65,6 +65,7 @@ class Record:
         code: a text that differs when its files do, as they were when it was loaded; empty if
             unknown.
         outdated: why a restart would make it differently; empty if it would not.
+        owner: the node that had it loaded, or else its process; empty for a spawned nodelet.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Record:
     awaited: Tuple[str, ...] = ()
     code: str = ""
     outdated: str = ""
+    owner: str = ""
 
     @cached_property
     def given(self) -> Dict[str, str]:
@@ -136,6 +138,7 @@ class Record:
             self.parameters,
             self.kind,
             self.host,
+            self.owner,
         )
 
     def body(self) -> str:
@@ -146,6 +149,7 @@ class Record:
             "ports",
             "awaited",
             "outdated",
+            "owner",
         ):  # the key, and observations of each life
             del body[name]
         is_needed = {"heard": self.heard.ways, "code": self.code, "pinned": self.pinned}

@@ -47,7 +47,7 @@ class Restarts:
             return self._restart_nodelet(name)
         state = self._host.states().get(name)
         if state is None:
-            raise UnknownNodelet(name, [*self._graph.records, *self._host.states()])
+            raise UnknownNodelet(name, {*self._graph.records, *self._host.states()})
         if state.isolated_for:
             return self._restart_nodelet(state.isolated_for)
         if not state.own:

@@ -71,6 +71,9 @@ _TITLES = {
 STUCK = "a callback has been running for "
 #: How the part of a nodelet's detail begins that says why a restart would make it differently.
 OUTDATED = "outdated: "
+#: How the part of ``dyknow_msgs/Nodelet.detail`` begins that names the owner of one that was not
+#: spawned.
+OWNER = "owner: "
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,8 @@ class NodeletStatus:
         parameters: those that were given to it when it was spawned, by name.
         kind: Python or C++, nodelet, script or node.
         host: machine that it runs on, as ROS names it; empty if unknown.
+        owner: the node that had it loaded (another DyKnow manager, ``nodelet load``) or, of a
+            node, the DyKnow manager that started it; else its process. Empty if it was spawned.
     """
 
     name: str
@@ -154,11 +159,17 @@ class NodeletStatus:
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
     host: str = ""
+    owner: str = ""
 
     @property
     def node(self) -> str:
         """Global name of the node that it is, or is in."""
         return self.manager or self.name
+
+    @property
+    def origin(self) -> str:
+        """Its transformation or, for people, its owner."""
+        return self.transformation or f"(by {self.owner})"
 
     @property
     def outdated(self) -> str:

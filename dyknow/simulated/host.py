@@ -156,6 +156,8 @@ class FakeHost(Host):
         self.machine = ""
         #: Hosts of the nodes that publish on ordinary topics.
         self.publishing: dict[str, str] = {}
+        #: Nodes that had nodelets loaded, by nodelet.
+        self.loaders: dict[str, str] = {}
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
         #: Topics of verdicts that are followed, and the last verdict on each.
@@ -201,7 +203,7 @@ class FakeHost(Host):
         process.nodelets.clear()
         self._hung.discard(manager)
         process.state = replace(process.state, incarnation="")
-        if process.state.kind.is_node:
+        if process.state.kind.is_node or process.state.foreign:
             del self.processes[manager]
 
     def reboot(self) -> None:
@@ -255,17 +257,24 @@ class FakeHost(Host):
     def run_node(
         self, name: str, source: str, topics: Mapping[str, str], kind: NodeletKind
     ) -> None:
-        """Start, or restart, an external node."""
-        self.add(name, kind)
+        """Start, or restart, a foreign node."""
+        self.add(name, kind, foreign=True)
         nodelet = FakeNodelet(LoadRequest(name, source, kind=kind))
         for port, direction, datatype in self.sources[source]:
             nodelet.ports[port] = PortState(port, direction, datatype, topics.get(port, ""))
         self.processes[name].nodelets[name] = nodelet
         self.on_change()
 
-    def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON, machine: str = "") -> None:
-        """Start, or restart, an external nodelet manager, on a machine."""
-        state = replace(self._state(manager, kind, own=False), host=machine)
+    def add(
+        self,
+        manager: str,
+        kind: NodeletKind = NodeletKind.PYTHON,
+        machine: str = "",
+        foreign: bool = False,
+    ) -> None:
+        """Start, or restart, an external nodelet manager, on a machine, or a foreign one."""
+        state = self._state(manager, kind, own=False)
+        state = replace(state, host=machine, foreign=foreign)
         self.processes[manager] = FakeProcess(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
@@ -474,8 +483,6 @@ class FakeHost(Host):
         self._step("unload", name)
         process = self.processes.get(manager)
         if process is not None and process.state.kind.is_node:
-            if not process.state.own:
-                raise HostError(f"'{name}' is a node in a process of its own")
             del self.processes[manager]
             self.on_change()
             return
@@ -499,7 +506,8 @@ class FakeHost(Host):
         process = self.processes.get(manager)
         if process is None or name not in process.nodelets or not process.state.rewirable:
             return None
-        return Reported(self._present_ports(process.nodelets[name]), self.details.get(name, ""))
+        ports, detail = self._present_ports(process.nodelets[name]), self.details.get(name, "")
+        return Reported(ports, detail, loader=self.loaders.get(name, ""))
 
     def ports(self, name: str) -> tuple[PortState, ...]:
         self._step("ports", name)

@@ -212,11 +212,8 @@ def _is_remade(
 ) -> bool:
     """Keep a running nodelet, or make it again; returns whether it is to be made again."""
     if present.transformation != nodelet.label:
-        made_from = (
-            f"made from '{present.transformation}'"
-            if present.transformation
-            else "loaded by others"
-        )
+        made_from = f"made from '{present.transformation}'" * bool(present.transformation)
+        made_from = made_from or f"loaded by {present.owner}"
         plan.problems.append(
             f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
         )

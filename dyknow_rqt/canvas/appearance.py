@@ -258,7 +258,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
     state = nodelet.state.name.lower()
     return _tip(
         nodelet.name,
-        nodelet.transformation or "loaded by others",
+        nodelet.origin,
         nodelet.kind.title + (f" in {nodelet.manager}" if nodelet.manager else ""),
         f"on {nodelet.host}" if nodelet.host else "",
         " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),

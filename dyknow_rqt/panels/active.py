@@ -96,7 +96,7 @@ class ActivePanel(Panel):
             words += [] if nodelet.kind is NodeletKind.PYTHON else [nodelet.kind.title]
             cells = (
                 nodelet.name,
-                nodelet.transformation or "(by others)",
+                nodelet.origin,
                 str(inputs),
                 str(len(nodelet.ports) - inputs),
                 ", ".join(words) or "running",

@@ -5,16 +5,19 @@
 
 #include <fnmatch.h>
 #include <ros/console.h>
+#include <ros/param.h>
 #include <ros/serialization.h>
 #include <ros/this_node.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstdlib>
 #include <mutex>
 #include <set>
 #include <sstream>
 
 #include "dyknow_shared.h"
+#include "names.h"
 #include "problems.h"
 
 namespace dyknow
@@ -25,6 +28,10 @@ namespace
 /// Environment variables of programs that a DyKnow manager starts, see process_guards.py.
 constexpr const char* SPAWNED = "DYKNOW_SPAWNED";
 constexpr const char* GUARDS = "DYKNOW_GUARDS";
+
+/// Node that requested the nodelet that this thread makes.
+thread_local const std::string* t_loader = nullptr;
+std::atomic<bool> is_rewirable{true};
 
 /// Characters of a text in UTF-8.
 std::size_t lengthOf(const std::string& text)
@@ -78,6 +85,42 @@ Handed& handed()
 }
 
 }  // namespace
+
+std::string Guards::starter()
+{
+  std::string manager;
+  const char* text = std::getenv(GUARDS);
+  std::istringstream(text == nullptr ? "" : text) >> manager;
+  return manager;
+}
+
+Guards::Loading::Loading(const std::string& caller)
+{
+  t_loader = &caller;
+}
+
+Guards::Loading::~Loading()
+{
+  t_loader = nullptr;
+}
+
+std::string Guards::loader()
+{
+  return t_loader == nullptr ? starter() : *t_loader;
+}
+
+void Guards::readRewirable()
+{
+  is_rewirable = ros::param::param(names::join(ros::this_node::getName(), "rewirable"), true);
+}
+
+void Guards::checkRewirable(const std::string& what)
+{
+  if (!is_rewirable)
+  {
+    throw Refusal(shared::NOT_REWIRABLE, {what});
+  }
+}
 
 Guards Guards::current()
 {

@@ -24,6 +24,25 @@ public:
   /// The guards of this moment.
   static Guards current();
 
+  /// The DyKnow manager that started this process; empty for none.
+  static std::string starter();
+
+  /// Lets the nodelets that this thread makes have a loader: the node that requested it.
+  class Loading
+  {
+  public:
+    explicit Loading(const std::string& caller);
+    ~Loading();
+    Loading(const Loading&) = delete;
+    Loading& operator=(const Loading&) = delete;
+  };
+
+  /// The loader of the nodelet that this thread makes; else the manager that started the process.
+  static std::string loader();
+
+  /// Reads `~rewirable`: whether the nodelets of this nodelet manager may be connected elsewhere.
+  static void readRewirable();
+
   /// Takes the guards of a manager, in place of those that it handed over before.
   static void handOver(const std::string& manager, const dyknow_msgs::Guards& guards);
 
@@ -31,6 +50,9 @@ public:
   /// logged. They bind nodelets, and programs that a DyKnow manager starts; what people launch begins where they
   /// say.
   static std::string permitted(const std::string& topic, const std::string& owner);
+
+  /// Refuses to connect ports unless `~rewirable` is true. Raises Refusal.
+  static void checkRewirable(const std::string& what);
 
   /// Refuses a change in read-only mode, unless a manager makes it that is read-only itself: it refuses what
   /// users ask of it, and still brings back nodelets that died. Raises Refusal.

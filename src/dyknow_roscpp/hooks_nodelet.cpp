@@ -14,6 +14,7 @@
 #include <mutex>
 #include <vector>
 
+#include "guards.h"
 #include "process_services.h"
 #include "registry.h"
 #include "self_check.h"
@@ -130,6 +131,7 @@ void Nodelet::init(const std::string& name, const M_string& remapping_args, cons
     registry.leave(mt_queue);
     throw;
   }
+  proxy->loader = dyknow::Guards::loader();
   dyknow::offerServices(proxy);
   dyknow::watchCallbacks();
 }

@@ -48,9 +48,10 @@ public:
 
   bool call(ros::ServiceCallbackHelperCallParams& params) override
   {
+    const std::string caller = (*params.connection_header)["callerid"];
     try
     {
-      check_(params, Guards::current(), (*params.connection_header)["callerid"]);
+      check_(params, Guards::current(), caller);
     }
     catch (const Refusal& refusal)
     {
@@ -58,6 +59,7 @@ public:
       params.response = failure(refusal.what());
       return true;
     }
+    const Guards::Loading loading(caller);
     return next_->call(params);
   }
 

@@ -153,7 +153,9 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
     throw Refusal("another reconfiguration of '" + name + "' takes too long; try again");
   }
   const auto guards = Guards::current();
-  guards.checkCaller(caller, "connecting ports of '" + name + "'");
+  const std::string what = "connecting ports of '" + name + "'";
+  Guards::checkRewirable(what);
+  guards.checkCaller(caller, what);
   std::vector<std::string> texts;
   for (const auto& [port, topic] : config)
   {

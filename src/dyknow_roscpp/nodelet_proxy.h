@@ -46,6 +46,7 @@ public:
 
   const std::string name;
   const Clock::time_point started = Clock::now();
+  std::string loader;                   ///< node that had it loaded; set before it is offered
   std::atomic<bool> is_offered{false};  ///< its services are
   const std::shared_ptr<ReconfigureListener> listener = std::make_shared<ReconfigureListener>();
 

@@ -43,7 +43,7 @@ constexpr int THREADS = 4;
 /// In which changes that follow an announced one are collected.
 constexpr std::chrono::milliseconds WINDOW(20);
 constexpr int QUEUE_SIZE = 1000;
-/// Where a node with live ports announces its name, and changes of it; a nodelet manager is found otherwise.
+/// Where a process with live ports announces its nodelets, and changes of them: DyKnow managers find it by that.
 constexpr char NODES[] = "/dyknow/rewirable_nodes";
 /// Characters of one text in the log.
 constexpr std::size_t LONGEST_LOG = 4096;
@@ -215,12 +215,6 @@ bool isNodeletManager()
   return ros::ServiceManager::instance()->lookupServicePublication(loader) != nullptr;
 }
 
-/// The topic on which a nodelet manager announces changes.
-std::string changesTopic()
-{
-  return names::join(ros::this_node::getName(), "changes");
-}
-
 /// The service that DyKnow managers poll.
 std::string pollService()
 {
@@ -253,8 +247,9 @@ public:
   void offerManager()
   {
     const std::lock_guard<std::mutex> turn(turn_lock_);
+    Guards::readRewirable();
     offerProcessInTurn();
-    advertise(changesTopic());
+    advertiseChanges();
   }
 
   void offerEverything()
@@ -318,7 +313,7 @@ private:
                                   { return getStatistics(*proxy, event); });
     if (proxy->name == ros::this_node::getName())
     {
-      advertise(NODES);  // last: managers poll a node that they hear of
+      advertiseChanges();  // last: managers poll what they hear of
     }
   }
 
@@ -348,7 +343,6 @@ private:
     }
     const bool is_manager = isNodeletManager();
     const std::set<std::string> counted(request.counted.begin(), request.counted.end());
-    answer.kind = is_manager ? "cpp_nodelet" : "cpp_node";
     answer.changes = since(request.seen);
     for (const auto& [name, proxy] : offered())
     {
@@ -367,16 +361,16 @@ private:
     return true;
   }
 
-  /// Publishes a topic unless it is; every new subscriber gets a message with all nodelets.
-  void advertise(const std::string& topic)
+  /// Publishes the topic unless it is; every new subscriber gets a message with all nodelets.
+  void advertiseChanges()
   {
-    if (!topics::isUp() || topics::publication(topic))
+    if (!topics::isUp() || topics::publication(NODES))
     {
       return;
     }
-    const auto greet = [this, topic](const ros::SingleSubscriberPublisher& newcomer)
+    const auto greet = [this](const ros::SingleSubscriberPublisher& newcomer)
     {
-      const auto changes = partFor(topic, since(0));
+      const auto changes = since(0);
       if (!changes.nodelets.empty())
       {
         newcomer.publish(changes);
@@ -384,7 +378,7 @@ private:
     };
     const ros::SubscriberStatusCallback none;
     const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
-        topic, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
+        NODES, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
     const topics::WiringLock lock;
     topics::advertise(
         lock, options,
@@ -423,6 +417,7 @@ private:
   {
     dyknow_msgs::NodeletChanges changes;
     changes.process = ros::XMLRPCManager::instance()->getServerURI() + "@" + std::to_string(getpid());
+    changes.kind = isNodeletManager() ? "cpp_nodelet" : "cpp_node";
     {
       std::lock_guard<std::mutex> lock(state_lock_);
       changes.sequence = sequence_;
@@ -441,33 +436,10 @@ private:
       const auto found = present.find(each.nodelet);
       each.is_loaded = found != present.end();
       each.ports = each.is_loaded ? portsOf(*found->second) : each.ports;
+      each.loader = each.is_loaded ? found->second->loader : each.loader;
       each.detail = stuckCallback(each.nodelet);
     }
     return changes;
-  }
-
-  /// What is announced on a topic: on that of nodes this process alone, which may run nodelets as well.
-  static dyknow_msgs::NodeletChanges partFor(const std::string& topic, dyknow_msgs::NodeletChanges changes)
-  {
-    auto& nodelets = changes.nodelets;
-    const auto is_other = [](const auto& each) { return each.nodelet != ros::this_node::getName(); };
-    if (topic == NODES)
-    {
-      nodelets.erase(std::remove_if(nodelets.begin(), nodelets.end(), is_other), nodelets.end());
-    }
-    return changes;
-  }
-
-  static void publish(const std::string& topic, const dyknow_msgs::NodeletChanges& changes)
-  {
-    const auto publication = topics::publication(topic);
-    const auto part = partFor(topic, changes);
-    if (publication && !part.nodelets.empty())
-    {
-      ros::SerializedMessage serialised;
-      topics::publish(
-          *publication, [&part] { return ros::serialization::serializeMessage(part); }, serialised);
-    }
   }
 
   void tell()
@@ -498,8 +470,13 @@ private:
         later([this] { tell(); }, told_ + WINDOW);
       }
     }
-    publish(changesTopic(), changes);
-    publish(NODES, changes);
+    const auto publication = topics::publication(NODES);
+    if (publication && !changes.nodelets.empty())
+    {
+      ros::SerializedMessage serialised;
+      topics::publish(
+          *publication, [&changes] { return ros::serialization::serializeMessage(changes); }, serialised);
+    }
   }
 
   ros::CallbackQueue queue_;
@@ -545,7 +522,7 @@ bool isOwnService(const std::string& service)
 
 bool isOwnTopic(const std::string& topic)
 {
-  return topic == NODES || topic == changesTopic();
+  return topic == NODES;
 }
 
 void announceChange(const std::string& nodelet)

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <mutex>
 
+#include "guards.h"
 #include "process_services.h"
 
 namespace dyknow
@@ -172,6 +173,7 @@ std::shared_ptr<NodeletProxy> Registry::node()
   if (!found)
   {
     found = std::make_shared<NodeletProxy>(name, ros::names::getRemappings(), announceChange);
+    found->loader = Guards::starter();
   }
   return found;
 }

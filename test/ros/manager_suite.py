@@ -83,7 +83,8 @@ class ManagerProcess:
     def __init__(self, state: str, node: str = MANAGER, **parameters: Any) -> None:
         self.state = state
         self.node = node
-        self.command = [PROGRAM, f"__name:={node.lstrip('/')}"]
+        namespace, _, base = node.rpartition("/")
+        self.command = [PROGRAM, f"__name:={base}", f"__ns:={namespace or '/'}"]
         self.given = parameters
         self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
         self.client = ManagerClient(node, rospy.get_name())

@@ -24,7 +24,7 @@ from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
 from std_srvs.srv import Trigger
 
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
 

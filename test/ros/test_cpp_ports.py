@@ -40,7 +40,7 @@ from std_msgs.msg import Float64, Header, String
 from dyknow import errors
 from dyknow.errors import HostError
 from dyknow.guards import Guards
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
 from dyknow.ros.wire.service_client import ServiceClient
@@ -266,7 +266,7 @@ class PortTest(CppCase):
         self.assertEqual(set(topics_of_ports("/robot/names")), before)
 
     def test_changes_are_announced_and_counted(self):
-        told = self.enter(Heard(f"{MANAGER}/changes", NodeletChanges, graph.named))
+        told = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
 
         def is_told(change) -> None:
             del told[:]
@@ -281,18 +281,15 @@ class PortTest(CppCase):
         becomes(lambda: graph.poll(MANAGER, "/source").counts, [])
         becomes(lambda: [each for each in graph.services_of(MANAGER) if "/source" in each], [])
 
-    def test_a_nodelet_manager_with_ports_announces_itself_among_the_nodes(self):
-        """And none of its nodelets, also to newcomers."""
+    def test_a_nodelet_manager_with_ports_announces_itself_too(self):
         manager = self.enter(CppManager("/early"))
-        told = self.enter(Heard(f"{manager.name}/changes", NodeletChanges, graph.named))
-        among = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
+        told = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
         manager.load("Eager", "/eager")
         told.has(lambda nodelets: "/eager" in nodelets)
         connect(manager.name, **{"~early": "/earlier"})
         told.has(lambda nodelets: nodelets == [manager.name])
         with Heard(NODES_TOPIC, NodeletChanges, graph.named) as newcomer:
-            newcomer.has(lambda nodelets: nodelets == [manager.name])
-        self.assertEqual({*map(tuple, among.copy())}, {(manager.name,)})
+            newcomer.has(lambda nodelets: nodelets == ["/eager", manager.name])
 
     def test_a_lazy_nodelet(self):
         for name, width in (("/cam", 8), ("/cam2", 16)):
@@ -490,7 +487,7 @@ class StuckTest(TellingCase):
             for each in message.nodelets:
                 details[each.nodelet].append(each.detail)
 
-        subscriber = rospy.Subscriber("/stuck/changes", NodeletChanges, note)
+        subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, note)
         self.addCleanup(subscriber.unregister)
         manager.load("Sink", "/sink", {"/in": "/a"}, delay=5.0)
         manager.load("Source", "/source", {"/out": "/a"}, count=1)

@@ -17,7 +17,7 @@ from stream_suite import GOAL, LIBRARY
 
 from dyknow.errors import Refused
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.hosting.external import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 
 FAR = "/far"

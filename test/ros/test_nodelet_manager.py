@@ -28,6 +28,7 @@ from std_msgs.msg import Header, String
 from test_nodelet_command import CommandCase
 
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.ros.nodelets.announcements import TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
 
@@ -108,7 +109,7 @@ class ServiceTest(RobotCase):
 
     def test_changes_and_newcomers_are_announced(self):
         def listen():
-            return Heard("/robot/manager/changes", NodeletChanges, graph.named)
+            return Heard(TOPIC, NodeletChanges, graph.named)
 
         with listen() as heard:
             for change in (
@@ -128,7 +129,7 @@ class ServiceTest(RobotCase):
         """Programs may search for a nodelet's topics by type."""
         published = registrations("/robot/manager")["publishers"]
         types = dict(rosgraph.Master(rospy.get_name()).getTopicTypes())
-        self.assertEqual(types["/robot/manager/changes"], "dyknow_msgs/NodeletChanges")
+        self.assertEqual(types[TOPIC], "dyknow_msgs/NodeletChanges")
         own = {"rosgraph_msgs/Log", "bond/Status", "dyknow_msgs/NodeletChanges"}
         self.assertLessEqual({types[topic] for topic in published}, own)
 

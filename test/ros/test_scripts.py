@@ -33,7 +33,7 @@ from roslib.packages import find_node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 
 RUN = [*DYKNOW, "run"]
 SCRIPT = "dyknow/Script"

@@ -92,7 +92,7 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
             + ",isolated" * each.isolated
         )
         made_from, ends = (
-            each.transformation or None,
+            each.origin,
             (directions.count(IN), directions.count(OUT)),
         )
         rows.append((each.name, made_from, state_of(each) + marks, *ends, each.manager or None))
@@ -129,7 +129,9 @@ def _named(shell: Shell, names: Sequence[str], snapshot: Model) -> list[NodeletS
 def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield "-" * 80
     yield f"Nodelet [{nodelet.name}]"
-    yield f"Transformation: {nodelet.transformation or '(none: loaded by others)'}"
+    yield f"Transformation: {nodelet.transformation or '(none)'}"
+    if nodelet.owner:
+        yield f"Owner: {nodelet.owner}"
     yield f"Kind: {nodelet.kind.title}"
     if nodelet.manager:
         yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"

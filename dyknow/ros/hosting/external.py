@@ -3,8 +3,10 @@
 
 """Nodelet managers and re-wirable nodes that the DyKnow manager did not start, on any host.
 
-Nodelet managers are named by the settings. Each re-wirable node announces its name to each new
-subscriber of one topic, so either side can start first.
+Nodelet managers that the settings name are used like our own. Those of other clients, and
+re-wirable nodes, are found by what they announce to each new subscriber of one topic, so either
+side can start first. These are foreign: nothing is loaded or unloaded there, and a foreign
+nodelet manager gets no guards.
 
 The ROS master decides which process bears a name. When another process registers under the name
 while the host of the first is away, the master cannot end the first. Another key of the peer's
@@ -18,7 +20,7 @@ import time
 from dataclasses import replace
 from typing import Any, Callable, Iterable
 
-from dyknow_msgs.msg import NodeletChanges
+from dyknow_msgs.msg import Guards, NodeletChanges
 
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
@@ -27,7 +29,7 @@ from dyknow.manager.host import ProcessState
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.peer import FIND_TIMEOUT, POLL_TIMEOUT, Peer, Presence
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC
 from dyknow.ros.wire.addresses import host_of
 from dyknow.ros.wire.poll_client import PollClient
 
@@ -36,9 +38,9 @@ _FIRST_PAUSE = 0.25
 _LONGEST_PAUSE = 2.0
 #: Seconds between two checks that no other process took the name of a nodelet manager.
 _NAME_PERIOD = 1.0
-#: Seconds for which a node is looked for that has ended, or whose name was announced. Should it
-#: come back later, rospy connects again and it announces itself again.
-_NODE_PATIENCE = 10.0
+#: Seconds for which a foreign process is looked for that has ended, or whose name was announced.
+#: Should it come back later, rospy connects again and it announces itself again.
+_PATIENCE = 10.0
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -55,13 +57,15 @@ class External(Peer):
         context: PeerContext,
         name: str,
         is_node: bool = False,
-        on_gone: Callable[[External], None] = lambda gone: None,
+        on_gone: Callable[[External], None] | None = None,
     ) -> None:
         """Prepare; a ``wake`` begins to look for a nodelet manager, or a re-wirable node.
 
-        ``on_gone`` is called when a node has been gone for so long that it is not looked for.
+        A foreign one has ``on_gone``, which is called when it has been gone for so long that it is
+        not looked for.
         """
-        self._gone = ProcessState(name, own=False, responsive=False)
+        self.is_foreign = on_gone is not None
+        self._gone = ProcessState(name, own=False, responsive=False, foreign=self.is_foreign)
         unseen = replace(self._gone, away=True, unseen=True)
         super().__init__(context, name, is_node, Presence(unseen, "it has not answered yet"))
         self._on_gone = on_gone
@@ -70,7 +74,7 @@ class External(Peer):
         self.displaced: list[str] = []
         self._ending = f"ending nodes that lost the name {name}"
         self._named = 0.0
-        self._expected_until = time.monotonic() + _NODE_PATIENCE
+        self._expected_until = time.monotonic() + _PATIENCE
         self._backoff = Backoff(time.monotonic, _FIRST_PAUSE, _LONGEST_PAUSE, tolerated=0)
 
     @property
@@ -86,8 +90,8 @@ class External(Peer):
             self.loop.wait_for(self._key, self.wake(), timeout)
 
     def expect(self) -> None:
-        """Look for a node for some more time: its name was announced."""
-        self._expected_until = time.monotonic() + _NODE_PATIENCE
+        """Look for it for some more time: its name was announced."""
+        self._expected_until = time.monotonic() + _PATIENCE
         self.wake()
 
     # Inside
@@ -96,11 +100,11 @@ class External(Peer):
         if self.presence.trouble:
             return self._backoff.remaining(self.name)
         pause = super()._pause(began)
-        return _NAME_PERIOD if pause is None and not self.is_node else pause
+        return _NAME_PERIOD if pause is None and not self.is_foreign else pause
 
     @property
     def _is_doubtful(self) -> bool:
-        return not self.is_node and time.monotonic() - self._named >= _NAME_PERIOD
+        return not self.is_foreign and time.monotonic() - self._named >= _NAME_PERIOD
 
     def _find(self) -> None:
         known = self.presence
@@ -119,7 +123,7 @@ class External(Peer):
                 raise NotRunning("it is not running")
             pid = self._master.pid(self.name, uri, POLL_TIMEOUT)
             answer = client.ask(FIND_TIMEOUT)
-            kind = NodeletKind(answer.kind)
+            kind = NodeletKind(answer.changes.kind)
             if kind.is_node is not self.is_node:
                 raise NotRunning(f"it is no {'re-wirable node' if self.is_node else 'manager'}")
         except (HostError, PeerTimeout, LookupError) as error:
@@ -134,6 +138,7 @@ class External(Peer):
                 own=False,
                 rewirable=not client.is_stock,
                 host=host_of(uri),
+                foreign=self.is_foreign,
             ),
             client,
             answer,
@@ -145,7 +150,7 @@ class External(Peer):
 
     def _missed(self, client: PollClient, error: HostError | PeerTimeout) -> None:
         # A lost connection does not prove that it has ended: the next round finds out.
-        self._miss(error, away=self.is_node or may_be_there(error))
+        self._miss(error, away=self.is_foreign or may_be_there(error))
         self.wake()
 
     def _miss(self, trouble: Exception, away: bool) -> None:
@@ -154,7 +159,7 @@ class External(Peer):
         with self._state_lock:
             known = self.presence
             if not known.trouble:
-                self._expected_until = time.monotonic() + _NODE_PATIENCE
+                self._expected_until = time.monotonic() + _PATIENCE
             state = replace(
                 known.state if away else self._gone, responsive=False, away=away, unseen=False
             )
@@ -166,7 +171,7 @@ class External(Peer):
         else:
             self._backoff.forgive(self.name)
         self._log(before.state)
-        if self.is_node and not self.state.alive and time.monotonic() > self._expected_until:
+        if self._on_gone and not self.state.alive and time.monotonic() > self._expected_until:
             self._on_gone(self)
 
     def _log(self, old: ProcessState) -> None:
@@ -180,11 +185,14 @@ class External(Peer):
             return
         if now.responsive:
             _log.info("%s is there (%s)", self.title, now.incarnation)
-        elif not self.is_node or now.alive:
+        elif not self.is_foreign or now.alive:
             _log.warning("%s cannot be asked: %s", self.title, self.presence.trouble)
         elif old.alive:
             _log.info("%s is gone", self.title)
         self.context.on_change()
+
+    def _wanted_guards(self) -> Guards | None:
+        return super()._wanted_guards() if self.is_node or not self.is_foreign else None
 
     def _end_displaced(self) -> float | None:
         for each in list(self.displaced):
@@ -217,7 +225,7 @@ def may_be_there(trouble: BaseException) -> bool:
 
 
 class Externals:
-    """All external nodelet managers, and the re-wirable nodes that run."""
+    """The named nodelet managers, and the foreign ones and re-wirable nodes that run."""
 
     def __init__(
         self,
@@ -225,7 +233,7 @@ class Externals:
         managers: Iterable[str] = (),
         is_child: Callable[[str], bool] = lambda name: False,
     ) -> None:
-        """Prepare; a node for which ``is_child`` is true is a child of ours, and not external."""
+        """Prepare; a process for which ``is_child`` is true is a child of ours, not external."""
         self._context = context
         self._is_child = is_child
         self._state_lock = state_lock("external processes")
@@ -238,18 +246,18 @@ class Externals:
             each.wake()
 
     def listen(self, hear: Callable[[str, NodeletChanges], None]) -> None:
-        """Listen for re-wirable nodes from now on, and to them.
+        """Listen to all processes that run nodelets from now on, and find foreign ones by that.
 
-        ``hear`` is called with each of them and what it announced.
+        ``hear`` is called with the name of each process and what it announced.
         """
 
-        def receive(message: NodeletChanges) -> None:
-            names = [each.nodelet for each in message.nodelets]
-            self._expect(names)
-            for name in names:
-                hear(name, message)
+        def receive(message: Any) -> None:
+            name = message._connection_header["callerid"]
+            if any(each.is_loaded for each in message.nodelets):  # else it may be about to end
+                self._expect([name], NodeletKind(message.kind).is_node)
+            hear(name, message)
 
-        self._subscriber = self._context.subscribe(NODES_TOPIC, receive)
+        self._subscriber = self._context.subscribe(TOPIC, receive)
 
     def look_for(self, nodes: Iterable[str]) -> None:
         """Find nodes that may run, before they announce their names; waits for the outcome."""
@@ -257,15 +265,15 @@ class Externals:
             each.look_now()
 
     def all(self) -> list[External]:
-        """Return the nodelet managers, there or not, and the nodes that are there, by name."""
+        """Return the named ones, there or not, and the foreign ones that are there, by name."""
         with self._state_lock:
             found = [self._externals[name] for name in sorted(self._externals)]
-        return [each for each in found if not each.is_node or each.state.alive]
+        return [each for each in found if not each.is_foreign or each.state.alive]
 
     def find(self, name: str) -> External | None:
-        """Return the one of that name; None if there is none, or if it is a node and gone."""
+        """Return the one of that name; None if there is none, or if it is foreign and gone."""
         found = self._externals.get(name)
-        is_gone = found is not None and found.is_node and not found.state.alive
+        is_gone = found is not None and found.is_foreign and not found.state.alive
         return None if is_gone else found
 
     def close(self) -> None:
@@ -275,12 +283,15 @@ class Externals:
         for each in list(self._externals.values()):
             each.close()
 
-    def _expect(self, nodes: Iterable[str]) -> list[External]:
-        """Look for nodes that are not our children."""
+    def _expect(self, nodes: Iterable[str], are_nodes: bool = True) -> list[External]:
+        """Look for processes that are not our children."""
         found = []
         for name in nodes:
             if not self._is_child(name):
-                made = self._externals.get(name) or self._new_node(name)
+                known = self._externals.get(name)
+                if known and known.is_foreign and known.is_node is not are_nodes:
+                    self._drop(known)  # it was announced before it was a nodelet manager
+                made = self._externals.get(name) or self._new(name, are_nodes)
                 with self._state_lock:
                     found.append(self._externals.setdefault(name, made))
                 if found[-1] is not made:
@@ -288,8 +299,8 @@ class Externals:
                 found[-1].expect()
         return found
 
-    def _new_node(self, name: str) -> External:
-        return External(self._context, name, is_node=True, on_gone=self._drop)
+    def _new(self, name: str, is_node: bool) -> External:
+        return External(self._context, name, is_node, on_gone=self._drop)
 
     def _drop(self, gone: External) -> None:
         with self._state_lock:

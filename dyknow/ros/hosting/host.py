@@ -94,8 +94,8 @@ class RosHost(Host):
         self._counter = MessageCounter(registrar)
         self._verdicts = VerdictTopics(on_verdict)
 
-    def listen_for_nodes(self) -> None:
-        """Listen for re-wirable nodes from now on, and to them."""
+    def listen_to_processes(self) -> None:
+        """Listen to all processes that run nodelets from now on, and find foreign ones."""
         self._external.listen(self._hear)
 
     def _hear(self, node: str, changes: NodeletChanges) -> None:
@@ -247,14 +247,10 @@ class RosHost(Host):
             peer.await_report(request.name, _REPORT_TIMEOUT)
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload, unless the load was refused; a node is ended if it is ours."""
+        """Unload, unless the load was refused; a node is ended."""
         peer = self._known(manager)
         state = peer.state
         if state.kind.is_node:
-            if not state.own:
-                raise HostError(
-                    f"'{name}' is a node in a process of its own; end it with: rosnode kill {name}"
-                )
             self.retire(manager)
             return
         if name in peer.refused:

@@ -4,7 +4,7 @@
 """A process that runs nodelets, as the manager's node knows it and polls it.
 
 There are three sorts: children of ours (``child``), external nodelet managers and re-wirable nodes
-(both ``external``).
+(both ``external``). What they announce all comes on one topic.
 
 One key of a peer's loop alone asks its process, over one connection. A poll renews the lease,
 counts messages, and returns the nodelets with the ports that have changed. A caller that needs to
@@ -21,11 +21,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any, Collection, Dict, Iterator, Mapping, Optional, Sequence
 
-import rospy
 from dyknow_msgs.msg import Guards, NodeletChanges, NodeletCounts, Port
 from dyknow_msgs.srv import PollResponse
 
-from dyknow import names
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.guards import NO_GUARDS
 from dyknow.locks import state_lock
@@ -33,7 +31,6 @@ from dyknow.manager.host import Count, ProcessState, Reported
 from dyknow.model.hosts import UNKNOWN_OFFSET, ClockOffset
 from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.grants import Lease, PeerContext
-from dyknow.ros.nodelets.announcements import TOPIC
 from dyknow.ros.wire.machines import OffsetMeter
 from dyknow.ros.wire.messages import guards_message, machine_from, port_from
 from dyknow.ros.wire.poll_client import PollClient
@@ -111,7 +108,6 @@ class Peer(ABC):
         self._traffic: Sequence[NodeletCounts] = ()
         self._is_prompt = True
         self._meter = OffsetMeter()
-        self._subscriber: rospy.Subscriber | None = None
         self._key = f"polling {name}"
         self.loop = ControlLoop(name=f"peer {name}")
         self.loop.add(self._key, self._round, pause=0.0)
@@ -173,7 +169,8 @@ class Peer(ABC):
             with contextlib.suppress(HostError):
                 self.nodelets()
 
-    def _wanted_guards(self) -> Guards:
+    def _wanted_guards(self) -> Guards | None:
+        """Return the guards that its process should have from us; None for none."""
         protected = sorted(self.context.protected.get(self.name, ()))
         return guards_message(self.context.guards, protected)
 
@@ -221,15 +218,13 @@ class Peer(ABC):
         client, known = self._client, self.presence
         if client is not None and not known.trouble:
             with contextlib.suppress(HostError, PeerTimeout):
-                no_guards = [guards_message(NO_GUARDS)]
+                no_guards = [guards_message(NO_GUARDS)] if self._guards else []
                 client.ask(POLL_TIMEOUT, guards=no_guards, **self.lease.release())
 
     def close(self) -> None:
         """Close the loop and the connections; the process goes on."""
         self.loop.close()
         self._let_go(None)
-        if self._subscriber is not None:
-            self._subscriber.unregister()
 
     # Rounds
 
@@ -283,8 +278,6 @@ class Peer(ABC):
             self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
         if not client.is_stock:
             self.lease.answered(answer.clock)
-        if self._subscriber is None and state.rewirable and not self.is_node:
-            self._subscriber = self.context.subscribe(names.join(self.name, TOPIC), self.hear)
 
     def _let_go(self, client: PollClient | None) -> None:
         """Replace the connection, which may be to a process that bears the name no more."""
@@ -351,7 +344,8 @@ def _merged(
         is_newer = known is None or known.sequence < changes.sequence
         if each.nodelet in nodelets and each.is_loaded and is_newer:
             ports = tuple(map(port_from, each.ports))
-            newer[each.nodelet] = Reported(ports, each.detail, changes.sequence)
+            reported = Reported(ports, each.detail, changes.sequence, each.loader)
+            newer[each.nodelet] = reported
     return {**nodelets, **newer} if newer else nodelets
 
 

@@ -233,7 +233,7 @@ class ManagerNode(Closable):
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)
         self._loop.add(_COUNT, self._counts.publish, 0.0)
-        self._host.listen_for_nodes()
+        self._host.listen_to_processes()
 
     def close(self) -> None:
         """End on purpose, with all nodelets, claims and nodelet managers.

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Collection, Iterator, Mapping, Sequence
 
 from dyknow import names
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC
 from dyknow.ros.wire.master import Question
 
 #: Each roscore has its own, and refuses to start beside another one.
@@ -151,8 +151,8 @@ class MasterLoss:
             topics = listed[node]
             if topics is None:
                 topics = {each: self.kept.types.get(each, _ANY_TYPE) for each in registered}
-            elif NODES_TOPIC in registered:  # re-wirable programs do not list it
-                topics = {**topics, NODES_TOPIC: self.kept.types[NODES_TOPIC]}
+            elif TOPIC in registered:  # re-wirable programs do not list it
+                topics = {**topics, TOPIC: self.kept.types[TOPIC]}
             for topic in sorted(topics):
                 if node not in now.get(topic, ()):
                     yield function, node, topic, topics[topic], self.kept.nodes[node].uri

@@ -3,9 +3,9 @@
 
 """Numbers the changes of a process's nodelets, and announces them with the nodelets' ports.
 
-Nodelet managers announce on the topic ``~changes``. A node with ports that is not a nodelet
-manager announces itself, on one topic that all of them share. So it is found without a question to
-the ROS master, and listened to without a further subscription.
+Nodelet managers and nodes with ports announce on one topic, which all of them share. So they are
+found without a question to the ROS master, whoever started them, and listened to without a further
+subscription.
 
 A description of a nodelet is made after the number of its last change was taken, so it contains
 that change, and one with a smaller number never replaces it (``dyknow.ros.hosting.peer``).
@@ -20,11 +20,10 @@ import rospy
 from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 
 from dyknow.locks import state_lock
+from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
 
-TOPIC = "changes"
-#: Of the nodes with ports that are not nodelet managers.
-NODES_TOPIC = "/dyknow/rewirable_nodes"
+TOPIC = "/dyknow/rewirable_nodes"
 #: Seconds after an announcement in which further changes are collected.
 _WINDOW = 0.02
 _QUEUE_SIZE = 1000
@@ -35,15 +34,14 @@ class Announcer(rospy.SubscribeListener):
 
     Args:
         describe: returns the message about a nodelet, loaded or not.
-        topic: where changes are announced.
     """
 
-    def __init__(self, describe: Callable[[str], NodeletPorts], topic: str = f"~{TOPIC}") -> None:
+    def __init__(self, describe: Callable[[str], NodeletPorts]) -> None:
         super().__init__()
         self._describe = describe
         self._process = f"{rospy.get_node_uri()}@{os.getpid()}"
-        #: Global name of the topic that it publishes.
-        self.topic = rospy.resolve_name(topic)
+        #: Kind of the nodelets.
+        self.kind = NodeletKind.PYTHON
         self._lock = state_lock("announcer")
         self._sequence = self._announced = 0
         self._changed: dict[str, int] = {}  # number of the last change of each nodelet
@@ -53,7 +51,7 @@ class Announcer(rospy.SubscribeListener):
     def start(self) -> None:
         """Announce from now on."""
         self._publisher = rospy.Publisher(
-            self.topic, NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
+            TOPIC, NodeletChanges, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
         self._worker.start()
 
@@ -69,7 +67,8 @@ class Announcer(rospy.SubscribeListener):
         with self._lock:
             last = self._sequence
             names = sorted(name for name, number in self._changed.items() if number > sequence)
-        return NodeletChanges(self._process, last, [self._describe(name) for name in names])
+        nodelets = [self._describe(name) for name in names]
+        return NodeletChanges(self._process, last, nodelets, self.kind.value)
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to_peer: Any) -> None:
         """Announce every nodelet to a new subscriber; rospy calls it."""

@@ -36,7 +36,7 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.nodelets.announcements import NODES_TOPIC, Announcer
+from dyknow.ros.nodelets.announcements import TOPIC, Announcer
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
@@ -67,12 +67,14 @@ class Settings:
             other threads in. Python's own 5 ms would let one busy nodelet delay each hop of all.
         stuck_after: seconds after which a callback that has not returned is reported.
         shared_memory: whether large messages reach other processes of this host through memory.
+        rewirable: whether the ports of its nodelets may be connected elsewhere.
     """
 
     num_worker_threads: int = 0
     switch_interval: float = 0.0005
     stuck_after: float = 10.0
     shared_memory: bool = True
+    rewirable: bool = True
 
     @classmethod
     def read(cls) -> Settings:
@@ -90,7 +92,8 @@ class Settings:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
                 raise BadParameter(f"~{name}", value, "seconds above 0")
             seconds[name] = float(value)
-        return cls(workers, shared_memory=read_shared_memory(), **seconds)
+        flags = (read_flag("shared_memory"), read_flag("rewirable"))
+        return cls(workers, seconds["switch_interval"], seconds["stuck_after"], *flags)
 
     @property
     def workers(self) -> int:
@@ -98,11 +101,11 @@ class Settings:
         return self.num_worker_threads or max(4, os.cpu_count() or 1)
 
 
-def read_shared_memory() -> bool:
-    """Read ``~shared_memory``; ``BadParameter`` if it is neither true nor false."""
-    value = rospy.get_param("~shared_memory", Settings.shared_memory)
+def read_flag(name: str) -> bool:
+    """Read a private parameter; ``BadParameter`` if it is neither true nor false."""
+    value = rospy.get_param("~" + name, getattr(Settings, name))
     if not isinstance(value, bool):
-        raise BadParameter("~shared_memory", value, "true or false")
+        raise BadParameter(f"~{name}", value, "true or false")
     return value
 
 
@@ -129,7 +132,7 @@ class NodeletManager(Closable):
         pool: Executor = blocking
         if find_class is None:
             pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
-        self._guards = ProcessGuards()
+        self._guards = ProcessGuards(settings.rewirable)
         self._runtime = Runtime(
             rospy_middleware(pool, settings.shared_memory),
             pool,
@@ -141,11 +144,12 @@ class NodeletManager(Closable):
             guard_topics(lambda topic: self._guards.current().check_topic(topic))
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: dict[str, str] = {}
+        self._loaders: dict[str, str] = {}
         self._bond_ended = state_condition("bonded nodelets")
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
-        self._announcer = Announcer(self._describe, *([NODES_TOPIC] if find_class else []))
+        self._announcer = Announcer(self._describe)
         self._stuck = StuckCallbacks(
             self.loader, rospy.get_name(), settings.stuck_after, self._announcer.announce
         )
@@ -158,22 +162,26 @@ class NodeletManager(Closable):
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~poll``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
-        self._announcer.start()
-        self._offer_poll(NodeletKind.PYTHON)
+        self._offer_poll()
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
-            rospy.Service("~list", srv.NodeletList, self._list),  # the last: where it is, all are
+            rospy.Service("~list", srv.NodeletList, self._list),
         ]
+        self._announcer.start()  # last: managers poll what they hear of
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
         """Host one thing under the name of the node, which is not a nodelet manager then."""
-        name = rospy.get_name()
-        hide_topics([self._announcer.topic])
-        self.loader.load(name, kind.value, remappings)
-        self._announcer.announce(name)
-        self._offer_poll(kind)
-        self._announcer.start()  # last: managers poll a node that they hear of
+        hide_topics([TOPIC])
+        self.loader.load(rospy.get_name(), kind.value, remappings)
+        self.appear(kind)
+
+    def appear(self, kind: NodeletKind) -> None:
+        """Let managers know of the one thing that bears the name of the node."""
+        self._announcer.kind = kind
+        self._announcer.announce(rospy.get_name())
+        self._offer_poll()
+        self._announcer.start()  # last: managers poll what they hear of
 
     def load(self, request: srv.NodeletLoadRequest, caller: str = "") -> None:
         """Load a nodelet; ``caller`` is the requesting node, empty when it is this one.
@@ -193,6 +201,7 @@ class NodeletManager(Closable):
                 self._guards.check_program(caller, my_argv[0])
         descriptors.check_left()
         self.loader.load(name, request.type, remappings, my_argv)
+        self._loaders[name] = caller
         self._announcer.announce(name)
         if request.bond_id:
             self._bond(name, request.bond_id)
@@ -266,6 +275,7 @@ class NodeletManager(Closable):
             rospy.loginfo("%s", error)
 
     def _unloaded(self, name: str) -> None:
+        self._loaders.pop(name, None)
         self._announcer.announce(name)
         bond_id = self._bonded.pop(name, None)
         if bond_id is not None:
@@ -277,13 +287,13 @@ class NodeletManager(Closable):
         if not isinstance(thing, NodeletProxy):
             return None
         thing.on_change = lambda: self._announcer.announce(context.name)
-        return ProxyServices(thing, self._guards.check_caller)
+        return ProxyServices(thing, self._guards.check_rewiring)
 
     # What managers poll
 
-    def _offer_poll(self, kind: NodeletKind) -> None:
+    def _offer_poll(self) -> None:
         self._poll_service = PollService(
-            kind, self.loader, self._runtime.bus, self._guards, self._announcer, self._stuck
+            self.loader, self._runtime.bus, self._guards, self._announcer, self._stuck
         )
 
     def _describe(self, name: str) -> NodeletPorts:
@@ -291,7 +301,10 @@ class NodeletManager(Closable):
         proxy = context.attached if context is not None else None
         ports = proxy.get_config() if isinstance(proxy, NodeletProxy) else ()
         detail = self._stuck.detail(name)
-        return NodeletPorts(name, context is not None, list(map(port_message, ports)), detail)
+        loader = self._loaders.get(name, self._guards.owner)
+        return NodeletPorts(
+            name, context is not None, list(map(port_message, ports)), detail, loader
+        )
 
     # Services
 
@@ -405,6 +418,7 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
             rospy.logfatal("Failed to load nodelet [%s]: %s", name, error)
             manager.close()
             return None
+        manager.appear(NodeletKind.NODE)
         return manager
 
     return NodeProcess(type_name.replace("/", "_"), argv, start).run()

@@ -25,7 +25,6 @@ from rospy.impl.registration import get_service_manager
 from rospy.impl.tcpros_service import ServiceImpl
 
 from dyknow.errors import LimitExceeded, PeerTimeout
-from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.bus import Bus
 from dyknow.nodelet.leases import Leases, Sight, suspended_clock
 from dyknow.nodelet.leftovers import StuckCallbacks
@@ -57,7 +56,6 @@ class PollService(Closable):
 
     def __init__(
         self,
-        kind: NodeletKind,
         loader: Loader,
         bus: Bus,
         guards: ProcessGuards,
@@ -65,7 +63,6 @@ class PollService(Closable):
         stuck: StuckCallbacks,
     ) -> None:
         """Offer it; the node must be initialised."""
-        self._kind = kind
         self._loader = loader
         self._guards = guards
         self._announcer = announcer
@@ -101,7 +98,6 @@ class PollService(Closable):
         if self.is_ending:  # checked last: the end may have unloaded some
             raise rospy.ServiceException("the process ends")
         return PollResponse(
-            self._kind.value,
             suspended_clock(),
             [context.name for context in contexts],
             changes,

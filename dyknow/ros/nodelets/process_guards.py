@@ -17,7 +17,7 @@ from typing import Any, Mapping
 from dyknow_msgs.msg import Guards as GuardsMessage
 
 from dyknow.errors import Denied, ProtectedFromUnloading
-from dyknow.guards import NO_GUARDS, Guards, together
+from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards, together
 from dyknow.ros.wire.messages import guards_from
 
 #: Environment variable of programs that a DyKnow manager starts: its guards bind them from their
@@ -37,13 +37,16 @@ def to_environment(owner: str, guards: GuardsMessage) -> dict[str, str]:
 class ProcessGuards:
     """The guards of this process, by manager; every method is safe from any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, rewirable: bool = True) -> None:
+        """Take those of the environment; ``rewirable``: whether ports may be connected."""
+        self._rewirable = rewirable
         self._handed: Mapping[str, GuardsMessage] = {}
         self._guards: Mapping[str, Guards] = {}
         self._all = NO_GUARDS
-        owner, _, digits = os.environ.get(_GUARDS, "").partition(" ")
+        #: The DyKnow manager that started this process; empty for none.
+        self.owner, _, digits = os.environ.get(_GUARDS, "").partition(" ")
         if digits:
-            self.hand_over(owner, GuardsMessage().deserialize(bytes.fromhex(digits)))
+            self.hand_over(self.owner, GuardsMessage().deserialize(bytes.fromhex(digits)))
 
     def hand_over(self, owner: str, guards: GuardsMessage) -> None:
         """Take the guards of a manager, in place of those that it handed over before."""
@@ -62,6 +65,12 @@ class ProcessGuards:
         """
         if not self._guards.get(caller, NO_GUARDS).read_only:
             self._all.check_writable(what)
+
+    def check_rewiring(self, caller: str, what: str) -> None:
+        """Raise Denied if ports may not be connected elsewhere, by any node or by this one."""
+        if not self._rewirable:
+            raise Denied(what, NOT_REWIRABLE)
+        self.check_caller(caller, what)
 
     def check_program(self, caller: str, program: str) -> None:
         """Raise Denied for a script; a DyKnow manager has checked its own guards."""

@@ -29,7 +29,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
-from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_shared_memory
+from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_flag
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox
@@ -125,7 +125,7 @@ class _ScriptProcess:
     def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
         self._manager = NodeletManager(
-            replace(_SETTINGS, shared_memory=read_shared_memory()),
+            replace(_SETTINGS, shared_memory=read_flag("shared_memory")),
             lambda type_name, context: nodelet_class,
             bound=SPAWNED in os.environ,
         )

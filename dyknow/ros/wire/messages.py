@@ -21,7 +21,15 @@ from genpy import Duration, Time, TVal
 
 from dyknow.errors import Result, StreamRefused
 from dyknow.guards import Guards
-from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
+from dyknow.model.graph import (
+    OWNER,
+    Model,
+    NodeletKind,
+    NodeletStatus,
+    PortState,
+    SpawnRequest,
+    State,
+)
 from dyknow.model.hosts import UNKNOWN_MACHINE, HostStatus, Machine
 from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
@@ -133,13 +141,18 @@ def transformation_from(message: msg.Transformation) -> Transformation:
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
     ports = list(map(port_message, nodelet.ports))
     parameters = _parameter_messages(nodelet.parameters)
-    return _message(msg.Nodelet, nodelet, ports=ports, parameters=parameters)
+    owner = f"{OWNER}{nodelet.owner}" if nodelet.owner else ""
+    detail = "; ".join(filter(None, (nodelet.detail, owner)))
+    return _message(msg.Nodelet, nodelet, ports=ports, parameters=parameters, detail=detail)
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
+    detail, _, owner = message.detail.partition(OWNER)
     return _value(
         NodeletStatus,
         message,
+        detail=detail[: -len("; ")] if owner else detail,
+        owner=owner,
         state=State(message.state),
         ports=tuple(map(port_from, message.ports)),
         parameters=parameters_from(message.parameters),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dyknow_msgs.msg import NodeletChanges
 from dyknow_msgs.srv import Poll, PollResponse
 from nodelet.srv import NodeletList
 
@@ -58,7 +59,8 @@ class PollClient:
                 self._seen = answer.changes.sequence
                 return answer
         found = self._list.call(timeout)
-        return PollResponse(kind=NodeletKind.CPP.value, nodelets=sorted(found.nodelets))
+        changes = NodeletChanges(kind=NodeletKind.CPP.value)
+        return PollResponse(nodelets=sorted(found.nodelets), changes=changes)
 
     def close(self) -> None:
         self._poll.close()

@@ -173,10 +173,10 @@ class SmallManager:
                 connection.sendall(b"\1" + struct.pack("<I", len(answer)) + answer)
 
     def _response(self, request):
-        changes = NodeletChanges(str(self.pid), 1, [])
+        changes = NodeletChanges(str(self.pid), 1, [], self.kind or "nodelet")
         if request.seen < 1:
-            changes.nodelets = [NodeletPorts(name, True, [], "") for name in self.nodelets]
-        return PollResponse(self.kind or "nodelet", 1.0, self.nodelets, changes, [], [])
+            changes.nodelets = [NodeletPorts(name, True, [], "", "") for name in self.nodelets]
+        return PollResponse(1.0, self.nodelets, changes, [], [])
 
     @staticmethod
     def _read(connection):

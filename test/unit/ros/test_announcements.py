@@ -23,7 +23,7 @@ def announced(monkeypatch):
     published = []
     topic = SimpleNamespace(publish=published.append, unregister=lambda: None)
     monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **options: topic)
-    announcer = Announcer(lambda name: NodeletPorts(name, name != "/gone", [], ""))
+    announcer = Announcer(lambda name: NodeletPorts(name, name != "/gone", [], "", ""))
     yield announcer, published
     announcer.close()
 

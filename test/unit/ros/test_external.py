@@ -226,8 +226,10 @@ def test_an_older_answer_never_replaces_a_newer_announcement(graph, peer):
         (4, process, [], Reported(sequence=4)),
     ):
         before = peer.presence.nodelets["/a"]
-        changes = [NodeletPorts("/a", True, ports, ""), NodeletPorts("/new", True, [], "")]
-        peer.hear(NodeletChanges(of, sequence, changes))
+        changes = [
+            NodeletPorts(name, True, has, "", "") for name, has in (("/a", ports), ("/new", []))
+        ]
+        peer.hear(NodeletChanges(of, sequence, changes, "nodelet"))
         assert peer.presence.nodelets["/a"] == (expected or before)
         assert set(peer.nodelets()) == {"/a", "/b"}
     assert peer.presence.nodelets["/a"].sequence == 4
@@ -238,7 +240,7 @@ def test_an_older_answer_never_replaces_a_newer_announcement(graph, peer):
 
 @pytest.fixture
 def nodes(graph, monkeypatch):
-    monkeypatch.setattr(external, "_NODE_PATIENCE", 0.5)
+    monkeypatch.setattr(external, "_PATIENCE", 0.5)
     graph.nodes[FAR] = SmallManager("cpp_node")
     nodes = Externals(context(graph))
     graph.nodes[FAR].nodelets = [FAR]

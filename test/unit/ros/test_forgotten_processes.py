@@ -53,8 +53,8 @@ def test_what_is_kept_of_a_process_goes_with_it(host):
     assert report.nodelets == {"/n": frozenset(["/n"])}
     host.grant(lambda: ({"/topic": "/n"}, ["/n"]))
     (node,) = host._peers()
-    stuck = NodeletPorts("/n", True, [], "a callback has been running for 12 s")
-    changes = NodeletChanges(node.presence.process, 2, [stuck])
+    stuck = NodeletPorts("/n", True, [], "a callback has been running for 12 s", "")
+    changes = NodeletChanges(node.presence.process, 2, [stuck], "node")
     host._hear("/n", changes)
     assert host.counts({"/n": ["/n"]}) == {"/n": None}
     assert host.reported("/n", "/n").detail and host.may_publish("/n")

@@ -26,7 +26,7 @@ from unit.ros.small_graph import SmallManager, XmlRpc, stop_master
 from dyknow.ros.manager import keeper as keeper_module
 from dyknow.ros.manager.keeper import MasterKeeper
 from dyknow.ros.manager.mirror import MasterMirror, NodeAddress, lost_parameters
-from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 
 ME = "/dyknow_manager"

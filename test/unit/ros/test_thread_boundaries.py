@@ -100,7 +100,7 @@ def test_the_model_is_published_although_something_failed(where):
 
 
 def test_a_change_is_announced_although_it_failed_at_first(closing):
-    announcer = Announcer(lambda name: NodeletPorts(name, True, [], ""))
+    announcer = Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
     closing.append(announcer)
     announcer.start()
     announcer.announce("/a")
