@@ -13,6 +13,7 @@ import os
 import re
 import signal
 import sys
+from pathlib import Path
 from typing import Any, Mapping, Sequence
 
 import rosgraph
@@ -21,7 +22,6 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.locks import state_lock
 from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet import crash_record
@@ -46,8 +46,10 @@ _CRASH_RECORD = "crash_record"
 _REWIRABLE = ("env", f"{SPAWNED}=1", sys.executable, "-m", "dyknow.cli.rewirable")
 #: Bytes at the end of an output in which its last line is looked for.
 _LAST_WORDS = 2000
-#: Outputs that are kept of processes that have ended for good.
+#: Outputs of ended processes that are kept, at most so many, of so many bytes in all, for all the
+#: managers of one master.
 _OUTPUTS = 10
+_OUTPUT_SIZE = 50_000_000
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -87,8 +89,6 @@ class Launcher:
             (rospkg.get_ros_home() or ".", "ROS_HOME"),
         ):
             _check_writable(folder, variable)
-        self._state_lock = state_lock("outputs of children")
-        self._ended: list[str] = []  # outputs, the oldest first
 
     def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> tuple[ProcessId, LogTail]:
         """Start a nodelet manager, or a node with a ``command``.
@@ -99,7 +99,7 @@ class Launcher:
         kind, name = child.kind, child.name
         for key, value in self._parameters_of(kind, name).items():
             self._master.ask("setParam", names.join(name, key), value)
-        output = self._used_output(name)
+        output = self._output(name)
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
         tag = {child_records.TAG: child_records.to_tag(child, self._owner.path)}
@@ -111,7 +111,7 @@ class Launcher:
 
     def follow(self, name: str) -> LogTail:
         """Return the tail of the output of one that runs already."""
-        return LogTail(self._used_output(name), at_end=True)
+        return LogTail(self._output(name), at_end=True)
 
     def last_line(self, name: str) -> str:
         """Return the last line that one printed; empty if it printed nothing."""
@@ -146,11 +146,11 @@ class Launcher:
     def clean_up(self, child: ChildRecord) -> None:
         """Remove the registrations, parameters and crash record of a child that ended.
 
-        If another process bears its name by now, nothing is removed. Its output stays until there
-        are enough newer ones.
+        If another process bears its name by now, nothing is removed. Its output stays until newer
+        ones of ended processes are too many or too large.
         """
         kind, name = child.kind, child.name
-        self._limit_outputs(self._used_output(name))
+        self._limit_outputs()
         try:
             uri = self._master.node(name)
             if self.living(name) is not None:
@@ -227,21 +227,18 @@ class Launcher:
             raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
         return (found[0], "manager")
 
-    def _used_output(self, name: str) -> str:
-        """Return the file for the output of a process, which is not to be removed now."""
-        output = self._output(name)
-        with self._state_lock:
-            self._ended = [each for each in self._ended if each != output]
-        return output
-
-    def _limit_outputs(self, ended: str) -> None:
-        with self._state_lock:
-            self._ended.append(ended)
-            old, self._ended = self._ended[:-_OUTPUTS], self._ended[-_OUTPUTS:]
-        for output in old:
-            for file in (output, output + ".owner"):
-                with contextlib.suppress(OSError):
-                    os.remove(file)
+    def _limit_outputs(self) -> None:
+        """Remove the oldest outputs of processes that have ended, of earlier lives too."""
+        count = size = 0
+        outputs = [(file.stat(), file) for file in Path(self._log_folder).glob("*-output.log")]
+        for found, file in sorted(outputs, key=lambda each: each[0].st_mtime_ns, reverse=True):
+            if os_process.is_locked(file):
+                continue
+            count, size = count + 1, size + found.st_size
+            if count > _OUTPUTS or size > _OUTPUT_SIZE:
+                for each in (str(file), f"{file}.owner"):
+                    with contextlib.suppress(OSError):
+                        os.remove(each)
 
     def _crash_record(self, name: str) -> str:
         return self._file(name, "running")

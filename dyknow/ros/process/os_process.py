@@ -10,6 +10,7 @@ when it is not a child of this one; how it ended is known of children only.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import functools
 import math
 import os
@@ -19,6 +20,7 @@ import subprocess
 import time
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Mapping, Sequence, TextIO
 
 from dyknow.locks import turn_lock
@@ -32,6 +34,8 @@ _ENDED = (b"Z", b"X")
 #: Seconds for the rest of a session to end after SIGTERM.
 _REST_PATIENCE = 1.0
 _CHUNK = 1 << 16
+#: Bytes at which an output that was copied is cut.
+_LONGEST = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -125,8 +129,9 @@ def start(
 
     Args:
         command: program and arguments.
-        output: file for its output. Our own output would stay open as long as the process,
-            and a reader of it would wait for that long.
+        output: file for its output, which is locked (``flock``) while the process or a child of it
+            has it open. Our own output would stay open as long as the process, and a reader of it
+            would wait for that long.
         folder: working directory, made if need be; empty for that of this process.
         environment: variables besides those of this process.
 
@@ -134,7 +139,9 @@ def start(
         OSError: it cannot be started.
     """
     os.makedirs(folder or ".", exist_ok=True)
-    with open(output, "wb") as file:
+    with open(output, "ab") as file:  # appended to: it may be cut meanwhile
+        fcntl.flock(file, fcntl.LOCK_SH)
+        file.truncate(0)
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -146,6 +153,16 @@ def start(
         )
     process.returncode = 0  # ``ProcessId.wait`` reaps it, not ``Popen``
     return ProcessId.of(process.pid) or ProcessId(process.pid, -1)
+
+
+def is_locked(output: str | Path) -> bool:
+    """Whether a process that ``start`` started, or a child of it, still writes to its output."""
+    try:
+        with open(output, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    return False
 
 
 @functools.lru_cache(maxsize=None)
@@ -229,7 +246,7 @@ def _reap(pid: int) -> int | None:
 
 
 class LogTail:
-    """Copies additions to a file; safe from any thread."""
+    """Copies additions to the output of a process, and cuts it when it is long; thread-safe."""
 
     def __init__(self, path: str, at_end: bool = False) -> None:
         """Start at the beginning of ``path``, or at its present end."""
@@ -247,5 +264,8 @@ class LogTail:
                         self._position += len(chunk)
                         target.write(chunk.decode("utf-8", "replace"))
                 target.flush()
+                if self._position > _LONGEST:
+                    os.truncate(self._path, 0)
+                    self._position = 0
             except (OSError, ValueError):
                 return  # the file is gone, or our own output closed

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import threading
 from pathlib import Path
@@ -134,9 +135,14 @@ def test_old_accusations_take_no_memory():
 
 
 @pytest.fixture
-def launcher(tmp_path, monkeypatch):
+def launched(tmp_path, monkeypatch):
+    written = {}
+
     def start(command, output, *rest):
-        Path(output).write_text("it runs\n")
+        file = written[Path(output).name] = open(output, "w")  # noqa: SIM115 - until its end
+        fcntl.flock(file, fcntl.LOCK_SH)
+        file.write("it runs\n")
+        file.flush()
         Path(output + ".owner").touch()
         return ProcessId(1, 1)
 
@@ -146,10 +152,20 @@ def launcher(tmp_path, monkeypatch):
         uri="http://here:1", caller="/test", ask=lambda *args: "", node=lambda name: ""
     )
     owner: Any = SimpleNamespace(path="lock")
-    return Launcher(master, owner, 0.0, {})
+    launcher = Launcher(master, owner, 0.0, {})
+
+    def end(record):
+        written[f"{record.name[1:]}-output.log"].close()
+        launcher.clean_up(record)
+
+    yield launcher, end
+    for file in written.values():
+        file.close()
 
 
-def test_outputs_of_the_last_processes_are_kept(launcher, tmp_path):
+def test_outputs_of_the_last_processes_are_kept(launched, tmp_path):
+    launcher, end = launched
+
     def launch(name):
         record = ChildRecord(name, NodeletKind.PYTHON)
         assert isinstance(launcher.launch(record)[1], LogTail)
@@ -159,12 +175,35 @@ def test_outputs_of_the_last_processes_are_kept(launcher, tmp_path):
         again = launch("/again")
         other = launch(f"/n{number}")
         if number != 3:
-            launcher.clean_up(other)
+            end(other)
         assert launcher.last_line("/again") == "it runs"
-        launcher.clean_up(again)
+        end(again)
     (folder,) = tmp_path.iterdir()
     left = sorted(each for each in os.listdir(folder) if each.endswith(".log"))
     assert "n3-output.log" in left, "it runs"
     assert "n29-output.log" in left
     assert len(left) == 1 + launcher_module._OUTPUTS
     assert len(os.listdir(folder)) == 2 * len(left)
+
+
+def test_outputs_are_bounded_in_all_and_those_of_an_earlier_life_go_first(
+    launched, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(launcher_module, "_OUTPUT_SIZE", 100)
+    launcher, end = launched
+    (folder,) = tmp_path.iterdir()
+    earlier = folder / "earlier-output.log"
+    earlier.write_bytes(bytes(60))
+    os.utime(earlier, (1.0, 1.0))
+    first, second = (ChildRecord(name, NodeletKind.PYTHON) for name in ("/first", "/second"))
+    launcher.launch(first)
+    end(first)
+    assert earlier.exists()
+    launcher.launch(second)
+    (folder / "second-output.log").write_bytes(bytes(50))
+    end(second)
+    assert not earlier.exists()
+    assert {each.name for each in folder.glob("*.log")} == {
+        "first-output.log",
+        "second-output.log",
+    }

@@ -215,3 +215,29 @@ def test_output_is_followed(tmp_path, capsys):
     new.copy(sys.stdout)
     new.copy(sys.stdout)
     assert capsys.readouterr().out == "new\n"
+
+
+def test_a_long_output_is_cut_once_it_is_copied(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(os_process, "_LONGEST", 10)
+    path = tmp_path / "output"
+    with path.open("a") as file:
+        tail = LogTail(str(path))
+        for line in ("a long line\n", "short\n", "another\n", "last\n"):
+            file.write(line)
+            file.flush()
+            tail.copy(sys.stdout)
+            assert capsys.readouterr().out == line
+    assert path.read_text() == "last\n"
+
+
+def test_an_output_is_locked_while_its_process_runs(tmp_path):
+    output = tmp_path / "output"
+    assert not os_process.is_locked(output), "it is not there"
+    output.write_text("of an earlier life\n")
+    found = os_process.start(("sh", "-c", "echo new; exec sleep 1000"), str(output), str(tmp_path))
+    try:
+        eventually(lambda: output.read_text() == "new\n")
+        assert os_process.is_locked(output)
+    finally:
+        found.end(0.0)
+    eventually(lambda: not os_process.is_locked(output))
