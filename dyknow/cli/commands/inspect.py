@@ -61,7 +61,7 @@ def _list_problem(arguments: argparse.Namespace) -> str:
         nargs="?",
         type=namespace,
     ),
-    flag("-l --long", "show transformation, state, ports and manager"),
+    flag("-l --long", "show transformation, state, ports, manager, and the processes' load"),
     flag("--hosts", "list the hosts: what runs there, their load, and their clocks"),
     problem=_list_problem,
 )
@@ -76,7 +76,9 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
         nodelets = tuple(each for each in nodelets if each.name.startswith(inside))
     shell.show(
         {"nodelets": [nodelet_json(each) for each in nodelets]},
-        _long_list(nodelets) if arguments.long else [each.name for each in nodelets],
+        [*_long_list(nodelets), *_load_table(shell, nodelets)]
+        if arguments.long
+        else [each.name for each in nodelets],
     )
 
 
@@ -98,6 +100,14 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
         rows.append((each.name, made_from, state_of(each) + marks, *ends, each.manager or None))
     details = [f"{each.name}: {each.detail}" for each in nodelets if each.detail]
     return [*columns(rows, right=(3, 4)), *details]
+
+
+def _load_table(shell: Shell, nodelets: Sequence[NodeletStatus]) -> list[str]:
+    """Write the load of the processes of this machine that run nodelets."""
+    loads = shell.client.loads({each.node for each in nodelets})
+    rows: list[tuple[object, ...]] = [("PROCESS", "CPU %", "MEMORY MB")]
+    rows += [(name, f"{cpu:.0%}"[:-1], memory // 10**6) for name, (cpu, memory) in loads.items()]
+    return ["", *columns(rows, right=(1, 2))] if loads else []
 
 
 @command(

@@ -48,6 +48,7 @@ class FakeClient(SimulatedManagerClient):
         hung: nodelets that do not answer.
         ordinary: topics that ordinary nodes publish on.
         links: transports to other processes, by node, direction and topic.
+        loaded: share of a core and bytes of memory, by node.
     """
 
     namespace = "/"
@@ -65,6 +66,7 @@ class FakeClient(SimulatedManagerClient):
         #: Black boxes, and the bag that each writes; an error for one that cannot.
         self.boxes: dict[str, str | DyKnowError] = {}
         self.links: dict[tuple[str, str, str], list[str]] = {}
+        self.loaded: dict[str, tuple[float, int]] = {}
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], object]] = []
 
@@ -92,6 +94,9 @@ class FakeClient(SimulatedManagerClient):
 
     def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
         return {key: names for key, names in self.links.items() if key[0] in nodes}
+
+    def loads(self, nodes: Collection[str]) -> dict[str, tuple[float, int]]:
+        return {name: load for name, load in self.loaded.items() if name in nodes}
 
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)

@@ -310,6 +310,14 @@ def test_stats_of_a_nodelet_that_counts_nothing(chain):
     assert nodelet["ports"] == [{**port, "transports": []}]
 
 
+def test_a_long_list_has_the_load_of_the_processes_of_this_machine(chain):
+    process = run(chain, "info cam --json").json["nodelets"][0]["manager"]
+    chain.loaded.update({process: (0.123, 48_500_000), "/elsewhere": (1.0, 1)})
+    *_, blank, head, row = run(chain, "list -l").lines
+    assert (blank, head.split()) == ("", ["PROCESS", "CPU", "%", "MEMORY", "MB"])
+    assert row.split() == [process, "12", "48"]
+
+
 def test_stats_show_the_transports_to_other_processes(chain):
     process = run(chain, "info cam --json").json["nodelets"][0]["manager"]
     chain.links[process, "out", "/raw"] = ["TCPROS", "SHMROS", "TCPROS"]
