@@ -48,12 +48,14 @@ class NodeletStatistics:
         reconfigurations: how often its ports were connected elsewhere.
         callback_errors: callbacks that raised; None where they are not counted.
         ports: the counts of each port.
+        recent_error: text of the last error of a callback, if that was lately; empty if not.
     """
 
     uptime: float
     reconfigurations: int
     callback_errors: Optional[int]
     ports: Tuple[PortStatistics, ...]
+    recent_error: str = ""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 import threading
 import traceback
 from typing import Any, Callable, Mapping, Sequence, TypeVar
@@ -27,6 +28,8 @@ from dyknow.nodelet.timers import Timer, TimerQueue
 
 #: Seconds between two log entries of the same error at the same place.
 _LOG_PAUSE = 1.0
+#: Seconds for which the last error of a callback is reported.
+_RECENT = 30.0
 #: Errors that are counted apart; with one more the counts start again.
 _LOG_PLACES = 100
 
@@ -94,6 +97,7 @@ class Context:
         self.mark = names.mark(name)
         self.strand = Strand(runtime.executor, name, held=True, mark=self.mark)
         self.callback_errors = 0
+        self._last_error: tuple[float, str] | None = None
         self.closed = False
         self.closed_at = 0.0
         #: Threads of its own that have not ended at the unload.
@@ -146,14 +150,24 @@ class Context:
             if strand in self._strands:
                 self._strands.remove(strand)
 
+    def note_error(self, text: str, now: float) -> None:
+        """Count an error of a callback."""
+        self.callback_errors += 1
+        self._last_error = now, text
+
+    def recent_error(self) -> str:
+        """Return the last error of a callback, unless it was long ago; empty for none."""
+        when, text = self._last_error or (-math.inf, "")
+        return text if self.runtime.clock() - when < _RECENT else ""
+
     def failed(self, what: str, error: BaseException) -> None:
         """Count and log an error of a callback; the nodelet lives on.
 
         The same error at the same place is logged once a second, with the number of repetitions: a
         callback that fails on every message must not fill the disk.
         """
-        self.callback_errors += 1
         now = self.runtime.clock()
+        self.note_error(f"{what}: {type(error).__name__}: {error}", now)
         place = (what, type(error), str(error))
         since, unlogged = self._failures.get(place, (now - _LOG_PAUSE, 0))
         if now - since < _LOG_PAUSE:

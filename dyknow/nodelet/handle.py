@@ -293,7 +293,9 @@ class Service(Closable):
         try:
             return self.handler(request), None
         except Exception as error:  # the boundary: raised again where the caller waits
-            self._context.callback_errors += 1
+            context = self._context
+            text = f"service '{self.resolved_name}': {type(error).__name__}: {error}"
+            context.note_error(text, context.runtime.clock())
             return None, error
         except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
             self._context.failed(f"service '{self.resolved_name}'", error)

@@ -105,6 +105,7 @@ class NodeletProxy(Closable):
             reconfigurations=self._reconfigurations,
             callback_errors=context.callback_errors,
             ports=tuple(port.statistics() for port in list(self._ports.values())),
+            recent_error=context.recent_error(),
         )
 
     # For the handle

@@ -10,10 +10,11 @@ NAME``, ``NODE: claim ID TAG`` and ``NODE: host NAME``, with the manager's node 
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Callable, Iterable, Mapping, Sequence
+from typing import Callable, Iterable, Mapping, NamedTuple, Sequence
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from dyknow_msgs.msg import NodeletCounts, Port
 
 import dyknow
 from dyknow.model.graph import Model, NodeletStatus, State
@@ -32,6 +33,27 @@ _OF_NODELETS = {
 _OF_CLAIMS = {ClaimState.ACTIVE: _OK, ClaimState.FAILED: _ERROR}
 
 
+class Counted(NamedTuple):
+    """What was counted of a nodelet.
+
+    Attributes:
+        dropped: messages that its in-ports have dropped.
+        errors: callbacks that have raised.
+        recent_error: the last of these errors, if that was lately.
+        lately: messages that were dropped since the last diagnostics.
+    """
+
+    dropped: int
+    errors: int = 0
+    recent_error: str = ""
+    lately: int = 0
+
+    @classmethod
+    def of(cls, counts: NodeletCounts) -> Counted:
+        dropped = sum(each.dropped for each in counts.ports if each.direction == Port.IN)
+        return cls(dropped, counts.callback_errors, counts.recent_error)
+
+
 class DiagnosticsTopic:
     """Publishes the diagnostics once a second, while there are subscribers."""
 
@@ -40,7 +62,7 @@ class DiagnosticsTopic:
         model: Callable[[], Model],
         claims: Callable[[], Iterable[StreamStatus]],
         trouble: Callable[[], str],
-        dropped: Callable[[], Mapping[str, int]],
+        count: Callable[[], Iterable[NodeletCounts]],
         hosts: Callable[[], tuple[Sequence[HostStatus], float]] = lambda: ((), 0.0),
     ) -> None:
         """Advertise the topic.
@@ -49,13 +71,13 @@ class DiagnosticsTopic:
             model: returns the model of this moment.
             claims: returns the claims.
             trouble: returns why changes are not on disk; empty if they are.
-            dropped: counts the messages that in-ports dropped, by nodelet.
+            count: counts the messages and errors of nodelets.
             hosts: returns the hosts, and the seconds by which their clocks may differ.
         """
         self._model = model
         self._claims = claims
         self._trouble = trouble
-        self._count_dropped = dropped
+        self._count = count
         self._hosts = hosts
         self._dropped: Mapping[str, int] = {}
         self._publisher = rospy.Publisher(TOPIC, DiagnosticArray, queue_size=1)
@@ -65,13 +87,17 @@ class DiagnosticsTopic:
         """Publish the present diagnostics; returns the seconds until the next."""
         if self._publisher.get_num_connections():
             node = rospy.get_name().lstrip("/")
-            before, self._dropped = self._dropped, self._count_dropped()
-            drops = {
-                name: (count, count - before.get(name, count))
-                for name, count in self._dropped.items()
+            counted = {each.nodelet: Counted.of(each) for each in self._count()}
+            before, self._dropped = (
+                self._dropped,
+                {name: each.dropped for name, each in counted.items()},
+            )
+            counted = {
+                name: each._replace(lately=each.dropped - before.get(name, each.dropped))
+                for name, each in counted.items()
             }
             claims, trouble = list(self._claims()), self._trouble()
-            found = statuses(node, self._model(), claims, trouble, drops, *self._hosts())
+            found = statuses(node, self._model(), claims, trouble, counted, *self._hosts())
             array = DiagnosticArray(status=found)
             array.header.stamp = rospy.Time.now()
             self._publisher.publish(array)
@@ -83,13 +109,12 @@ def statuses(
     model: Model,
     claims: Sequence[StreamStatus],
     trouble: str,
-    drops: Mapping[str, tuple[int, int]] = MappingProxyType({}),
+    counted: Mapping[str, Counted] = MappingProxyType({}),
     hosts: Sequence[HostStatus] = (),
     max_offset: float = 0.0,
 ) -> list[DiagnosticStatus]:
     """Describe the manager, each nodelet, each claim that has not ended, and each host.
 
-    ``drops`` has the messages that in-ports of a nodelet have dropped in all, and just now;
     ``max_offset`` is the number of seconds by which the clocks of the hosts may differ.
     """
     claims = [each for each in claims if not each.state.ended]
@@ -102,15 +127,13 @@ def statuses(
     }
     return [
         _status(f"{node}: manager", _WARN if trouble else _OK, trouble or "answers", node, values),
-        *(_of_nodelet(node, each, drops.get(each.name)) for each in model.nodelets),
+        *(_of_nodelet(node, each, counted.get(each.name)) for each in model.nodelets),
         *(_of_claim(node, each) for each in claims),
         *(_of_host(node, each, max_offset) for each in hosts),
     ]
 
 
-def _of_nodelet(
-    node: str, nodelet: NodeletStatus, drops: tuple[int, int] | None
-) -> DiagnosticStatus:
+def _of_nodelet(node: str, nodelet: NodeletStatus, counted: Counted | None) -> DiagnosticStatus:
     level = _OF_NODELETS[nodelet.state]
     values = {
         "state": nodelet.state.name,
@@ -118,12 +141,15 @@ def _of_nodelet(
         "transformation": nodelet.transformation,
         "node": nodelet.node,
         "host": nodelet.host,
+        "owner": nodelet.owner,
         **{f"port {name}": topic for name, topic in nodelet.connections.items()},
     }
     details = [nodelet.detail] if nodelet.detail else []
-    if drops is not None:
-        values["dropped"] = str(drops[0])
-        details += [f"dropped {drops[1]} messages"] if drops[1] > 0 else []
+    if counted is not None:
+        values["dropped"] = str(counted.dropped)
+        values["callback errors"] = str(counted.errors)
+        details += [f"dropped {counted.lately} messages"] if counted.lately > 0 else []
+        details += [counted.recent_error] if counted.recent_error else []
     level = max(level, _WARN) if details else level
     message = "; ".join(details) or nodelet.state.name.lower()
     return _status(f"{node}: nodelet {nodelet.name}", level, message, nodelet.host, values)

@@ -196,7 +196,7 @@ class ManagerNode(Closable):
             self.manager.graph_model,
             lambda: map(self._answers.status, self._reconciler.claims()),
             lambda: self._store.trouble or self._store.complaint,
-            self._counts.dropped,
+            self._counts.latest,
             lambda: (self.manager.hosts(), self._settings.max_clock_offset),
         )
         self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)

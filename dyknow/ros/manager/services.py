@@ -367,14 +367,11 @@ class CountsTopic:
             self._publisher.publish(msg.Counts(self._latest[1]))
         return _COUNTS_PERIOD
 
-    def dropped(self) -> dict[str, int]:
-        """Count the messages that in-ports have dropped, by nodelet, unless that was just done."""
+    def latest(self) -> list[msg.NodeletCounts]:
+        """Count the messages of all nodelets, unless that was just done."""
         if time.monotonic() - self._latest[0] >= _COUNTS_PERIOD:
             self._latest = time.monotonic(), self._count()
-        return {
-            each.nodelet: sum(p.dropped for p in each.ports if p.direction == msg.Port.IN)
-            for each in self._latest[1]
-        }
+        return self._latest[1]
 
 
 class EventTopic:

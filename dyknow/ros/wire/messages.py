@@ -236,7 +236,10 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
         )
         for each in sorted(statistics.ports, key=lambda each: each.port)
     ]
-    return _message(msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports)
+    errors = statistics.callback_errors or 0
+    return _message(
+        msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports, callback_errors=errors
+    )
 
 
 def counts_from(message: msg.Counts) -> tuple[NodeletCount, ...]:

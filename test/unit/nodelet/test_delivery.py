@@ -237,3 +237,16 @@ def test_the_same_error_is_logged_once_a_second_with_the_number_of_repetitions(c
     context.failed("'in'", ValueError("same"))
     assert "999 times more" in caplog.records[0].getMessage()
     assert "ValueError: same" in caplog.records[0].getMessage()
+
+
+def test_the_last_error_is_reported_for_a_while():
+    clock = FakeClock()
+    context = World(clock=clock).context("/n")
+    assert context.recent_error() == ""
+    context.failed("'in'", ValueError("first"))
+    context.failed("'in'", KeyError("last"))
+    clock.seconds += 29.0
+    assert context.recent_error() == "'in': KeyError: 'last'"
+    clock.seconds += 2.0
+    assert context.recent_error() == ""
+    assert context.callback_errors == 2

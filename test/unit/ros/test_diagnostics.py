@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow.model.hosts import HostStatus
 from dyknow.model.streams import ClaimState, StreamStatus
-from dyknow.ros.manager.diagnostics import statuses
+from dyknow.ros.manager.diagnostics import Counted, statuses
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "diagnostics.yaml"
@@ -74,12 +74,18 @@ def test_nodelets(state, detail, level):
 
 
 @pytest.mark.parametrize(
-    ("drops", "level", "message"),
-    [((7, 0), OK, "running"), ((7, 2), WARN, "dropped 2 messages")],
+    ("counted", "level", "message"),
+    [
+        (Counted(7), OK, "running"),
+        (Counted(7, lately=2), WARN, "dropped 2 messages"),
+        (Counted(7, 3), OK, "running"),
+        (Counted(7, 3, "in-port 'in': KeyError: 'x'"), WARN, "in-port 'in': KeyError: 'x'"),
+    ],
 )
-def test_drops_warn_while_they_grow(drops, level, message):
-    found = statuses("manager", Model(1, 1, (NODELET,)), [], "", {"/camera": drops})[1]
+def test_drops_warn_while_they_grow_and_errors_for_a_while(counted, level, message):
+    found = statuses("manager", Model(1, 1, (NODELET,)), [], "", {"/camera": counted})[1]
     assert (found.level, found.message, values(found)["dropped"]) == (level, message, "7")
+    assert values(found)["callback errors"] == str(counted.errors)
 
 
 @pytest.mark.parametrize("state", list(ClaimState))
