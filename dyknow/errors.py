@@ -16,6 +16,7 @@ expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     ├── NodeletError
     │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
     │   ├── LoadFailed, ScriptEnded, UnloadedMeanwhile, SpawnFailed, RestartFailed
+    │   ├── CannotMove, MoveFailed
     │   └── Busy, Protected, ProtectedFromUnloading
     ├── PortError
     │   └── UnknownPort, DuplicatePort, PortConflict, InvalidConfiguration
@@ -351,6 +352,26 @@ class RestartFailed(NodeletError):
         self.is_back = is_back
         now = "it runs as its former specification says" if is_back else "it is tried again"
         super().__init__(name, f"'{name}' did not come up again: {reason}; {now}")
+
+
+class CannotMove(NodeletError):
+    """A nodelet stays in its nodelet manager, where it runs on."""
+
+    def __init__(self, name: str, reason: object) -> None:
+        super().__init__(name, f"'{name}' is not moved: {reason}")
+
+
+class MoveFailed(NodeletError):
+    """A nodelet did not come up in another nodelet manager, after it was unloaded from its own.
+
+    Attributes:
+        is_back: whether it runs in its own again.
+    """
+
+    def __init__(self, name: str, manager: str, reason: object, is_back: bool) -> None:
+        self.is_back = is_back
+        now = "it runs where it was again" if is_back else "it is tried again"
+        super().__init__(name, f"'{name}' did not come up in {manager}: {reason}; {now}")
 
 
 class Busy(NodeletError):

@@ -20,6 +20,7 @@ A switch (``rewire``) goes through four steps:
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import dataclass, field
 from typing import Any, Callable, Mapping, Sequence, Union
@@ -28,6 +29,7 @@ from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection, Fence, Publication, Subscription
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
+from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Clock
 from dyknow.periodic import in_background
 
@@ -105,6 +107,7 @@ class Bus:
         self._lock = state_lock("bus")
         self._topics: dict[str, _Topic] = {}
         self._making: list[_Part] = []
+        self._parked: list[_Part] = []
         self._leaving: list[tuple[Endpoint, OutsidePublisher]] = []
         self._patient_from = clock()
         self._fences: Mapping[str, Fence] = {}
@@ -198,6 +201,69 @@ class Bus:
             if registration is not None:
                 registration.close()
 
+    # What comes for a nodelet that is about to be loaded
+
+    def park(
+        self,
+        links: Sequence[ParkedConnection],
+        publications: Sequence[tuple[Publication, str]],
+        patience: float,
+    ) -> list[str]:
+        """Hold connections, and registrations of publications, for a nodelet that is to come.
+
+        When a subscription of the same owner and type is connected to the topic of a connection,
+        it takes that over with all that has come; ``unpark`` withdraws the rest.
+
+        Args:
+            links: subscriptions with their topics; each has its owner.
+            publications: publications with their topics.
+            patience: seconds to wait, in all, for peers outside.
+
+        Returns:
+            Addresses of publishers that do not send to this process yet; then nothing is parked.
+
+        Raises:
+            as ``rewire``.
+        """
+        parts = [_Part(link.subscription, link.topic, link) for link in links]
+        parts += [_Part(publication, topic) for publication, topic in publications]
+        for part in parts:
+            if self._check_topic is not None:
+                self._check_topic(part.topic)
+        deadline = self._clock() + patience
+        missing: list[str] = []
+        try:
+            with self._lock:
+                for part in parts:
+                    topic = self._topic(part.topic, part.endpoint.datatype)
+                    if part.link is not None:
+                        self._link(topic, part.link)
+            for part in parts:
+                self._register(part)
+            for part in parts:
+                seconds = max(0.0, deadline - self._clock())
+                if part.link is None:
+                    part.registration.wait(seconds)
+                else:  # each publisher is waited for, also when the first has sent
+                    part.registration.wait(threading.Event().wait, seconds)
+                    missing += part.registration.missing()
+        except BaseException:
+            self._undo(parts)
+            raise
+        if missing:
+            self._undo(parts)
+        else:
+            with self._lock:
+                self._parked += parts
+        return missing
+
+    def unpark(self, owner: str) -> None:
+        """Withdraw what is still parked for a nodelet."""
+        with self._lock:
+            left = [part for part in self._parked if part.endpoint.owner == owner]
+            self._parked = [part for part in self._parked if part not in left]
+        self._undo(left)
+
     # The steps of a switch.
 
     def _make(self, parts: list[_Part], deadline: float) -> None:
@@ -209,13 +275,15 @@ class Bus:
                 if part.is_publication:
                     part.is_late = bool(topic.route)
                     continue
+                parked = self._claim(part)
+                if parked is not None:
+                    part.link, part.registration = parked.link, parked.registration
+                    continue
                 part.is_late = bool(topic.publications)
                 part.link = Connection(part.endpoint, part.topic)
-                topic.route += (part.link,)
-                for publication in topic.publications:
-                    publication.reroute(topic.route, newcomers=(part.link,))
+                self._link(topic, part.link)
             self._making += parts
-        early = [part for part in parts if part.topic and not part.is_late]
+        early = [p for p in parts if p.topic and not (p.is_late or p.registration)]
         for part in early:
             self._register(part)
             part.check_open()  # a concurrent release() may have missed this registration
@@ -367,6 +435,21 @@ class Bus:
         elif datatype._md5sum not in ("*", topic.datatype._md5sum):
             raise TypeMismatch(name, datatype._type, topic.datatype._type)
         return topic
+
+    def _claim(self, part: _Part) -> _Part | None:
+        """Take over a connection that is parked for the subscription of a part."""
+        for parked in self._parked:
+            link = parked.link
+            if isinstance(link, ParkedConnection) and link.adopt(part.endpoint, part.topic):
+                self._parked.remove(parked)
+                return parked
+        return None
+
+    @staticmethod
+    def _link(topic: _Topic, link: Connection) -> None:
+        topic.route += (link,)
+        for publication in topic.publications:
+            publication.reroute(topic.route, newcomers=(link,))
 
     def _forget(self, name: str) -> None:
         # An end has left: the topic may be gone, or have only ends of any type now.

@@ -289,6 +289,23 @@ class Context:
                 self.close_with(opened)
         return part
 
+    def endpoints(self) -> list[Endpoint]:
+        """Return its publications and subscriptions, of ports and of plain handles."""
+        with self._lock:
+            return list(self._endpoints)
+
+    def is_busy(self) -> bool:
+        """Whether a callback of it runs or is queued."""
+        with self._lock:
+            return any(strand.busy for strand in self._strands)
+
+    def busy(self) -> float:
+        """Seconds that its present subscriptions and timers have spent in callbacks so far."""
+        with self._lock:
+            ends = [each for each in self._endpoints if isinstance(each, Subscription)]
+            timers = list(self._timers)
+        return sum(each.traffic.busy for each in ends) + sum(each.busy for each in timers)
+
     def callback_age(self) -> float:
         """Seconds for which the oldest running callback has been running; 0.0 if none runs."""
         with self._lock:

@@ -27,7 +27,9 @@ NOTHING: Any = object()
 _STRETCH = 32
 #: Shorter silences are none; a longer one is if it is also longer than some messages took.
 _PAUSE, _OVERDUE = 2.0, 3
-_HELD, _OPEN, _CLOSED = "held", "open", "closed"
+#: Messages that are kept at most of a nodelet that is moved to another process, for each in-port.
+MOST_KEPT = 1000
+_HELD, _OPEN, _NOTED, _CLOSED = "held", "open", "noted", "closed"
 
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
 
@@ -99,11 +101,14 @@ class Traffic:
 class Connection:
     """One subscription's link to one topic.
 
-    Held, it collects messages; open, it delivers them on the strand; closed, it takes no more.
-    It is itself the task that delivers its oldest message: nothing else is touched on the way.
+    Held, it collects messages; open, it delivers them on the strand; noted, it delivers them and
+    keeps what it was given; closed, it takes no more. It is itself the task that delivers its
+    oldest message: nothing else is touched on the way.
     """
 
-    __slots__ = tuple("_arrived _limit _queue _state _strand outside subscription topic".split())
+    __slots__ = tuple(
+        "_arrived _limit _noted _queue _state _strand outside subscription topic".split()
+    )
 
     def __init__(self, subscription: Subscription, topic: str) -> None:
         self.topic = topic
@@ -114,6 +119,8 @@ class Connection:
         self._state = _HELD
         self._strand = subscription.strand
         self._arrived: threading.Event | None = None
+        #: Messages that it was given while it is noted, each with its time.
+        self._noted: collections.deque[tuple[float, Any]] = collections.deque(maxlen=MOST_KEPT)
 
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
@@ -121,14 +128,18 @@ class Connection:
             self.push_locked(message)
 
     def push_locked(self, message: Any) -> None:
-        if self._state is _CLOSED:
-            return
+        state = self._state
+        if state is not _OPEN:
+            if state is _CLOSED:
+                return
+            if state is _NOTED:
+                self._noted.append((self._strand.clock(), message))
         queue = self._queue
         queue.append(message)
         if len(queue) - 1 == self._limit:
             queue.popleft()
             self.subscription.traffic.dropped += 1
-        elif self._state is _OPEN:
+        elif state is not _HELD:
             strand = self._strand
             if strand.alive:  # as post_locked, without its call
                 strand._tasks.append(self)
@@ -167,6 +178,20 @@ class Connection:
                 self._state = _OPEN
                 for _ in self._queue:
                     self._strand.post_locked(self)
+
+    def note(self, is_noted: bool) -> None:
+        """Begin or cease to note what is given to an open connection."""
+        with message_lock:
+            if self._state in (_OPEN, _NOTED):
+                self._noted.clear()
+                self._state = _NOTED if is_noted else _OPEN
+
+    def take(self) -> tuple[list[tuple[float, Any]], list[Any]]:
+        """Return what it was given since ``note``, and take what it has yet to deliver."""
+        with message_lock:
+            waiting = list(self._queue)
+            self._queue.clear()
+            return list(self._noted), waiting
 
     def close(self, discard: bool) -> None:
         """Take no more; queued messages are still delivered unless they are to be discarded."""

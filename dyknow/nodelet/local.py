@@ -9,11 +9,14 @@ Its time is set by hand, its "outside" are lists that a test reads.
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from dataclasses import dataclass, field
 from typing import Any, Callable, Sequence
 
 from dyknow.locks import assert_no_state_lock, state_condition
 from dyknow.nodelet.middleware import (
+    DIGEST_SIZE,
     Closable,
     Codec,
     Handler,
@@ -238,6 +241,15 @@ class LocalTransport(Transport):
 
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         return self.codecs.get(parameter("image_transport", "")) if self.codecs else None
+
+    def digest(self, message: Any) -> bytes:
+        return hashlib.blake2b(repr(message).encode(), digest_size=DIGEST_SIZE).digest()
+
+    def pack(self, message: Any) -> bytes:
+        return pickle.dumps(message)
+
+    def unpack(self, datatype: Any, content: bytes) -> Any:
+        return pickle.loads(content)
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message from its fields; one that is a message already passes."""

@@ -28,6 +28,8 @@ Parameter = Callable[[str, Any], Any]
 
 #: Stands for all subscribers of this process: among the peers of a publication they are one.
 HERE: Any = object()
+#: Bytes of the digest of a message.
+DIGEST_SIZE = 16
 
 
 class Closable(ABC):
@@ -119,6 +121,10 @@ class OutsideSubscriber(Closable):
         ``arrived`` waits at most so many seconds for a first message, and returns if it came.
         """
 
+    def missing(self) -> list[str]:
+        """Addresses of publishers that answer, and did not send to us when ``wait`` ended."""
+        return []
+
     @abstractmethod
     def drain(self, seconds: float) -> None:
         """Drain the sockets, then stop reading; give up after ``seconds``."""
@@ -155,6 +161,18 @@ class Transport(ABC):
     @abstractmethod
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message of the arguments of ``publish``, with rospy's rules and errors."""
+
+    @abstractmethod
+    def digest(self, message: Any) -> bytes:
+        """Return ``DIGEST_SIZE`` bytes, the same in each process that receives the message."""
+
+    @abstractmethod
+    def pack(self, message: Any) -> bytes:
+        """Serialise a message."""
+
+    @abstractmethod
+    def unpack(self, datatype: Any, content: bytes) -> Any:
+        """Return the message that ``pack`` serialised."""
 
     def age_of(self, message: Any) -> float | None:
         """Seconds since the time stamp of a message, None without one; quick, raises nothing."""

@@ -54,6 +54,8 @@ class Timer:
         self._done = False
         self._last: Any = None
         self._took: float | None = None
+        #: Seconds of steady time that its callbacks took.
+        self.busy = 0.0
 
     def is_alive(self) -> bool:
         """Whether it will call back again."""
@@ -76,6 +78,7 @@ class Timer:
             return
         ticker = self._queue.ticker
         start = ticker.now()
+        began = self.strand.clock()
         event = ticker.event(self._last, due, start, self._took)
         self._last = event
         callback = self._callback
@@ -87,6 +90,7 @@ class Timer:
         except BaseException as error:  # the boundary, as for subscriptions
             self._failed(error)
         self._took = ticker.now() - start
+        self.busy += self.strand.clock() - began
 
     def _let_go(self) -> None:
         """Drop the callback at the end: it refers to the nodelet, and mostly that to the timer."""

@@ -10,26 +10,37 @@ messages have. They are converted here for its other users.
 from __future__ import annotations
 
 import copy
+import hashlib
 from io import BytesIO
 from typing import Any
 
 import genpy
 import rospy
 
-from dyknow.nodelet.middleware import Receive
+from dyknow.nodelet.middleware import DIGEST_SIZE, Receive
 
 _FLAT = (int, float, str, bytes)
 
 
-def _bytes(message: Any) -> bytes:
+def packed(message: Any) -> bytes:
+    """Serialise a message."""
     buffer = BytesIO()
     message.serialize(buffer)
     return buffer.getvalue()
 
 
+def digest(message: Any) -> bytes:
+    """Digest of a message; the sequence number, which rospy changes, does not count."""
+    if getattr(message.__class__, "_has_header", False):
+        message = shallow_copy(message)
+        message.header = shallow_copy(message.header)
+        message.header.seq = 0
+    return hashlib.blake2b(packed(message), digest_size=DIGEST_SIZE).digest()
+
+
 def copy_by_wire(message: Any) -> Any:
     """Copy a message the way the network does."""
-    return message.__class__().deserialize(_bytes(message))
+    return message.__class__().deserialize(packed(message))
 
 
 def copy_of(message: Any, datatype: Any = None) -> Any:
@@ -45,7 +56,7 @@ def copy_of(message: Any, datatype: Any = None) -> Any:
     if datatype in (None, message.__class__):
         new = _copied(message)
     else:
-        new = datatype().deserialize(_bytes(message))
+        new = datatype().deserialize(packed(message))
     header = getattr(message, "_connection_header", None)
     if header is not None:
         new._connection_header = header
@@ -88,7 +99,7 @@ def connection_header(datatype: Any, latching: bool) -> dict[str, str]:
 def serialised(any_class: Any, message: Any, header: dict[str, str] | None = None) -> Any:
     """Convert a message of this process to one of any type."""
     wrapped = any_class()
-    wrapped._buff = _bytes(message)
+    wrapped._buff = packed(message)
     wrapped._connection_header = header or connection_header(message, False)
     return wrapped
 

@@ -28,7 +28,7 @@ from dyknow.nodelet.middleware import (
 )
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros.transport import images
-from dyknow.ros.transport.conversions import serialised
+from dyknow.ros.transport.conversions import digest, packed, serialised
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
@@ -97,6 +97,15 @@ class RospyTransport(Transport):
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+
+    def digest(self, message: Any) -> bytes:
+        return digest(message)
+
+    def pack(self, message: Any) -> bytes:
+        return packed(message)
+
+    def unpack(self, datatype: Any, content: bytes) -> Any:
+        return datatype().deserialize(content)
 
     def age_of(self, message: Any) -> float | None:
         return ages.age_of(message)

@@ -29,6 +29,8 @@ from dyknow.ros.wire.master import Master
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100
 _STEP = 0.002
+#: Seconds for an answer of a publisher that has not connected in time.
+_PROBE = 0.3
 
 
 def _unremapped(topic: str) -> str:
@@ -209,6 +211,7 @@ class RospySubscriber(OutsideSubscriber):
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
         self._expected = registrar.publishers(topic)
+        self._missing: frozenset[str] = frozenset()
 
     def publishers(self) -> int:
         return len(self._implementation.connections or ())
@@ -228,6 +231,10 @@ class RospySubscriber(OutsideSubscriber):
                 return
         while expected and not arrived(_STEP) and time.monotonic() < deadline:
             expected = frozenset(each for each in expected if not self._is_served(each, deadline))
+        self._missing = expected
+
+    def missing(self) -> list[str]:
+        return sorted(filter(_is_alive, self._missing))
 
     def _is_served(self, publisher: str, deadline: float) -> bool:
         """Whether a publisher has us among its connections; False if it does not say so in time.
@@ -274,6 +281,14 @@ def _publishers(topic: str) -> frozenset[str]:
     name = rospy.get_name()
     master = Master(name)
     return frozenset(map(master.node, master.publishers(topic) - {name})) - {""}
+
+
+def _is_alive(uri: str) -> bool:
+    """Whether a node answers at an address; the master lists also those that crashed."""
+    try:
+        return bool(Master(rospy.get_name()).pid(f"at {uri}", uri, _PROBE))
+    except (PeerTimeout, LookupError):
+        return False
 
 
 def _unread(connection: Any) -> int:

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The connection that waits for a nodelet which moves here from another process.
+
+It is connected while the nodelet still runs there, so both are sent the same messages. The other
+process tells which of them the nodelet was given; these are left out here, even if they come late.
+"""
+
+from __future__ import annotations
+
+import collections
+import functools
+from typing import Any, Callable, Counter, Sequence
+
+from dyknow.nodelet.endpoints import Connection, Subscription
+from dyknow.nodelet.scheduler import message_lock
+
+#: Seconds for which a message may be late here that the other process had received.
+LATENESS = 3.0
+#: Seconds by which a message may come earlier there than here, at most.
+_SKEW = 0.02
+
+
+class ParkedConnection(Connection):
+    """Holds messages for a subscription that is made later, whatever its queue has room for.
+
+    Args:
+        subscription: of the owner and the type of the one that will take it over.
+        topic: where it is connected.
+        digest: returns the bytes by which a message is known in both processes.
+    """
+
+    __slots__ = ("_began", "_digest", "_due", "_until")
+
+    def __init__(
+        self, subscription: Subscription, topic: str, digest: Callable[[Any], bytes]
+    ) -> None:
+        super().__init__(subscription, topic)
+        self._digest = digest
+        #: When its first message came; 0 before.
+        self._began = 0.0
+        #: How often each message is yet to be left out, until a moment.
+        self._due: Counter[bytes] = collections.Counter()
+        self._until = 0.0
+
+    def adopt(self, subscription: Subscription, topic: str) -> bool:
+        """Go over to a subscription if it is the one; returns whether it is."""
+        own = self.subscription
+        if (own.owner, own.datatype, self.topic) != (
+            subscription.owner,
+            subscription.datatype,
+            topic,
+        ):
+            return False
+        with message_lock:
+            self.subscription, self._strand = subscription, subscription.strand
+        return True
+
+    def push(self, message: Any) -> None:
+        """Take a message from outside, unless the nodelet was given it already."""
+        if not (self._due and self._is_due(message)):
+            super().push(message)
+
+    def push_locked(self, message: Any) -> None:
+        if not self._began:
+            self._began = self._strand.clock()
+        super().push_locked(message)
+
+    def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> None:
+        """Leave out what the nodelet was given in the other process, but for what waited there.
+
+        Where messages are equal byte for byte, those that came before the first one here do not
+        count. Of a latched topic the last message stays: the new instance needs it.
+
+        Args:
+            given: digests with their times of arrival, by the same clock as here.
+            waiting: messages of the nodelet that come before all others.
+        """
+        often = collections.Counter(digest for _, digest in given)
+        with message_lock:
+            since = self._began - _SKEW
+            self._until = self._strand.clock() + LATENESS
+            self._due = collections.Counter(
+                digest for time, digest in given if often[digest] == 1 or time >= since
+            )
+            held = list(self._queue)
+            self._queue.clear()
+        kept = [each for each in held if not self._is_due(each)]
+        if held and not waiting and _is_latched(held[-1]) and held[-1] is not (kept or [None])[-1]:
+            kept.append(held[-1])
+        with message_lock:  # before what has come meanwhile
+            self._queue.extendleft(reversed([*waiting, *kept]))
+
+    def open(self) -> None:
+        """Deliver all that it holds; until then the queue has room for that too."""
+        limit = self.subscription.queue_size or -1
+        with message_lock:
+            self._limit = limit + len(self._queue) if limit > 0 else limit
+            super().open()
+            if limit > 0:
+                self._strand.post_locked(functools.partial(self._limit_to, limit))
+
+    def _limit_to(self, limit: int) -> None:
+        with message_lock:
+            self._limit = limit
+            while len(self._queue) > limit:
+                self._queue.popleft()
+                self.subscription.traffic.dropped += 1
+
+    def _is_due(self, message: Any) -> bool:
+        """Whether a message is to be left out, once for each time that it was given."""
+        if self._strand.clock() > self._until:
+            self._due = collections.Counter()
+            return False
+        digest = self._digest(message)
+        with message_lock:
+            if self._due[digest] < 1:
+                return False
+            self._due[digest] -= 1
+            return True
+
+
+def _is_latched(message: Any) -> bool:
+    """Whether rospy received a message from a publisher that latches."""
+    header = getattr(message, "_connection_header", None) or {}
+    return bool(header.get("latching") == "1")

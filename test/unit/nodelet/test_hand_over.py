@@ -1,0 +1,326 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A nodelet that moves to another process receives each message once, in order."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from contextlib import contextmanager
+from typing import ClassVar
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
+
+import dyknow
+from dyknow.errors import CannotMove, UnknownNodelet
+from dyknow.nodelet import hand_over
+from dyknow.nodelet.hand_over import HandOvers
+from dyknow.nodelet.parked import LATENESS
+from dyknow.nodelet.scheduler import ManualExecutor
+
+NAME = "/moving"
+WIRING = {"/in": "/t", "/out": "/o"}
+TYPES = {"test/Message": Message}
+
+
+class Latched(Message):
+    """A message that rospy has received from a publisher that latches."""
+
+    _connection_header = {"latching": "1"}
+
+
+@pytest.fixture(autouse=True)
+def no_move_is_left():
+    yield
+    while Place.made:
+        Place.made.pop().moves.close()
+
+
+class Place:
+    """A process: a world, its loader with the type ``Moving``, and its moves."""
+
+    made: ClassVar[list[Place]] = []
+
+    def __init__(self, world, received, size=None):
+        self.made.append(self)
+
+        class Moving(dyknow.Nodelet):
+            def on_init(self):
+                handle = dyknow.NodeHandle(self.node_handle)
+                self.out = handle.Publisher("out", Message, queue_size=1)
+                handle.Subscriber("in", Message, self.on_message, queue_size=size)
+                self.node_handle.Subscriber("/plain", Message, self.on_message)
+
+            def on_message(self, message):
+                received.append(message.number)
+                self.out.publish(message)
+
+        self.world = world
+        self.loader = world.loader(Moving=Moving)
+        self.moves = HandOvers(self.loader, TYPES.get, self.loader.unload)
+        self.on_the_way = deque()
+        world.transport.on_made = self._made
+
+    def _made(self, registration):
+        if registration.topic == "/t":
+            registration.drain = lambda seconds: self.arrive(len(self.on_the_way))
+
+    def arrive(self, count):
+        """Receive what is on the way from publishers outside."""
+        for _ in range(min(count, len(self.on_the_way))):
+            self.send(self.on_the_way.popleft())
+
+    def load(self):
+        self.loader.load(NAME, "Moving", WIRING)
+
+    def send(self, number, topic="/t", kind=Message):
+        """A message comes from outside."""
+        self.world.transport.send(topic, kind(number))
+
+    @property
+    def hears(self):
+        return ("subscriber", "/t") in self.world.registrations
+
+
+@contextmanager
+def places(clock, received, size=None):
+    """Two processes with threads, the first of which has the nodelet."""
+    worlds = [make_pool_world(1, clock=clock) for _ in range(2)]
+    try:
+        pair = [Place(world, received, size) for world in worlds]
+        pair[0].load()
+        yield pair
+    finally:
+        for world in worlds:
+            world.close()
+
+
+def steps(old, new):
+    """The move, step by step."""
+    topics = old.moves.note(NAME)
+    yield
+    new.moves.park(NAME, topics)
+    yield
+    topics = old.moves.give(NAME)
+    old.moves.end(NAME)
+    yield
+    new.moves.take(NAME, topics)
+    yield
+    new.load()
+    yield
+    new.moves.end(NAME)
+
+
+@given(schedule=st.lists(st.sampled_from("pppooonnns"), max_size=60))
+def test_each_message_is_received_once_in_order_whenever_it_arrives(schedule):
+    clock, received, published = FakeClock(), [], 0
+    with places(clock, received) as (old, new):
+        move = steps(old, new)
+        for what in [*schedule, *"pssspssonpo"]:
+            clock.seconds += 0.03
+            if what == "p":
+                for place in (old, new):
+                    if place.hears:  # a publisher sends to those that are connected
+                        place.on_the_way.append(published)
+                published += 1
+            elif what == "s":
+                next(move, None)
+            else:
+                (old if what == "o" else new).arrive(1)
+        new.arrive(len(new.on_the_way))
+        new.world.drain()
+        assert received == list(range(published))
+        assert old.world.registrations == []
+
+
+def test_the_ends_and_the_places_of_a_move():
+    received = []
+    with places(FakeClock(), received) as (old, new):
+        topics = old.moves.note(NAME)
+        assert sorted((each.topic, each.direction) for each in topics) == [
+            ("/o", "out"),
+            ("/plain", "in"),
+            ("/t", "in"),
+        ]
+        new.moves.park(NAME, topics)
+        assert new.world.registrations == old.world.registrations
+        old.send(1)
+        new.send(1)
+        new.send(2, "/plain")
+        new.moves.take(NAME, old.moves.give(NAME))
+        assert old.loader.list() == []
+        new.load()
+        new.moves.end(NAME)
+        new.world.drain()
+        assert received == [1, 2]
+        assert len(new.world.registrations) == 3
+        new.loader.unload(NAME)
+        assert new.world.registrations == []
+
+
+def parked(size=None, clock=None):
+    """A place where the nodelet is parked, without threads, and what it receives."""
+    received = []
+    world = World(ManualExecutor(clock or FakeClock()))
+    with places(world.executor.clock, []) as (old, _):
+        topics = old.moves.note(NAME)
+    place = Place(world, received, size)
+    place.moves.park(NAME, topics)
+    return place, topics, received
+
+
+def given_in(place, topics, times, kind=Message):
+    """The ends of a nodelet that was given these numbers, each with its time, on /t."""
+    digest = place.world.transport.digest
+    found = []
+    for each in topics:
+        noted = [(time, digest(kind(n))) for time, n in times] if each.topic == "/t" else []
+        found.append(type(each)(each.topic, each.datatype, each.direction, tuple(noted)))
+    return found
+
+
+def finish(place, topics):
+    place.moves.take(NAME, topics)
+    place.load()
+    place.moves.end(NAME)
+    place.world.drain()
+
+
+def test_what_waits_is_all_delivered_and_then_the_queue_has_its_limit():
+    place, topics, received = parked(size=2)
+    for number in range(5):
+        place.send(number)
+    place.moves.take(NAME, topics)
+    place.load()
+    place.world.drain()
+    assert received == list(range(5))
+    for number in range(5, 10):
+        place.send(number)
+    place.world.drain()
+    assert received == [*range(5), 8, 9]
+
+
+def test_what_comes_while_the_rest_waits_has_room_beside_it():
+    place, topics, received = parked(size=2)
+    for number in range(5):
+        place.send(number)
+    place.moves.take(NAME, topics)
+    place.load()
+    for number in range(5, 10):
+        place.send(number)
+    place.world.drain()
+    assert received == list(range(3, 10))
+
+
+def test_equal_messages_are_counted_from_the_first_that_came_here():
+    clock = FakeClock()
+    place, topics, received = parked(clock=clock)
+    clock.seconds = 110.0
+    for _ in range(4):
+        place.send(7)
+    finish(place, given_in(place, topics, [(109.0, 7), (109.5, 7), (110.0, 7), (110.0, 7)]))
+    assert received == [7, 7]
+
+
+def test_late_messages_are_left_out_for_some_seconds_only():
+    clock = FakeClock()
+    place, topics, received = parked(clock=clock)
+    finish(place, given_in(place, topics, [(clock(), 1), (clock(), 2)]))
+    clock.seconds += LATENESS
+    place.send(1)
+    clock.seconds += 0.1
+    place.send(2)
+    place.world.drain()
+    assert received == [2]
+
+
+def test_the_last_message_of_a_latched_topic_comes_again():
+    place, topics, received = parked()
+    for number in range(3):
+        place.send(number, kind=Latched)
+    finish(place, given_in(place, topics, [(100.0, n) for n in range(3)]))
+    assert received == [2]
+
+
+def test_messages_of_this_process_are_kept_too():
+    place, topics, received = parked()
+    publisher = place.world.publisher("/t")
+    for number in range(3):
+        publisher.publish(number)
+    finish(place, given_in(place, topics, [(100.0, 0)]))
+    publisher.publish(3)
+    place.world.drain()
+    assert received == [1, 2, 3]
+
+
+def test_a_move_that_is_given_up_leaves_nothing():
+    with places(FakeClock(), received := []) as (old, new):
+        new.moves.park(NAME, old.moves.note(NAME))
+        new.moves.close()
+        old.moves.close()
+        assert new.world.registrations == []
+        old.send(1)
+        old.world.drain()
+        assert received == [1]
+        with pytest.raises(CannotMove, match="are not kept any more"):
+            new.moves.take(NAME, [])
+        with pytest.raises(CannotMove, match="connected elsewhere meanwhile"):
+            old.moves.give(NAME)
+
+
+def test_one_that_was_connected_elsewhere_meanwhile_stays():
+    with places(FakeClock(), []) as (old, _):
+        old.moves.note(NAME)
+        old.loader.get(NAME).context.attached.set_config([("in", "/elsewhere")])
+        with pytest.raises(CannotMove, match="connected elsewhere meanwhile"):
+            old.moves.give(NAME)
+        assert old.loader.list() == [NAME]
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_what_waits_for_a_busy_nodelet_moves_with_it(monkeypatch, ends):
+    monkeypatch.setattr(hand_over, "LONGEST_END", 10.0 if ends else 0.0)
+    opened, received = threading.Event(), []
+    with places(FakeClock(), received) as (old, new):
+        old.loader.find(NAME).strand.post(opened.wait)
+        for number in range(3):
+            old.send(number)
+        new.moves.park(NAME, old.moves.note(NAME))
+        for number in range(3, 6):
+            old.send(number)
+            new.send(number)
+        if ends:  # once it has been disconnected
+            context, stop = old.loader.find(NAME), old.loader.find(NAME).stop
+            context.stop = lambda: (stop(), opened.set())
+        given = old.moves.give(NAME)
+        opened.set()
+        new.moves.take(NAME, given)
+        new.load()
+        new.world.drain()
+        assert received == list(range(6))
+
+
+def test_unknown_nodelets_and_types_are_refused():
+    with places(FakeClock(), []) as (old, new):
+        with pytest.raises(UnknownNodelet):
+            new.moves.note(NAME)
+        topics = old.moves.note(NAME)
+        renamed = [type(each)(each.topic, "test/Unknown", each.direction) for each in topics]
+        with pytest.raises(CannotMove, match="carries test/Unknown, unknown there"):
+            new.moves.park(NAME, renamed)
+        assert new.world.registrations == []
+
+
+def test_a_publisher_that_does_not_connect_is_named():
+    with places(FakeClock(), []) as (old, new):
+        topics = old.moves.note(NAME)
+        new.world.transport.on_made = lambda made: setattr(
+            made, "missing", lambda: ["http://absent:1"]
+        )
+        with pytest.raises(CannotMove, match="http://absent:1"):
+            new.moves.park(NAME, topics)
+        assert new.world.registrations == []
