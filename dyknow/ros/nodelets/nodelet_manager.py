@@ -37,6 +37,7 @@ from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import TOPIC, Announcer
+from dyknow.ros.nodelets.hand_over_service import HandOverService
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
@@ -158,11 +159,13 @@ class NodeletManager(Closable):
             NodeletLog.install(self._topics_of)
         self._services: list[Any] = []
         self._poll_service: PollService | None = None
+        self._hand_over_service: HandOverService | None = None
 
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~poll``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._offer_poll()
+        self._hand_over_service = HandOverService(self.loader, self._guards, self.unload)
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
@@ -245,6 +248,8 @@ class NodeletManager(Closable):
             service.shutdown("the nodelet manager ends")
         if self._poll_service is not None:
             self._poll_service.close()
+        if self._hand_over_service is not None:
+            self._hand_over_service.close()
         self.loader.close()
         self._stuck.close()
         self._announcer.close()

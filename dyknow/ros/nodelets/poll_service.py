@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 import xmlrpc.client
 from typing import Any, Callable
 
@@ -108,6 +109,8 @@ class PollService(Closable):
             ],
             self._stuck.remains(),
             machine_message(),
+            time.process_time(),
+            [context.busy() for context in contexts],
         )
 
     def _renew(self, request: Any) -> None:

@@ -176,7 +176,7 @@ class SmallManager:
         changes = NodeletChanges(str(self.pid), 1, [], self.kind or "nodelet")
         if request.seen < 1:
             changes.nodelets = [NodeletPorts(name, True, [], "", "") for name in self.nodelets]
-        return PollResponse(1.0, self.nodelets, changes, [], [])
+        return PollResponse(1.0, self.nodelets, changes, [], [], Machine(), 0.0, [])
 
     @staticmethod
     def _read(connection):
