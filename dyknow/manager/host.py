@@ -13,7 +13,9 @@ import builtins
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import (
+    Callable,
     Collection,
+    ContextManager,
     Iterable,
     Mapping,
     Sequence,
@@ -191,6 +193,21 @@ class HeardVerdict:
         return cls(is_true, heard, stamp, why, was_false)
 
 
+@dataclass(frozen=True)
+class Usage:
+    """What a process has used until some moment.
+
+    Attributes:
+        moment: by its own steady clock (s).
+        cpu: seconds of processor time.
+        busy: seconds in callbacks, by nodelet.
+    """
+
+    moment: float
+    cpu: float
+    busy: Mapping[str, float]
+
+
 class Listening(ABC):
     """Counts the messages of one topic until it is closed."""
 
@@ -281,6 +298,15 @@ class Host(ABC):
         """
 
     @abstractmethod
+    def moving(self, name: str, source: str, target: str) -> ContextManager[Callable[[], None]]:
+        """Move a nodelet between nodelet managers; messages are kept for it until the end.
+
+        Entering prepares, and changes nothing for the nodelet. The function that is returned
+        unloads it in ``source``; then it is to be loaded in ``target``. Both raise HostError; if
+        the function does, the nodelet may still run in ``source``.
+        """
+
+    @abstractmethod
     def set_parameter(self, name: str, parameter: Parameter) -> bool:
         """Set a private parameter of a nodelet; returns whether it has read it already."""
 
@@ -328,6 +354,14 @@ class Host(ABC):
             Counts by out-port for each nodelet; None for a nodelet that is not running. Nodelets
             without a reply yet are left out until a later call.
         """
+
+    @abstractmethod
+    def usage(self) -> Mapping[str, Usage]:
+        """Return what each process has reported last that it has used, where it measures that."""
+
+    @abstractmethod
+    def widen(self, kind: NodeletKind) -> None:
+        """Start one more shared nodelet manager; it comes up in the background."""
 
     def memory(self, manager: str) -> int:
         """Return the bytes of memory that a process takes; 0 if that is not known."""

@@ -151,6 +151,11 @@ class Manager:
         self.guards.check_writable(f"restarting '{name}'")
         return self._restarts.restart(name)
 
+    def move(self, name: str, manager: str) -> None:
+        """Move a nodelet to another nodelet manager of its host, without a lost message."""
+        self.guards.check_writable(f"moving '{name}'")
+        self._restarts.move(name, manager)
+
     def set_parameter(self, name: str, parameter: Parameter) -> ParameterSet:
         """Set a private parameter of a nodelet, from now on and whenever it is brought back."""
         name = self.resolve(name)

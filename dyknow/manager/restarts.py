@@ -1,19 +1,28 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Restarts nodelets and nodelet managers on request: with today's code and specification.
+"""Restarts nodelets and nodelet managers with today's code and specification, and moves nodelets.
 
 A nodelet is unloaded and loaded again, under its name, with its connections, parameters and
 protection. It receives nothing in between. Meanwhile it is STARTING, on disk too, so that the next
-life of a manager that is killed brings it back; claims wait for it (``Graph.restarting``).
+life of a manager that is killed brings it back; claims wait for it (``Graph.restarting``). One
+that is moved to another nodelet manager goes the same way, and messages are kept for it.
 """
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from typing import Iterator
 
-from dyknow.errors import HostError, RestartFailed, UnknownNodelet
+from dyknow.errors import (
+    CannotMove,
+    HostError,
+    HostTimeout,
+    MoveFailed,
+    RestartFailed,
+    UnknownNodelet,
+)
 from dyknow.manager.host import Host, ProcessState
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import Lifecycle, ManagerContext
@@ -56,6 +65,44 @@ class Restarts:
                 "was started"
             )
         return self._restart_process(state)
+
+    def move(self, name: str, target: str) -> None:
+        """Move a nodelet to another nodelet manager: no message is lost, or received twice.
+
+        It is a new instance there, with the same parameters and connections.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+            CannotMove: it runs on where it is.
+            MoveFailed: it did not come up there.
+            HostError: its nodelet manager does not answer; the next look finds how it is.
+        """
+        with self._graph.restart([name]) as records, contextlib.ExitStack() as moving:
+            if not records:
+                raise UnknownNodelet(name, self._graph.records)
+            (record,) = records
+            if not is_movable(record) or record.manager == target:
+                raise CannotMove(name, f"expected a Python nodelet that runs outside of {target}")
+            try:
+                hand_over = moving.enter_context(self._host.moving(name, record.manager, target))
+            except HostError as error:
+                raise CannotMove(name, error) from error
+            detail = f"it is being moved to {target}"
+            self._graph.put(_starting(record, detail))
+            try:
+                hand_over()
+            except HostError as error:
+                self._graph.put(replace(record, state=State.LOST, detail=f"{detail}: {error}"))
+                if not isinstance(error, HostTimeout) and name in self._host.list(record.manager):
+                    self._graph.put(record)
+                    raise CannotMove(name, error) from error
+                raise
+            self._lifecycle.dispose(record)
+            problem = self._lifecycle.restore(replace(record, manager=target, detail=detail))
+            if problem is not None:
+                back = replace(record, detail=f"it was not up in {target}")
+                is_back = self._lifecycle.restore(back) is None
+                raise MoveFailed(name, target, problem, is_back) from problem
 
     def _restart_nodelet(self, name: str) -> Restarted:
         with self._graph.restart([name]) as records:
@@ -181,5 +228,15 @@ def outdated(record: Record, library: Library, host: Host) -> str:
     return text
 
 
-def _starting(record: Record) -> Record:
-    return replace(record, state=State.STARTING, detail=_RESTARTING, heard=NOTHING_HEARD)
+def is_movable(record: Record) -> bool:
+    """Whether a nodelet can be moved to another nodelet manager without a lost message."""
+    return (
+        record.is_spawned
+        and record.kind is NodeletKind.PYTHON
+        and record.state is State.RUNNING
+        and not (record.isolated or record.unwanted)
+    )
+
+
+def _starting(record: Record, detail: str = _RESTARTING) -> Record:
+    return replace(record, state=State.STARTING, detail=detail, heard=NOTHING_HEARD)

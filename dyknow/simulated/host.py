@@ -16,6 +16,7 @@ from typing import (
     Collection,
     Dict,
     Iterable,
+    Iterator,
     Mapping,
     Sequence,
 )
@@ -34,6 +35,7 @@ from dyknow.manager.host import (
     LoadRequest,
     ProcessState,
     Reported,
+    Usage,
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
@@ -150,6 +152,8 @@ class FakeHost(Host):
         self.reconfigurable: set[str] = set()
         #: Bytes of memory by nodelet manager.
         self.taken: dict[str, int] = {}
+        #: What nodelet managers have used.
+        self.used: dict[str, Usage] = {}
         #: Problems by nodelet.
         self.details: dict[str, str] = {}
         #: The machine of the processes that are not external.
@@ -489,6 +493,27 @@ class FakeHost(Host):
         if self._alive(manager).nodelets.pop(name, None) is None:
             raise HostError(f"no nodelet named '{name}' is loaded")
         self.on_change()
+
+    @contextlib.contextmanager
+    def moving(self, name: str, source: str, target: str) -> Iterator[Callable[[], None]]:
+        self._step("note", f"{name} in {source}")
+        self._alive(source)
+        self._step("park", f"{name} in {target}")
+        self._alive(target)
+
+        def hand_over() -> None:
+            self._step("give", f"{name} in {source}")
+            self._alive(source).nodelets.pop(name)
+            self.on_change()
+
+        yield hand_over
+
+    def usage(self) -> Mapping[str, Usage]:
+        return self.used
+
+    def widen(self, kind: NodeletKind) -> None:
+        self._step("widen", kind.value)
+        self._start(self._new_name(), kind, "")
 
     def set_parameter(self, name: str, parameter: Parameter) -> bool:
         self._step("set_parameter", f"{name} {parameter.name}")

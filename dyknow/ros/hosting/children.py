@@ -114,6 +114,10 @@ class Children:
         for _ in range(count - len(self._hosts(kind, ""))):
             self._add(Child(self._context, ChildRecord(self._free_name(kind), kind)))
 
+    def widen(self, kind: NodeletKind) -> None:
+        """Have one more shared child; it comes up in the background."""
+        self.want(kind, len(self._hosts(kind, "")) + 1)
+
     def ensure(self, kind: NodeletKind, isolated_for: str) -> str:
         """Return the name of a child that is up, starting one if there is none that answers.
 

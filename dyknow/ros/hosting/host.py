@@ -12,10 +12,11 @@ from __future__ import annotations
 import builtins
 import contextlib
 import time
-from typing import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
 import rosgraph.network
-from dyknow_msgs.msg import NodeletChanges, NodeletCounts
+from dyknow_msgs.msg import HandedTopic, NodeletChanges, NodeletCounts
+from dyknow_msgs.srv import HandOver, HandOverRequest
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
@@ -30,6 +31,7 @@ from dyknow.manager.host import (
     LoadRequest,
     ProcessState,
     Reported,
+    Usage,
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
@@ -44,6 +46,7 @@ from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.peer import Peer, host_errors
 from dyknow.ros.hosting.reconfigure import reconfigure
 from dyknow.ros.hosting.verdicts import VerdictTopics
+from dyknow.ros.nodelets.hand_over_service import SERVICE
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
@@ -58,6 +61,8 @@ _REPORT_TIMEOUT = 3.0
 _DEATH_TIMEOUT = 2.0
 #: Seconds for a proxy to connect ports, which waits up to 0.5 s for outside peers.
 _CONNECT_TIMEOUT = 4.0
+#: Seconds for one step of the move of a nodelet, which finishes its work.
+_HAND_OVER_TIMEOUT = 20.0
 #: Seconds that a caller waits for the counts of all processes together.
 _COUNTS_PATIENCE = 0.5
 
@@ -266,6 +271,41 @@ class RosHost(Host):
             if state.own and state.alive:
                 self._children.await_end(manager, state.incarnation, _DEATH_TIMEOUT)
             raise
+
+    @contextlib.contextmanager
+    def moving(self, name: str, source: str, target: str) -> Iterator[Callable[[], None]]:
+        """Move a nodelet as ``dyknow.nodelet.hand_over`` says."""
+
+        def hand_over() -> None:
+            given = self._hand_over(source, name, HandOverRequest.GIVE)
+            with contextlib.suppress(HostError):
+                self._hand_over(target, name, HandOverRequest.TAKE, given)
+
+        try:
+            topics = self._hand_over(source, name, HandOverRequest.NOTE)
+            self._hand_over(target, name, HandOverRequest.PARK, topics)
+            yield hand_over
+        finally:
+            for manager in (target, source):
+                with contextlib.suppress(HostError):
+                    self._hand_over(manager, name, HandOverRequest.END)
+
+    def _hand_over(
+        self, manager: str, name: str, step: int, topics: Sequence[HandedTopic] = ()
+    ) -> Sequence[HandedTopic]:
+        peer = self._known(manager)
+        peer.presence.check(peer.title)
+        service, beside = names.join(manager, SERVICE), names.join(manager, "list")
+        with host_errors(manager):
+            client = ServiceClient(self._master, service, HandOver, beside=beside)
+            answer = client.call(_HAND_OVER_TIMEOUT, name, step, topics)
+        return tuple(answer.topics)
+
+    def usage(self) -> dict[str, Usage]:
+        return {peer.name: peer.usage for peer in self._peers() if peer.usage is not None}
+
+    def widen(self, kind: NodeletKind) -> None:
+        self._children.widen(kind)
 
     def set_parameter(self, name: str, parameter: Parameter) -> bool:
         self._set_parameters(name, [parameter])

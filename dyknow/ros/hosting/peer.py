@@ -27,7 +27,7 @@ from dyknow_msgs.srv import PollResponse
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.guards import NO_GUARDS
 from dyknow.locks import state_lock
-from dyknow.manager.host import Count, ProcessState, Reported
+from dyknow.manager.host import Count, ProcessState, Reported, Usage
 from dyknow.model.hosts import UNKNOWN_OFFSET, ClockOffset
 from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.grants import Lease, PeerContext
@@ -106,6 +106,8 @@ class Peer(ABC):
         self._counts: Counts = {}
         self._is_traffic_wanted = False
         self._traffic: Sequence[NodeletCounts] = ()
+        #: What its process has used; None if that is not measured.
+        self.usage: Usage | None = None
         self._is_prompt = True
         self._meter = OffsetMeter()
         self._key = f"polling {name}"
@@ -309,6 +311,7 @@ class Peer(ABC):
             if client is self._client:
                 self.presence = _answered(self.presence, answer, self._meter.offset)
             self._traffic = answer.counts if is_traffic else self._traffic
+            self.usage = _usage(answer)
         found: Counts = dict.fromkeys(counted)
         answered = time.monotonic()
         for each in answer.counts:
@@ -332,6 +335,12 @@ def _answered(known: Presence, answer: PollResponse, clock: ClockOffset) -> Pres
     machine = machine_from(answer.machine)
     state = replace(known.state, responsive=True, away=False, machine=machine, clock=clock)
     return Presence(state, nodelets=nodelets, process=changes.process)
+
+
+def _usage(answer: PollResponse) -> Usage | None:
+    if not answer.cpu:
+        return None
+    return Usage(answer.clock, answer.cpu, dict(zip(answer.nodelets, answer.busy)))
 
 
 def _merged(

@@ -13,6 +13,7 @@ from unit.manager.field import CHAIN, IMAGE, Field
 from unit.manager.world import LIBRARY, TRACKER, World
 
 from dyknow.errors import (
+    CannotMove,
     Denied,
     HostError,
     HostTimeout,
@@ -330,6 +331,40 @@ def test_claims_wait_for_a_restart(field: Field, label: str) -> None:
     assert field.manager.graph.get(name).topics == topics
     assert field.claim(claim.claim_id).topic in field.moving
     field.tidy()
+
+
+@pytest.mark.parametrize("label", CHAIN)
+def test_claims_wait_for_a_move(field: Field, label: str) -> None:
+    claim = field.acquire(max_silence=0.5).claim
+    field.settle(5.0)
+    running = field.host.running
+    name = f"/{label.replace(' ', '_')}_1"
+    before = field.manager.graph.get(name)
+    field.host.widen(NodeletKind.PYTHON)
+    (target,) = set(field.host.processes) - {before.manager}
+    field.manager.move(name, target)
+    field.settle(5.0)
+    after = field.manager.graph.get(name)
+    assert (after.manager, after.topics) == (target, before.topics)
+    assert field.host.running == running, "nothing was replaced"
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert not any("lost" in each or "mended" in each for each in field.reasons())
+    assert field.claim(claim.claim_id).topic in field.moving
+    field.tidy()
+
+
+def test_only_what_runs_in_a_nodelet_manager_can_move(world: World) -> None:
+    world.spawn("camera", "alone", isolated=True)
+    world.spawn("native", "native")
+    world.spawn("camera", "front")
+    here = world.manager.graph.get("/front").manager
+    world.host.widen(NodeletKind.PYTHON)
+    for name, target in (("/alone", here), ("/native", here), ("/front", here)):
+        with pytest.raises(CannotMove):
+            world.manager.move(name, target)
+    with pytest.raises(UnknownNodelet):
+        world.manager.move("/absent", here)
+    assert set(world.states().values()) == {"RUNNING"}
 
 
 def test_claims_wait_for_a_nodelet_manager(field: Field) -> None:

@@ -15,7 +15,7 @@ from typing import Any, Dict, List
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
-from dyknow_msgs.msg import NodeletChanges, NodeletPorts
+from dyknow_msgs.msg import Machine, NodeletChanges, NodeletPorts
 from dyknow_msgs.srv import Poll, PollResponse
 from nodelet.srv import NodeletList, NodeletListResponse
 
