@@ -46,6 +46,10 @@ Private parameters (default):
                          seconds without an answer, seconds for which a callback is
                          reported that does not return, and MB, after which a process
                          that the manager started is restarted (0: never)
+  ~spread                auto: nodelets in Python that compute much are moved apart, over
+                         at most as many nodelet managers as there are cores (none)
+  ~spread_load           cores that the nodelets of one nodelet manager may take before
+                         one of them is moved (0.7)
   ~state_dir             folder of the durable state (dyknow in ROS_HOME)
   ~denied_topics         patterns of topics that no port may be connected to (none)
   ~allowed_topics        patterns of the only topics that ports may be connected to (all)

@@ -34,6 +34,7 @@ from dyknow.manager.library import Library
 from dyknow.manager.manager import ManagerOptions
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
+from dyknow.manager.spread import SPREAD_PERIOD, Spread
 from dyknow.manager.store import Store
 from dyknow.manager.watchdog import WATCH_PERIOD, Watchdog
 from dyknow.model.graph import NodeletKind, State
@@ -84,6 +85,7 @@ _RECONCILE = "reconciling streams"
 _PUBLISH = "publishing the model"
 _BACK_UP = "backup"
 _WATCH = "watchdog"
+_SPREAD = "spreading nodelets"
 _DIAGNOSE = "diagnostics"
 _FOLLOW = "looking at the files of the library"
 _BOOT = "loading the wiring"
@@ -230,6 +232,17 @@ class ManagerNode(Closable):
                 self._running,
             )
             self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
+        if self._settings.spread:
+            self._spread = Spread(
+                self._host,
+                self.manager.graph,
+                self.manager.move,
+                self._reconciler.report,
+                self._settings.spread_load,
+                os.cpu_count() or 1,
+                self._running,
+            )
+            self._loop.add(_SPREAD, self._spread_nodelets, SPREAD_PERIOD)
         self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
         self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)
         self._loop.add(_COUNT, self._counts.publish, 0.0)
@@ -290,6 +303,12 @@ class ManagerNode(Closable):
         finally:
             self._after_change()
             self._children.echo()
+
+    def _spread_nodelets(self) -> float:
+        try:
+            return self._spread.look()
+        finally:
+            self._after_change()
 
     def _back_up(self) -> float:
         self._store.back_up()

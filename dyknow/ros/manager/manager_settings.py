@@ -43,6 +43,8 @@ PARAMETERS = (
     "max_clock_offset",
     "shared_memory",
     "watchdog",
+    "spread",
+    "spread_load",
     "denied_topics",
     "allowed_topics",
     "allowed_programs",
@@ -73,6 +75,8 @@ class ManagerSettings:
         max_clock_offset: seconds by which the clock of another host may differ without a warning.
         shared_memory: whether its processes exchange large messages through shared memory.
         watchdog: when its processes are restarted.
+        spread: whether nodelets that compute much are moved apart.
+        spread_load: cores that the nodelets of a nodelet manager may take before that.
         guards: restrictions.
         limits: sizes of specifications.
     """
@@ -93,6 +97,8 @@ class ManagerSettings:
     max_clock_offset: float = MAX_CLOCK_OFFSET
     shared_memory: bool = True
     watchdog: WatchdogLimits = NO_WATCHDOG
+    spread: bool = False
+    spread_load: float = 0.7
     guards: Guards = NO_GUARDS
     limits: SpecificationLimits = DEFAULT_LIMITS
 
@@ -124,6 +130,10 @@ class ManagerSettings:
                 _seconds("watchdog/hung", 0.0, least=0.0),
                 _seconds("watchdog/stuck", 0.0, least=0.0),
                 float(_number("watchdog/memory", 0.0, 0.0, "MB, at least 0", (int, float))),
+            ),
+            spread=_one_of("spread", "", "auto") == "auto",
+            spread_load=float(
+                _number("spread_load", cls.spread_load, 0.01, "cores, at least 0.01", (int, float))
             ),
             guards=Guards(
                 denied_topics=_topic_patterns("denied_topics"),
@@ -189,6 +199,11 @@ def _read(name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -
 
 def _string(name: str, default: str = "") -> str:
     return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
+
+
+def _one_of(name: str, *values: str) -> str:
+    expected = " or ".join(f"'{value}'" for value in values)
+    return str(_read(name, values[0], expected, lambda value: value in values))
 
 
 def _strings(name: str) -> tuple[str, ...]:

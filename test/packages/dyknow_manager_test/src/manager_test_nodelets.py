@@ -41,6 +41,26 @@ class Relay(dyknow.Nodelet):
         self.input = self.nh.Subscriber("in", Header, self.out.publish, queue_size=1000)
 
 
+class Busy(Relay):
+    """Computes for ~work seconds of processor time before it publishes; ~start is that of on_init.
+
+    What it publishes names its process, too.
+    """
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        time.sleep(self.nh.get_param("~start", 0.0))
+        self.work = self.nh.get_param("~work", 0.004)
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        self.input = self.nh.Subscriber("in", Header, self.on_message, queue_size=1000)
+
+    def on_message(self, message):
+        end = time.thread_time() + self.work
+        while time.thread_time() < end:
+            pass
+        self.out.publish(Header(frame_id=f"{message.frame_id} {rospy.get_name()}"))
+
+
 class FailsInInit(Relay):
     """Raises after it has made all its handles."""
 
