@@ -1,45 +1,62 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The bar above the graph: options of the drawing, placed as in rqt_graph."""
+"""The bar above the graph: its actions, and the options of the drawing."""
 
 from __future__ import annotations
 
-import contextlib
-from typing import Any, Dict, FrozenSet, Iterable, List, Optional
+from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Union
 
-from python_qt_binding.QtCore import QEvent, QSize, QTimer, Signal
+from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer, Signal
+from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import (
-    QCheckBox,
-    QComboBox,
+    QAction,
+    QActionGroup,
     QLabel,
     QLineEdit,
     QMenu,
-    QPushButton,
-    QSpinBox,
+    QToolBar,
     QToolButton,
+    QVBoxLayout,
     QWidget,
 )
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
-from dyknow_rqt.widgets import FilterEdit, FlowLayout, row_of
+from dyknow_rqt.graph.filters import Filter
+from dyknow_rqt.icons import icon_of
+from dyknow_rqt.widgets import FilterEdit, row_of
 
 _TYPING = 250  # ms
-#: Pixels: from this width on the whole bar is shown.
-_WIDE = 800
-#: Wider parts are folded before the text gets so narrow.
-_LEAST = 190
 #: A view is narrow if it is so many times higher than wide.
 _NARROW = 1.2
-#: The fields whose settings are saved, under these names.
-_CHECKS = ("dead_sinks", "leaf_topics", "debug", "nodes", "highlight")
-_CHOICES = ("mode", "direction", "boxes")
+#: Options of which one holds: name, title, choices, and the one at the beginning.
+_CHOICES = (
+    ("mode", "&Draw", ("Nodelets/Topics", "Nodelets only"), 0),
+    ("direction", "&Flow", ("Automatic", "To the right", "Downwards"), 0),
+    ("boxes", "&Boxes", tuple(each.value.capitalize() for each in Boxes), 0),
+    ("depth", "Boxes &within boxes", ("None", "1", "2", "3", "4", "5"), 2),
+)
+#: Options that hold or do not: name, title, tool tip, and whether it holds at the beginning.
+_CHECKS = (
+    ("dead_sinks", "Hide dead &sinks", "Topics without a receiver", False),
+    ("leaf_topics", "Hide &leaf topics", "Topics with only one end", False),
+    ("debug", "Hide &debug", "What is in every graph: /rosout, /clock, rviz, rqt …", True),
+    ("nodes", "Show ROS &nodes", "Ordinary nodes that use these topics, greyed", False),
+    ("highlight", "&Highlight", "The neighbours of the thing under the pointer", True),
+)
 _FILTERS = ("nodelets", "topics")
 
 
 class GraphBar(QWidget):
-    """Edits the options; its state is a dictionary of texts."""
+    """Edits the options; its state is a dictionary of texts.
+
+    Buttons that have no room are in a menu at the end of the bar.
+
+    Attributes:
+        settings: by name, actions of which each holds or not, and groups of which one holds.
+        collapsed: boxes that are drawn as one vertex.
+    """
 
     #: The options have changed.
     options_changed = Signal()
@@ -48,129 +65,107 @@ class GraphBar(QWidget):
 
     def __init__(self, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
-        self.refresh = QPushButton("&Refresh")
-        self.refresh.setToolTip("Read everything now (F5, Ctrl+R)")
-        self.mode = QComboBox()
-        self.mode.addItems(["Nodelets/Topics", "Nodelets only"])
-        self.mode.setAccessibleName("What to draw")
-        self.direction = QComboBox()
-        self.direction.addItems(["Flow: automatic", "Flow: to the right", "Flow: downwards"])
-        self.direction.setAccessibleName("Where streams flow to")
-        self.direction.setToolTip("Automatic: downwards where the graph has a narrow place")
-        self.nodelets = FilterEdit("nodelets")
-        self.topics = FilterEdit("topics")
-        self.depth = QSpinBox()
-        self.depth.setRange(0, 5)
-        self.depth.setValue(2)
-        self.depth.setToolTip(
-            "How many boxes stand in each other: parts of a namespace, or host and manager; "
-            "0 for none"
-        )
-        self.boxes = QComboBox()
-        self.boxes.addItems([each.value for each in Boxes])
-        self.boxes.setAccessibleName("What makes a box")
-        self.boxes.setToolTip("What makes a box; a double click collapses a box and opens it")
         self.collapsed: FrozenSet[Group] = frozenset()
-        self.dead_sinks = QCheckBox("Dead sin&ks", toolTip="Hide topics without a receiver")
-        self.leaf_topics = QCheckBox("&Leaf topics", toolTip="Hide topics with only one end")
-        self.debug = QCheckBox(
-            "Debu&g",
-            checked=True,
-            toolTip="Hide what is in every graph: /rosout, /clock, rviz, rqt …",
-        )
-        self.nodes = QCheckBox(
-            "ROS &nodes", toolTip="Show ordinary nodes that use these topics, greyed"
-        )
-        self.highlight = QCheckBox(
-            "&Highlight",
-            checked=True,
-            toolTip="Highlight the neighbours of the thing under the pointer",
-        )
-        self.fit = QPushButton("&Fit")
-        self.fit.setToolTip("Fit everything into the view (Ctrl+0)")
-        self.tidy = QPushButton("Tid&y")
-        self.tidy.setToolTip("Make a new layout (Ctrl+L)")
-        self.undo = QPushButton("Undo")
-        self.redo = QPushButton("Redo")
-        self.save = QToolButton()
-        self.save.setText("Sa&ve")
-        self.save.setToolTip("Save the drawing, or the wiring")
-        self.save.setPopupMode(QToolButton.InstantPopup)
-        self.save_menu = QMenu(self.save)
+        self.tools = QToolBar()
+        self.tools.setToolButtonStyle(Qt.ToolButtonTextUnderIcon)
+        self._icons: Dict[str, QAction] = {}
+        self.panel = self._add("Pa&nel", "view-sidetree", "Show the control panel", "F9")
+        self.panel.setCheckable(True)
+        self.panel.setChecked(True)
+        self.tools.addSeparator()
+        self.undo = self._add("&Undo", "edit-undo", "", "Ctrl+Z")
+        self.redo = self._add("Redo", "edit-redo", "", "Ctrl+Shift+Z", "Ctrl+Y")
+        self.tools.addSeparator()
+        self.fit = self._add("&Fit", "zoom-fit-best", "Fit everything into the view", "Ctrl+0")
+        self.tidy = self._add("Tid&y", "distribute-graph-directed", "Make a new layout", "Ctrl+L")
+        self.filter = self._add("Fi&lter", "view-filter", "Show only some nodelets and topics")
+        self.filter.setCheckable(True)
+        self.view = self._add("Vi&ew", "configure", "What is drawn, and how")
+        self.view.setMenu(self._menu_of_options())
+        self.tools.addSeparator()
+        self.save = self._add("Sa&ve", "document-save", "Save the drawing, or the wiring")
+        self.save_menu = QMenu(self)
         self.save.setMenu(self.save_menu)
-        self.load = QPushButton("Loa&d …")
-        self.load.setToolTip("Load a wiring: nodelets and their connections")
+        self.load = self._add("Loa&d", "document-open", "Load a wiring: nodelets, connections")
+        self.refresh = self._add("Refres&h", "view-refresh", "Read everything now", "F5", "Ctrl+R")
+        #: Not in the bar: to the field, to the next thing that was found, and the list of keys.
+        self.find, self.find_next = QAction("&Find …", self), QAction("Find &next", self)
+        self.keys = QAction("&Keys …", self)
+        _give_keys(self.find, "Ctrl+F")
+        _give_keys(self.find_next, "F3")
+        _give_keys(self.keys, "Shift+?", "?", "F1")
         self.search = QLineEdit()
         self.search.setPlaceholderText("find (Ctrl+F)")
         self.search.setClearButtonEnabled(True)
         self.search.setAccessibleName("Find")
-        self.search.setMaximumWidth(170)
+        self.search.setFixedWidth(130)
         self.hits = QLabel()
-        self.panel = QPushButton("Panel")
-        self.panel.setCheckable(True)
-        self.panel.setChecked(True)
-        self.panel.setToolTip("Show the control panel (F9)")
-        self.panel.setShortcut("F9")
-        self.more = QPushButton("More")
-        self.more.setCheckable(True)
-        self.more.setToolTip("Show everything that this bar has")
-        self._folded: List[QWidget] = []
-        self._is_chosen = False
-        self._typing = QTimer(self)
-        self._typing.setSingleShot(True)
-        self._typing.setInterval(_TYPING)
+        self.hits.hide()
+        self.nodelets, self.topics = (FilterEdit(what) for what in _FILTERS)
+        self._typing = QTimer(self, singleShot=True, interval=_TYPING)
         self._typing.timeout.connect(self._tell)
         self._arrange()
-        self._listen()
+        self.show_history("", "")
+
+    @property
+    def actions_with_keys(self) -> List[QAction]:
+        found = [action for action in self.tools.actions() if action.shortcuts()]
+        return [*found, self.find, self.find_next, self.keys]
 
     def is_downwards(self, view: QSize) -> bool:
         """Whether streams flow downwards in a view of that size."""
         is_narrow = bool(view.height() > _NARROW * view.width())
-        return (is_narrow, False, True)[self.direction.currentIndex()]
+        return (is_narrow, False, True)[self.chosen("direction")]
 
     def options(self, view: QSize) -> Options:
+        is_filtered = self.filter.isChecked()
         return Options(
             is_downwards=self.is_downwards(view),
-            topics=self.mode.currentIndex() == 0,
-            nodelet_filter=self.nodelets.filter,
-            topic_filter=self.topics.filter,
-            hide_dead_sinks=self.dead_sinks.isChecked(),
-            hide_leaf_topics=self.leaf_topics.isChecked(),
-            hide_debug=self.debug.isChecked(),
-            show_nodes=self.nodes.isChecked(),
-            boxes=Boxes(self.boxes.currentText()),
-            depth=self.depth.value(),
+            topics=self.chosen("mode") == 0,
+            nodelet_filter=self.nodelets.filter if is_filtered else Filter(),
+            topic_filter=self.topics.filter if is_filtered else Filter(),
+            hide_dead_sinks=bool(self.chosen("dead_sinks")),
+            hide_leaf_topics=bool(self.chosen("leaf_topics")),
+            hide_debug=bool(self.chosen("debug")),
+            show_nodes=bool(self.chosen("nodes")),
+            boxes=list(Boxes)[self.chosen("boxes")],
+            depth=self.chosen("depth"),
             collapsed=self.collapsed,
         )
 
+    def chosen(self, name: str) -> int:
+        """The number of the choice that holds, or whether an option does."""
+        option = self.settings[name]
+        if isinstance(option, QAction):
+            return int(option.isChecked())
+        return int(option.actions().index(option.checkedAction()))
+
+    def choose(self, name: str, number: int) -> None:
+        """Let a choice hold, by its number; an option holds with 1."""
+        option = self.settings[name]
+        action = option if isinstance(option, QAction) else option.actions()[number]
+        if self.chosen(name) != number:
+            action.trigger()
+
     def state(self) -> Dict[str, str]:
         """The settings to save, as texts."""
+        is_filtered = self.filter.isChecked()
         return {
-            **{name: str(int(getattr(self, name).isChecked())) for name in _CHECKS},
-            **{name: str(getattr(self, name).currentIndex()) for name in _CHOICES},
-            "depth": str(self.depth.value()),
-            **{name: getattr(self, name).text() for name in _FILTERS},
-            "more": str(int(self.more.isChecked())) if self._is_chosen else "",
+            **{name: str(self.chosen(name)) for name in self.settings},
+            **{name: getattr(self, name).text() if is_filtered else "" for name in _FILTERS},
             "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
         }
 
     def restore(self, state: Dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
-        for name in _CHECKS:
-            if state.get(name) in ("0", "1"):
-                getattr(self, name).setChecked(state[name] == "1")
+        for name, option in self.settings.items():
+            count = 2 if isinstance(option, QAction) else len(option.actions())
+            if state.get(name) in [str(number) for number in range(count)]:
+                self.choose(name, int(state[name]))
         for name in _FILTERS:
             getattr(self, name).setText(str(state.get(name, "")))
         groups = str(state.get("collapsed", "")).splitlines()
         self.collapsed = frozenset(tuple(group.split()) for group in groups if group)
-        for name in _CHOICES:
-            box = getattr(self, name)
-            if state.get(name) in [str(index) for index in range(box.count())]:
-                box.setCurrentIndex(int(state[name]))
-        if state.get("more") in ("0", "1"):
-            self._choose_more(state["more"] == "1")
-        with contextlib.suppress(KeyError, TypeError, ValueError):
-            self.depth.setValue(int(state["depth"]))
 
     @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
@@ -182,69 +177,84 @@ class GraphBar(QWidget):
     def toggle_box(self, group: Group) -> None:
         self.collapse(self.collapsed ^ {group})
 
+    @qt_slot
     def show_history(self, undo: str, redo: str) -> None:
-        for button, text, keys in ((self.undo, undo, "Ctrl+Z"), (self.redo, redo, "Ctrl+Shift+Z")):
-            button.setEnabled(bool(text))
-            button.setToolTip(f"{button.text().replace('&', '')}: {text or 'nothing'} ({keys})")
+        for action, text in ((self.undo, undo), (self.redo, redo)):
+            action.setEnabled(bool(text))
+            _explain(action, f"{action.text().replace('&', '')}: {text or 'nothing'}")
+
+    def show_hits(self, text: str) -> None:
+        self.hits.setText(text)
+        self.hits.setVisible(bool(text))
+
+    @qt_slot
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802
+        super().changeEvent(event)
+        if event.type() == QEvent.PaletteChange:
+            self._draw_icons()
+
+    def _add(self, text: str, icon: str, tip: str, *keys: str) -> QAction:
+        """Add a button with a name; it takes the focus as other buttons do."""
+        action = self._icons[icon] = self.tools.addAction(text)
+        action.setIconText(text)  # with its letter
+        _give_keys(action, *keys)
+        _explain(action, tip)
+        button = self.tools.widgetForAction(action)
+        button.setFocusPolicy(Qt.TabFocus)
+        button.setPopupMode(QToolButton.InstantPopup)
+        return action
+
+    def _menu_of_options(self) -> QMenu:
+        menu = QMenu(self)
+        menu.setToolTipsVisible(True)
+        self.settings: Dict[str, Union[QAction, QActionGroup]] = {}
+        for name, title, texts, first in _CHOICES:
+            group = self.settings[name] = QActionGroup(self)
+            for text in texts:
+                action = group.addAction(text)
+                action.setCheckable(True)
+            group.actions()[first].setChecked(True)
+            group.triggered.connect(self._tell_structure)
+            menu.addMenu(title).addActions(group.actions())
+        menu.addSeparator()
+        for name, title, tip, holds in _CHECKS:
+            option = self.settings[name] = menu.addAction(title)
+            option.setCheckable(True)
+            option.setChecked(holds)
+            option.setToolTip(tip)
+            option.triggered.connect(self._tell)
+        return menu
 
     def _arrange(self) -> None:
-        self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
-        rows = FlowLayout(self)
-        rows.setContentsMargins(4, 4, 4, 2)
-        self.setMinimumWidth(_LEAST)
+        self._more = self.tools.findChild(QToolButton, "qt_toolbar_ext_button")
+        self._more.setFocusPolicy(Qt.TabFocus)
+        self._more.setAccessibleName("More buttons")
+        self._draw_icons()
+        first, second = row_of(self.tools, self.hits, self.search), QWidget()
+        first.setStretch(0, 1)
+        second.setLayout(row_of(self.nodelets, self.topics))
+        second.layout().setContentsMargins(4, 0, 4, 4)
+        second.hide()
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 0, 4, 0)
+        rows.setSpacing(0)
+        rows.addLayout(first)
+        rows.addWidget(second)
+        self.filter.toggled.connect(second.setVisible)
+        self.filter.toggled.connect(self._tell)
         for edit in (self.nodelets, self.topics):
-            edit.setMinimumWidth(150)
-        for button in (self.panel, self.undo, self.redo, self.fit, self.more):
-            button.setMinimumWidth(40)  # styles make them wider than their words
-        group = QLabel("Gro&up:")
-        group.setBuddy(self.depth)
-        self._folded = [
-            _together(self.mode),
-            self.nodelets,
-            self.topics,
-            _together(self.save, self.load),
-            _together(self.refresh, self.tidy),
-            self.direction,
-            _together(group, self.depth, self.boxes),
-            _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
-            _together(QLabel("Show:"), self.nodes, self.highlight),
-        ]
-        for part in (
-            _together(self.panel, self.search, self.hits),
-            _together(self.undo, self.redo, self.fit, self.more),
-            *self._folded,
-        ):
-            rows.addWidget(part)
-        self._fold()
-        self.show_history("", "")
+            edit.filter_changed.connect(self._filter)
 
-    def _listen(self) -> None:
-        self.mode.currentIndexChanged.connect(self._tell_structure)
-        for box in (self.direction, self.boxes):
-            box.currentIndexChanged.connect(self._tell_structure)
-        self.depth.valueChanged.connect(self._tell_structure)
-        self.more.clicked.connect(self._choose_more)
-        for box in (self.dead_sinks, self.leaf_topics, self.debug, self.nodes):
-            box.toggled.connect(self._tell)
-        for edit in (self.nodelets, self.topics):
-            edit.filter_changed.connect(self._typing.start)
+    def _draw_icons(self) -> None:
+        for name, action in self._icons.items():
+            action.setIcon(icon_of(name, self.palette()))
+        self._more.setIcon(icon_of("go-next", self.palette()))
 
     @qt_slot
-    def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
-        """Fold the rows beyond two lines, unless the user has said what to show."""
-        super().resizeEvent(event)
-        if not self._is_chosen:
-            self._fold(self.width() >= _WIDE)
-
-    @qt_slot
-    def _choose_more(self, on: bool) -> None:
-        self._is_chosen = True
-        self._fold(on)
-
-    def _fold(self, is_open: bool = False) -> None:
-        self.more.setChecked(is_open)
-        for part in self._folded:
-            part.setVisible(is_open)
+    def _filter(self) -> None:
+        if self.nodelets.text() or self.topics.text():
+            self.filter.setChecked(True)
+        self._typing.start()
 
     @qt_slot
     def _tell(self) -> None:
@@ -255,9 +265,12 @@ class GraphBar(QWidget):
         self.structure_changed.emit()
 
 
-def _together(*widgets: QWidget) -> QWidget:
-    part, row = QWidget(), row_of(*widgets)
-    row.setContentsMargins(0, 0, 0, 0)
-    row.setSpacing(6)
-    part.setLayout(row)
-    return part
+def _give_keys(action: QAction, *keys: str) -> None:
+    """Let keys do in the whole window what an action does."""
+    action.setShortcuts([QKeySequence(key) for key in keys])
+    action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+
+
+def _explain(action: QAction, tip: str) -> None:
+    keys = ", ".join(key.toString() for key in action.shortcuts())
+    action.setToolTip(f"{tip} ({keys})" if keys else tip)

@@ -21,6 +21,7 @@ from dyknow_rqt.canvas.appearance import edge_refs
 from dyknow_rqt.graph.changes import load_wiring, protection
 from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 
@@ -91,11 +92,6 @@ class GraphActions(QObject):
     disconnect_wanted = Signal(object)
     #: Protect nodelets, or release them; their names.
     protect_wanted = Signal(object, bool)
-    find_wanted = Signal()
-    keys_wanted = Signal()
-    fit_wanted = Signal()
-    refresh_wanted = Signal()
-    tidy_wanted = Signal()
 
 
 def menu_of(
@@ -129,16 +125,10 @@ def menu_of(
     return menu
 
 
-def menu_of_ground(actions: GraphActions, parent: QWidget) -> QMenu:
-    menu = QMenu(parent)
+def menu_of_ground(actions: GraphActions, bar: GraphBar) -> QMenu:
+    menu = QMenu(bar)
     _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
-    _add(menu, "&Find …", actions.find_wanted.emit)
-    menu.addSeparator()
-    _add(menu, "&Fit in view", actions.fit_wanted.emit)
-    _add(menu, "&Tidy up", actions.tidy_wanted.emit)
-    _add(menu, "&Refresh", actions.refresh_wanted.emit)
-    menu.addSeparator()
-    _add(menu, "&Keys …", actions.keys_wanted.emit)
+    menu.addActions([bar.find, bar.fit, bar.tidy, bar.refresh, bar.keys])
     return menu
 
 

@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterable, Iterator, Optional, Tuple
+from typing import FrozenSet, Iterable, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
-from python_qt_binding.QtGui import QKeySequence
-from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QFileDialog, QMenu, QVBoxLayout, QWidget
 
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
@@ -249,7 +248,7 @@ class GraphPanel(QWidget):
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
         elif item is None:
-            menu = menu_of_ground(actions, self)
+            menu = menu_of_ground(actions, self.bar)
             self._add_boxes(menu, self.view.viewport().mapFromGlobal(place))
             self._popup(menu, place)
         else:
@@ -303,7 +302,7 @@ class GraphPanel(QWidget):
     def _search(self) -> None:
         text = self.bar.search.text()
         hits = self.view.scene().find(text)
-        self.bar.hits.setText(f"{len(hits)} found" if text else "")
+        self.bar.show_hits(f"{len(hits)} found" if text else "")
 
     @qt_slot
     def _next_hit(self) -> None:
@@ -314,7 +313,7 @@ class GraphPanel(QWidget):
             number = (chosen[0] + 1) % len(hits) if chosen else 0
             self.view.select(hits[number])
             self.view.reveal([hits[number]])
-            self.bar.hits.setText(f"{number + 1} of {len(hits)}")
+            self.bar.show_hits(f"{number + 1} of {len(hits)}")
 
     @qt_slot
     def reveal_selection(self) -> None:
@@ -377,13 +376,15 @@ class GraphPanel(QWidget):
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)
         bar.structure_changed.connect(self.tidy)
-        bar.highlight.toggled.connect(self._set_highlights)
-        bar.refresh.clicked.connect(self._refresh)
-        bar.undo.clicked.connect(monitor.undo)
-        bar.redo.clicked.connect(monitor.redo)
-        bar.load.clicked.connect(self.files.ask_what_to_load)
-        bar.fit.clicked.connect(view.fit)
-        bar.tidy.clicked.connect(self.tidy)
+        bar.settings["highlight"].toggled.connect(self._set_highlights)
+        bar.refresh.triggered.connect(self._refresh)
+        bar.undo.triggered.connect(monitor.undo)
+        bar.redo.triggered.connect(monitor.redo)
+        bar.load.triggered.connect(self.files.ask_what_to_load)
+        bar.fit.triggered.connect(view.fit)
+        bar.tidy.triggered.connect(self.tidy)
+        bar.find.triggered.connect(self.find)
+        bar.find_next.triggered.connect(self._next_hit)
         bar.search.textChanged.connect(self._search)
         bar.search.returnPressed.connect(self._next_hit)
         for edit in (bar.nodelets, bar.topics):
@@ -391,10 +392,6 @@ class GraphPanel(QWidget):
             edit.mended.connect(self.mended)
         actions = self.graph_actions
         actions.disconnect_wanted.connect(self._disconnect)
-        actions.refresh_wanted.connect(self._refresh)
-        actions.fit_wanted.connect(view.fit)
-        actions.tidy_wanted.connect(self.tidy)
-        actions.find_wanted.connect(self.find)
 
     @qt_slot
     def _ask_transports(self, nodes: FrozenSet[str]) -> None:
@@ -411,22 +408,6 @@ class GraphPanel(QWidget):
     def _refresh(self) -> None:
         self._monitor.read_library()
         self._monitor.look()
-
-    def actions_of(self) -> Iterator[QAction]:
-        for keys, function in (
-            (("F5", "Ctrl+R"), self._refresh),
-            (("Ctrl+0",), self.view.fit),
-            (("Ctrl+L",), self.tidy),
-            (("Ctrl+F",), self.find),
-            (("F3",), self._next_hit),
-            (("Ctrl+Z",), self._monitor.undo),
-            (("Ctrl+Shift+Z", "Ctrl+Y"), self._monitor.redo),
-        ):
-            action = QAction(self)
-            action.setShortcuts([QKeySequence(key) for key in keys])
-            action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
-            action.triggered.connect(function)
-            yield action
 
     def _fill_save_menu(self) -> None:
         wiring = self.bar.save_menu.addAction("&Wiring …")

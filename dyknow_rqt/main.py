@@ -13,7 +13,7 @@ import sys
 from types import TracebackType
 from typing import List, Optional, Type
 
-from python_qt_binding.QtCore import QSettings, QTimer
+from python_qt_binding.QtCore import QSettings, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication, QMainWindow
 from rosgraph import myargv
 
@@ -71,6 +71,7 @@ def main(argv: Optional[List[str]] = None) -> int:
             file=sys.stderr,
         )
         return 1
+    QApplication.setAttribute(Qt.AA_UseHighDpiPixmaps)
     application = QApplication(words[:1])
     application.setApplicationName("DyKnow")
     widget = DyKnowWidget(RosRemote(arguments.manager))

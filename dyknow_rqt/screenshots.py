@@ -29,6 +29,7 @@ def dressed(application: QApplication) -> QApplication:
     """Make the application look the same on every machine, and return it."""
     application.setStyle(QStyleFactory.create("Fusion"))
     application.setFont(_font())
+    application.setAttribute(Qt.AA_UseHighDpiPixmaps)
     return application
 
 
@@ -130,7 +131,7 @@ def _tidy(widget: DyKnowWidget) -> None:
 
 
 def _pose_graph(widget: DyKnowWidget) -> None:
-    widget.graph.bar.nodes.setChecked(True)
+    widget.graph.bar.choose("nodes", 1)
     wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
     _tidy(widget)
     widget.active.table.choose(["/nao1/ball_detector"])
@@ -148,7 +149,7 @@ def _pose_found(widget: DyKnowWidget) -> None:
 
 
 def _pose_narrow(widget: DyKnowWidget) -> None:
-    widget.graph.bar.panel.click()
+    widget.graph.bar.panel.trigger()
     wait(lambda: widget.graph.drawn.is_downwards, 20.0, "streams flow downwards")
     QTest.qWait(1500)
 
@@ -160,7 +161,7 @@ def _pose_highlight(widget: DyKnowWidget) -> None:
 
 
 def _pose_nodelets_only(widget: DyKnowWidget) -> None:
-    widget.graph.bar.mode.setCurrentIndex(1)
+    widget.graph.bar.choose("mode", 1)
     _tidy(widget)
 
 
@@ -170,8 +171,7 @@ def _pose_hosts(widget: DyKnowWidget) -> None:
     assert isinstance(remote, SimulatedRemote)
     for nodelet in remote.graph().nodelets:
         remote.client.alter(nodelet.name, host=nodelet.name.split("/")[1])
-    widget.graph.bar.boxes.setCurrentText(Boxes.HOSTS.value)
-    widget.graph.bar.depth.setValue(2)
+    widget.graph.bar.choose("boxes", list(Boxes).index(Boxes.HOSTS))
     _tidy(widget)
 
 

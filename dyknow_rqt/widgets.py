@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 from typing import Iterable, List, Optional
 
-from python_qt_binding.QtCore import QPoint, QRect, QSize, QStringListModel, Qt, Signal
+from python_qt_binding.QtCore import QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont, QPalette
 from python_qt_binding.QtWidgets import (
     QCompleter,
@@ -16,8 +16,6 @@ from python_qt_binding.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
     QLabel,
-    QLayout,
-    QLayoutItem,
     QLineEdit,
     QPlainTextEdit,
     QWidget,
@@ -111,90 +109,6 @@ class FilterEdit(QLineEdit):
                 self.mended.emit(complaint)
             self.filter_changed.emit()
         self.setPalette(palette)
-
-
-_SPACING = (12, 3)
-
-
-class FlowLayout(QLayout):
-    """Widgets side by side, in as many lines as they need.
-
-    Widgets that can grow share the rest of their line, in proportion to their size.
-    """
-
-    def __init__(self, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
-        self._items: List[QLayoutItem] = []
-
-    def addItem(self, item: QLayoutItem) -> None:  # noqa: N802
-        self._items.append(item)
-
-    def count(self) -> int:
-        return len(self._items)
-
-    def itemAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        return self._items[index] if 0 <= index < len(self._items) else None
-
-    def takeAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        return self._items.pop(index) if 0 <= index < len(self._items) else None
-
-    def hasHeightForWidth(self) -> bool:  # noqa: N802
-        return True
-
-    def heightForWidth(self, width: int) -> int:  # noqa: N802
-        return self._arrange(QRect(0, 0, width, 0), moving=False)
-
-    def setGeometry(self, area: QRect) -> None:  # noqa: N802
-        super().setGeometry(area)
-        self._arrange(area, moving=True)
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        return self.minimumSize()
-
-    def minimumSize(self) -> QSize:  # noqa: N802
-        left, top, right, bottom = self.getContentsMargins()
-        size = QSize()
-        for item in filter(lambda item: not item.isEmpty(), self._items):
-            size = size.expandedTo(item.minimumSize())
-        return size + QSize(left + right, top + bottom)
-
-    def _arrange(self, area: QRect, moving: bool) -> int:
-        """Fill line after line; returns the height."""
-        left, top, right, bottom = self.getContentsMargins()
-        width, y = area.width() - left - right, area.y() + top
-        for line in self._lines(width):
-            height = max(item.sizeHint().height() for item in line)
-            if moving:
-                self._fill(line, QPoint(area.x() + left, y), width, height)
-            y += height + _SPACING[1]
-        return int(y - _SPACING[1] + bottom - area.y())
-
-    def _lines(self, width: int) -> List[List[QLayoutItem]]:
-        lines: List[List[QLayoutItem]] = []
-        used = 0
-        for item in self._items:
-            if item.isEmpty():
-                continue  # hidden
-            wish = item.sizeHint().width()
-            if not lines or used + _SPACING[0] + wish > width:
-                lines.append([item])
-                used = wish
-            else:
-                lines[-1].append(item)
-                used += _SPACING[0] + wish
-        return lines
-
-    @staticmethod
-    def _fill(line: List[QLayoutItem], start: QPoint, width: int, height: int) -> None:
-        wishes = [min(item.sizeHint().width(), width) for item in line]
-        growing = [bool(item.expandingDirections() & Qt.Horizontal) for item in line]
-        spare = max(0, width - sum(wishes) - _SPACING[0] * (len(line) - 1))
-        total = sum(wish for wish, grows in zip(wishes, growing) if grows)
-        x = start.x()
-        for item, wish, grows in zip(line, wishes, growing):
-            size = wish + (spare * wish // total if grows else 0)
-            item.setGeometry(QRect(x, start.y(), size, height))
-            x += size + _SPACING[0]
 
 
 class Sign(QLabel):

@@ -13,7 +13,6 @@ from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAbstractButton,
-    QAction,
     QApplication,
     QLineEdit,
     QSplitter,
@@ -160,7 +159,7 @@ class DyKnowWidget(QWidget):
         self.line.show_status(self.monitor.heart.status)
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)
-        self.graph.bar.panel.clicked.connect(self._choose_panel)
+        self.graph.bar.panel.triggered.connect(self._choose_panel)
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
         self.graph.noted.connect(self.line.note)
@@ -168,9 +167,9 @@ class DyKnowWidget(QWidget):
         for table in (self.active.table, self.streams.table):
             table.picked.connect(self.graph.reveal_selection)
         self.library.create_wanted.connect(self._begin_create)
-        self.addActions([*self.graph.actions_of(), self.line.decline, self._keys_action()])
+        self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
+        self.graph.bar.keys.triggered.connect(self.show_keys)
         actions = self.graph.graph_actions
-        actions.keys_wanted.connect(self.show_keys)
         actions.destroy_wanted.connect(self.active.ask_to_destroy)
         actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
@@ -222,13 +221,6 @@ class DyKnowWidget(QWidget):
             for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
                 palette.setColor(role, muted)
         self.tabs.setPalette(palette)
-
-    def _keys_action(self) -> QAction:
-        action = QAction(self)
-        action.setShortcuts([QKeySequence(key) for key in ("Shift+?", "?", "F1")])
-        action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
-        action.triggered.connect(self.show_keys)
-        return action
 
     @qt_slot
     def show_keys(self) -> None:

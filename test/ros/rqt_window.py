@@ -139,8 +139,8 @@ class WindowTest(Window, ManagerCase):
         until(lambda: any(sent()), "it goes on")
         manager.client.set_config("/count", {"out": ""})
         until(lambda: sent() == [0.0], "nothing is sent any more")
-        window.graph.bar.debug.setChecked(False)  # this node is named like rqt's
-        window.graph.bar.nodes.setChecked(True)
+        window.graph.bar.choose("debug", 0)  # this node is named like rqt's
+        window.graph.bar.choose("nodes", 1)
         me = f"p_{rospy.get_name()}"
         until(lambda: me in scene.vertices, "the listening node is shown")
         self.does(monitor.undo, lambda: topic(out) == "", "the connection is taken back")

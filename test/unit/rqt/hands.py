@@ -11,7 +11,15 @@ from pathlib import Path
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QMouseEvent
 from python_qt_binding.QtTest import QTest
-from python_qt_binding.QtWidgets import QAbstractButton, QApplication, QLabel, QMenu, QMessageBox
+from python_qt_binding.QtWidgets import (
+    QAbstractButton,
+    QAction,
+    QApplication,
+    QLabel,
+    QMenu,
+    QMessageBox,
+    QToolButton,
+)
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow_rqt.graph.changes import spawn
@@ -71,8 +79,14 @@ def centre_of(view, key):
 
 
 def click(qtbot, button):
+    """Click a button, or that of an action."""
+    button = button_of(button) if isinstance(button, QAction) else button
     assert button.isEnabled()
     qtbot.mouseClick(button, Qt.LeftButton)
+
+
+def button_of(action):
+    return next(each for each in action.associatedWidgets() if isinstance(each, QToolButton))
 
 
 def no_boxes():

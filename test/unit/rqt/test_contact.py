@@ -226,7 +226,7 @@ def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, rem
 
 
 def test_the_master_goes_and_another_one_does_not_know_the_manager(qtbot, window, remote):
-    window.graph.bar.nodes.setChecked(True)
+    window.graph.bar.choose("nodes", 1)
     until(qtbot, lambda: "p_/team_view" in vertex_keys(window))
     sign = window.graph.sign
     remote.has_master = False

@@ -89,14 +89,14 @@ def test_filters_hide_and_complain(qtbot, window):
 def test_options_change_what_is_drawn(qtbot, window, remote):
     bar, readers = window.graph.bar, remote.subscribers
     remote.subscribers = {}
-    bar.dead_sinks.setChecked(True)
+    bar.choose("dead_sinks", 1)
     until(qtbot, lambda: "t_/field/tracker/track" not in vertex_keys(window))
     remote.subscribers = readers  # with its reader the topic is no dead sink
-    bar.nodes.setChecked(True)
+    bar.choose("nodes", 1)
     until(qtbot, lambda: "p_/team_view" in vertex_keys(window))
-    bar.mode.setCurrentIndex(1)
+    bar.choose("mode", 1)
     until(qtbot, lambda: not any(key.startswith("t_") for key in vertex_keys(window)))
-    bar.depth.setValue(0)
+    bar.choose("depth", 0)
     until(qtbot, lambda: window.graph.drawn.groups() == [])
 
 

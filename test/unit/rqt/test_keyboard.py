@@ -16,7 +16,7 @@ from python_qt_binding.QtWidgets import (
     QLabel,
     QWidget,
 )
-from unit.rqt.hands import CEILING, create, description_of, texts_of, until
+from unit.rqt.hands import CEILING, button_of, create, description_of, texts_of, until
 
 from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.widgets import KEYS, KeysDialog
@@ -60,9 +60,10 @@ def test_return_presses_what_is_focused(qtbot, window, remote):
     until(qtbot, window.line.yes.hasFocus)
     qtbot.keyClick(window.line.yes, Qt.Key_Return)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is None)
-    window.graph.bar.dead_sinks.setFocus()
-    qtbot.keyClick(window.graph.bar.dead_sinks, Qt.Key_Enter)
-    assert window.graph.bar.dead_sinks.isChecked()
+    button = button_of(window.graph.bar.filter)
+    button.setFocus()
+    qtbot.keyClick(button, Qt.Key_Enter)
+    assert window.graph.bar.nodelets.isVisible()
     window.tabs.setCurrentWidget(window.library)
     window.library.table.choose(["tracker"])
     qtbot.keyClick(window.library.table, Qt.Key_Return)

@@ -82,7 +82,7 @@ def test_in_the_drawing_no_label_covers_another_or_a_vertex(qtbot, window):
     scene = window.graph.view.scene()
     until(qtbot, lambda: any(item.is_dropping for item in scene.edges.values()))
     for mode, shown in ((1, False), (0, True)):
-        window.graph.bar.mode.setCurrentIndex(mode)
+        window.graph.bar.choose("mode", mode)
 
         def is_drawn(shown=shown):
             return ("t_/field/ball" in scene.vertices) is shown and scene.is_labelled

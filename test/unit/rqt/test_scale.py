@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
-from python_qt_binding.QtGui import QImage
-from unit.rqt.hands import centre_of, click, until, vertex_keys, window_of
+from python_qt_binding.QtGui import QImage, QPalette
+from python_qt_binding.QtWidgets import QToolButton
+from unit.rqt.hands import button_of, centre_of, click, until, vertex_keys, window_of
 
 from dyknow_rqt.canvas.overview import FAR
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.example_graphs import tree
+from dyknow_rqt.screenshots import dark_palette
 
 _COUNT = 200
 
@@ -162,7 +164,7 @@ def test_a_double_click_collapses_a_box_and_opens_it(qtbot, window):
 
 
 def test_boxes_can_be_nodelet_managers_and_collapsed_all_at_once(qtbot, window):
-    window.graph.bar.boxes.setCurrentIndex(1)
+    window.graph.bar.choose("boxes", 1)
     until(qtbot, lambda: window.graph.drawn.groups() == [("/dyknow_nodelet_manager",)])
     window.graph._collapse(window.graph.drawn.groups())
     until(qtbot, lambda: vertex_keys(window) == {"b_/dyknow_nodelet_manager"})
@@ -180,7 +182,7 @@ def test_in_a_narrow_window_streams_flow_downwards(qtbot, window):
         < vertices["n_/part0/nodelet1"].y()
         < vertices["n_/part0/nodelet3"].y()
     )
-    window.graph.bar.direction.setCurrentIndex(1)
+    window.graph.bar.choose("direction", 1)
     until(qtbot, lambda: not window.graph.drawn.is_downwards)
     assert vertices["n_/part0/nodelet0"].x() < vertices["n_/part0/nodelet1"].x()
 
@@ -203,15 +205,31 @@ def test_a_view_of_another_shape_is_filled_anew(qtbot, window):
     assert not asked and not window.graph._wants_tidy
 
 
-def test_a_small_window_shows_the_graph_and_folds_all_else(qtbot, window):
+def test_a_fresh_rqt_shows_the_graph_and_puts_all_else_away(qtbot, window):
+    window.resize(600, 450)
+    view, bar = window.graph.view, window.graph.bar
+    until(qtbot, lambda: view.width() * view.height() >= 0.6 * 600 * 450)
+    assert not window.tabs.isVisible()
     window.resize(320, 240)
-    until(qtbot, lambda: not window.tabs.isVisible())
-    assert window.graph.view.isVisible() and not window.graph.bar.nodelets.isVisible()
-    assert window.width() < 400
-    click(qtbot, window.graph.bar.more)
-    assert window.graph.bar.nodelets.isVisible()
+    assert window.width() < 400 and view.isVisible()
+    button = bar.findChild(QToolButton, "qt_toolbar_ext_button")
+    until(qtbot, button.isVisible)
+    assert not button_of(bar.load).isVisible() and bar.load in button.menu().actions()
+    assert bar.view.menu().actions() and bar.view in button.menu().actions()
+    button.menu().actions()[-1].trigger()
     window.resize(1366, 768)
-    assert window.tabs.isVisible() and window.state()["more"] == "1"
+    assert window.tabs.isVisible() and button_of(bar.load).isVisible()
+
+
+def test_icons_are_seen_on_any_ground(qtbot, window):
+    for palette in (QPalette(), dark_palette()):
+        window.setPalette(palette)
+        icon = window.graph.bar.fit.icon().pixmap(24, 24).toImage()
+        strokes = [icon.pixelColor(x, y) for x in range(24) for y in range(24)]
+        ground, words = (palette.color(role) for role in (QPalette.Button, QPalette.ButtonText))
+        inks = {each.lightness() for each in strokes if each.alpha() > 240}
+        assert inks and all(abs(ink - words.lightness()) < 40 for ink in inks), ground.name()
+    window.setPalette(QPalette())
 
 
 def test_a_wide_window_has_the_panel_beside_the_graph_and_a_narrow_one_below_it(window):

@@ -109,7 +109,7 @@ def test_the_arrow_of_a_formula_has_the_colour_of_its_verdict(qtbot, charged, re
 
 
 def test_the_port_shows_the_verdict_where_nothing_listens(qtbot, charged, remote):
-    charged.graph.bar.mode.setCurrentIndex(1)
+    charged.graph.bar.choose("mode", 1)
     until(qtbot, lambda: _arrow(charged) is None)
     scene = charged.graph.view.scene()
 

@@ -81,7 +81,7 @@ def test_colours_follow_the_palette(qtbot, window):
 
 
 def test_settings_are_kept(qtbot, window, remote):
-    window.graph.bar.depth.setValue(1)
+    window.graph.bar.choose("depth", 1)
     window.graph.bar.topics.setText("-/x")
     window.tabs.setCurrentIndex(2)
     other = DyKnowWidget(remote)
