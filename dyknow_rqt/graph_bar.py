@@ -88,12 +88,14 @@ class GraphBar(QWidget):
         self.save.setMenu(self.save_menu)
         self.load = self._add("Loa&d", "document-open", "Load a wiring: nodelets, connections")
         self.refresh = self._add("Refres&h", "view-refresh", "Read everything now", "F5", "Ctrl+R")
-        #: Not in the bar: to the field, to the next thing that was found, and the list of keys.
+        #: Not in the bar: these have keys, and are in the menu of the background.
         self.find, self.find_next = QAction("&Find …", self), QAction("Find &next", self)
         self.keys = QAction("&Keys …", self)
         _give_keys(self.find, "Ctrl+F")
         _give_keys(self.find_next, "F3")
+        self.next_ill = QAction("Next that is not &well", self)
         _give_keys(self.keys, "Shift+?", "?", "F1")
+        _give_keys(self.next_ill, "F8")
         self.search = QLineEdit()
         self.search.setPlaceholderText("find (Ctrl+F)")
         self.search.setClearButtonEnabled(True)
@@ -110,7 +112,7 @@ class GraphBar(QWidget):
     @property
     def actions_with_keys(self) -> List[QAction]:
         found = [action for action in self.tools.actions() if action.shortcuts()]
-        return [*found, self.find, self.find_next, self.keys]
+        return [*found, self.find, self.find_next, self.next_ill, self.keys]
 
     def is_downwards(self, view: QSize) -> bool:
         """Whether streams flow downwards in a view of that size."""

@@ -128,7 +128,7 @@ def menu_of(
 def menu_of_ground(actions: GraphActions, bar: GraphBar) -> QMenu:
     menu = QMenu(bar)
     _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
-    menu.addActions([bar.find, bar.fit, bar.tidy, bar.refresh, bar.keys])
+    menu.addActions([bar.find, bar.fit, bar.tidy, bar.refresh, bar.next_ill, bar.keys])
     return menu
 
 

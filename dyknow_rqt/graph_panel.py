@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterable, Optional, Tuple
+from typing import FrozenSet, Iterable, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QMenu, QVBoxLayout, QWidget
@@ -20,8 +20,10 @@ from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.figure import Figure, Group, figure_of
 from dyknow_rqt.graph.geometry import Drawing
+from dyknow_rqt.graph.ghosts import fates_of, with_ghosts
 from dyknow_rqt.graph.layout import to_dot
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.ways import Part
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
@@ -59,6 +61,7 @@ class GraphPanel(QWidget):
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
         self._shape = 1.0
+        self._plan: Sequence[Part] = ()
         self._is_figuring = self._is_outdated = False
         self._calls = BackgroundCalls(1)
         self._turning = QTimer(self)
@@ -101,12 +104,10 @@ class GraphPanel(QWidget):
         self._is_outdated = True
         if not self._is_figuring:
             self._is_figuring, self._is_outdated = True, False
-            snapshot, options = (
-                self._monitor.snapshot,
-                self.bar.options(self.view.viewport().size()),
-            )
+            snapshot, plan = self._monitor.snapshot, self._plan
+            options = self.bar.options(self.view.viewport().size())
             self._calls.run(
-                lambda: figure_of(snapshot, options),
+                lambda: with_ghosts(figure_of(snapshot, options), snapshot, plan),
                 lambda figure: self._take_figure(snapshot, figure),
                 self._take_no_figure,
             )
@@ -131,6 +132,14 @@ class GraphPanel(QWidget):
     def _take_no_figure(self, error: Exception) -> None:
         self._is_figuring = False
         raise error
+
+    @qt_slot
+    def show_plan(self, parts: Sequence[Part]) -> None:
+        """Draw a plan that is not made yet over the graph; none of it ends that."""
+        if tuple(parts) != self._plan:
+            self._plan = tuple(parts)
+            self.view.scene().show_ghosts(fates_of(parts))
+            self.redraw()
 
     @qt_slot
     def tidy(self) -> None:

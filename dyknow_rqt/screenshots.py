@@ -80,6 +80,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("library", light, _pose_library),
         ("create", light, _pose_create),
         ("connect", light, _pose_connect),
+        ("plan", light, _pose_plan),
         ("gone", light, _pose_gone),
         ("dark", dark_palette(), _pose_dark),
     ):
@@ -201,6 +202,22 @@ def _pose_connect(widget: DyKnowWidget) -> None:
             QEvent.MouseMove, QPointF(end), Qt.NoButton, Qt.LeftButton, Qt.NoModifier
         )
         QApplication.sendEvent(view.viewport(), move)
+
+
+def _pose_plan(widget: DyKnowWidget) -> None:
+    """The plan of a stream whose last three nodelets are to be made again."""
+    remote, streams = widget.monitor.remote, widget.streams
+    assert isinstance(remote, SimulatedRemote)
+    gone = ("/field/tracker", "/nao1/localization", "/nao1/line_detector")
+    for name in gone:
+        remote.client.destroy(name)
+    wait(lambda: not any(map(widget.monitor.snapshot.nodelet, gone)), 10.0, "they are gone")
+    widget.tabs.setCurrentWidget(streams)
+    streams.tag.setText("Track(ball)")
+    streams.exclude.setText("ceiling_camera")
+    streams.preview.click()
+    wait(lambda: "g_tracker" in widget.graph.view.scene().vertices, 10.0, "the plan is drawn")
+    QTest.qWait(1000)
 
 
 def _pose_gone(widget: DyKnowWidget) -> None:

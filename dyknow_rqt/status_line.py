@@ -70,6 +70,10 @@ class StatusLine(QWidget):
         self.dismiss.clicked.connect(self.clear)
         self.clear()
 
+    def show_beside(self, widget: QWidget) -> None:
+        """Show a widget before the contact to the manager."""
+        self.layout().insertWidget(self.layout().count() - 1, widget)
+
     @property
     def text(self) -> str:
         return str(self._text.text())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import Any, Dict, Optional
+from typing import Any, Dict, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
@@ -24,6 +24,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph_panel import GraphPanel
+from dyknow_rqt.health_label import HealthLabel
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
@@ -57,6 +58,8 @@ class DyKnowWidget(QWidget):
         self.line = StatusLine()
         self.report = self.line.report
         watch = StreamWatch(self.monitor)
+        self.health = HealthLabel(self.monitor, watch)
+        self.line.show_beside(self.health)
         self.selection = Selection(self.monitor, watch)
         self._is_chosen = False
         self.graph = GraphPanel(self.monitor, self.selection)
@@ -164,8 +167,13 @@ class DyKnowWidget(QWidget):
         self.graph.mended.connect(self.line.withdraw)
         self.graph.noted.connect(self.line.note)
         self.active.menu_wanted.connect(self.graph.show_menu)
-        for table in (self.active.table, self.streams.table):
+        for table in (self.active.table, self.streams.table, self.streams.plan):
             table.picked.connect(self.graph.reveal_selection)
+        self.health.nodelet_wanted.connect(self.selection.choose_nodelets)
+        self.health.nodelet_wanted.connect(self.graph.reveal_selection)
+        self.health.claim_wanted.connect(self._lead_to_claim)
+        self.graph.bar.next_ill.triggered.connect(self.health.next)
+        self.streams.planned.connect(self.graph.show_plan)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
         self.graph.bar.keys.triggered.connect(self.show_keys)
@@ -232,6 +240,12 @@ class DyKnowWidget(QWidget):
     def _begin_tab(self) -> None:
         if self.tabs.currentWidget() is self.streams:
             self.streams.tag.setFocus()
+
+    @qt_slot
+    def _lead_to_claim(self, claims: Sequence[str]) -> None:
+        self.tabs.setCurrentWidget(self.streams)
+        self.streams.choose(claims)
+        self.graph.reveal_selection()
 
     @qt_slot
     def _begin_create(self, label: str) -> None:

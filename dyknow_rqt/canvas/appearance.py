@@ -22,13 +22,15 @@ from dyknow_rqt.graph.verdicts import PortVerdict
 
 
 class Tone(enum.Enum):
-    """The relation of an item to the one under the pointer."""
+    """The relation of an item to the one under the pointer, or to the plan that is shown."""
 
     NONE = "none"
     SELF = "self"
     IN = "in"
     OUT = "out"
     BOTH = "both"
+    KEPT = "kept"
+    DROPPED = "dropped"
 
 
 class Colours(NamedTuple):
@@ -48,6 +50,7 @@ class Colours(NamedTuple):
     in_: QColor
     out: QColor
     both: QColor
+    kept: QColor
     true: QColor
     false: QColor
 
@@ -62,6 +65,8 @@ class Colours(NamedTuple):
             Tone.IN: self.in_,
             Tone.OUT: self.out,
             Tone.BOTH: self.both,
+            Tone.KEPT: self.out,
+            Tone.DROPPED: self.muted,
         }.get(tone, self.line)
 
 
@@ -88,6 +93,7 @@ def colours_of(palette: QPalette) -> Colours:
         in_=QColor("#6d7ef7") if dark else QColor("#0018c8"),
         out=green,
         both=QColor("#c983c8") if dark else QColor("#c906b3"),
+        kept=_mix(paper, green, 0.25),
         true=green,
         false=red,
     )
@@ -192,6 +198,7 @@ def vertex_tip(snapshot: Snapshot, vertex: Vertex, verdicts: Mapping[PortRef, Po
         return _nodelet_tip(nodelet)
     what = {
         VertexKind.BOX: "a collapsed box; double-click to open it",
+        VertexKind.GHOST: f"a nodelet of the plan that is shown: {vertex.note}",
         VertexKind.CLAIM: f"a stream that waits until it can be made: {vertex.note}",
     }
     return _tip(vertex.name, what.get(vertex.kind, "ordinary ROS node"))

@@ -45,7 +45,7 @@ from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
+from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind, key_of
 from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot, Transports, connections_of
@@ -91,6 +91,7 @@ class GraphScene(QGraphicsScene):
         self._reshow: Callable[[], None] = lambda: None
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
+        self._ghosts: Mapping[object, Tone] = {}
         self.overview = Overview()
         self._is_far = self._is_placing = self._wants_labels = False
         #: Whether a drawing has begun that is not shown yet.
@@ -217,7 +218,9 @@ class GraphScene(QGraphicsScene):
 
     def _show_traffic(self, edge: Edge, item: EdgeItem) -> None:
         traffic, verdict = edge_traffic(edge, self._traffic), edge_verdict(edge, self._verdicts)
-        item.show(traffic, verdict, edge.tail in self._dead or edge.head in self._dead)
+        planned = key_of(VertexKind.GHOST, "")
+        ends = (edge.tail, edge.head)
+        item.show(traffic, verdict, any(k in self._dead or k.startswith(planned) for k in ends))
 
     def tip_of(self, item: object) -> str:
         refs = self._refs_of(item)[:1] if isinstance(item, EdgeItem) else self._refs_of(item)
@@ -346,6 +349,11 @@ class GraphScene(QGraphicsScene):
             tones[key] = Tone.SELF
         self._paint_tones(tones)
 
+    def show_ghosts(self, fates: Mapping[str, bool]) -> None:
+        """Tint the vertices that a plan uses on (True), strike out those that it drops."""
+        self._ghosts = {key: Tone.KEPT if kept else Tone.DROPPED for key, kept in fates.items()}
+        self.highlight(self._highlighted)
+
     def find(self, text: str) -> List[VertexItem]:
         """Mark the vertices whose name contains a text; return them from left to right."""
         wanted = text.strip().lower()
@@ -471,4 +479,4 @@ class GraphScene(QGraphicsScene):
 
     def _paint_tones(self, tones: Mapping[object, Tone]) -> None:
         for key, item in (*self.vertices.items(), *self.edges.items()):
-            item.set_tone(tones.get(key, Tone.NONE))
+            item.set_tone(tones.get(key, self._ghosts.get(key, Tone.NONE)))

@@ -36,6 +36,8 @@ _OVER = 4.0
 _BESIDE = 44.0
 #: A name that is larger by this factor leaves no room for a badge.
 _MOST = 1.4
+#: What is not there yet.
+_DASHED = (VertexKind.CLAIM, VertexKind.GHOST)
 _CENTRE = Qt.AlignCenter | Qt.TextDontClip
 
 
@@ -147,7 +149,9 @@ class VertexItem(Item):
             if self.appearance.is_protected:
                 painter.setBrush(Qt.NoBrush)
                 painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
-        painter.setFont(self._font)
+        font = QFont(self._font)
+        font.setStrikeOut(self.tone is Tone.DROPPED)
+        painter.setFont(font)
         painter.setPen(self._text_colour())
         badge, metrics = self._badge(), QFontMetricsF(self._font)
         size = self._font.pixelSize() if self._font.pixelSize() > 0 else metrics.ascent()
@@ -197,7 +201,7 @@ class VertexItem(Item):
             colour = self.colours.box_line
         if self.appearance.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.appearance.state is State.LOST or self.vertex.kind is VertexKind.CLAIM:
+        elif self.appearance.state is State.LOST or self.vertex.kind in _DASHED:
             colour, style = self.colours.muted, Qt.DashLine
         elif self.appearance.state is State.STARTING:
             style = Qt.DotLine
@@ -210,6 +214,8 @@ class VertexItem(Item):
     def fill(self) -> QColor:
         if self.appearance.state not in (State.RUNNING, State.STARTING):
             return self.colours.paper
+        if self.tone is Tone.KEPT:
+            return self.colours.kept
         if self.vertex.kind.is_square and self.vertex.kind is not VertexKind.CLAIM:
             return self.colours.topic
         is_nodelet = self.vertex.kind is VertexKind.NODELET

@@ -53,6 +53,7 @@ class VertexKind(enum.Enum):
     NODE = "p"
     BOX = "b"
     CLAIM = "c"
+    GHOST = "g"
 
     @property
     def is_square(self) -> bool:
@@ -77,7 +78,7 @@ class Vertex:
 
     Attributes:
         key: unique in the figure, and the same for the same thing in every figure.
-        kind: nodelet, topic, ordinary node or collapsed box.
+        kind: nodelet, topic, ordinary node, collapsed box, waiting claim or planned nodelet.
         name: global name.
         group: the box that it stands in.
         inputs: names of in-ports, in the order of declaration.

@@ -56,13 +56,6 @@ def _mean(heights: Sequence[Tuple[float, float]]) -> Tuple[float, float]:
 
 #: Points of graphviz in an inch; a point is taken for a pixel.
 _DPI = 72.0
-_SHAPES = {
-    VertexKind.NODELET: "ellipse",
-    VertexKind.TOPIC: "box",
-    VertexKind.NODE: "ellipse",
-    VertexKind.BOX: "box",
-    VertexKind.CLAIM: "box",
-}
 
 
 class BadLayout(ValueError):
@@ -146,7 +139,7 @@ def _members(
 def _vertex(vertex: Vertex, size: Size) -> str:
     return (
         f"{quote(vertex.key)} [label={quote(vertex.label)}, tooltip={quote(vertex.name)}, "
-        f"shape={_SHAPES[vertex.kind]}, "
+        f"shape={'box' if vertex.kind.is_square else 'ellipse'}, "
         f'width="{size.width / _DPI:.3f}", height="{size.height / _DPI:.3f}"];'
     )
 

@@ -1,41 +1,152 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How a stream is made now, as a tree of words."""
+"""Ways to make a stream: as planned, the next best ones, and as it is made now."""
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterator
+import re
+from contextlib import suppress
+from dataclasses import replace
+from typing import Dict, FrozenSet, Iterator, List, NamedTuple, Tuple
 
-from dyknow.model.streams import StreamStatus
+from dyknow.errors import StreamRefused
+from dyknow.manager.planning.explanation import Entry, read_tree
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import State
+from dyknow.model.streams import Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.snapshot import Snapshot
 
-
-def way_of(stream: StreamStatus, snapshot: Snapshot) -> str:
-    """Write the nodelets of a claim behind each other, from its topic to its sources."""
-    parts = [
-        stream.bound_tag,
-        f"on {stream.topic}" if stream.topic else "",
-        stream.state.name.lower(),
-    ]
-    title = ", ".join(part for part in parts if part)
-    lines = _lines(stream.topic, frozenset(stream.nodelets), snapshot, frozenset())
-    return "\n".join([title + (f": {stream.detail}" if stream.detail else ""), *lines])
+_TITLE = re.compile(r"(?P<what>.*): cost (?P<cost>\S+) \((?P<how>.*?)\)(?P<more>.*)\Z")
+_NEW = ("new", "at no cost")
+#: Transformations of a plan without which is planned, to find the next best one.
+_TRIED = 6
 
 
-def _lines(
-    topic: str, members: FrozenSet[str], snapshot: Snapshot, seen: FrozenSet[str]
-) -> Iterator[str]:
+class Part(NamedTuple):
+    """A line of a way: a supplier, below the one that it supplies; at depth 0 the whole way.
+
+    Attributes:
+        depth: below the whole.
+        port: the in-port that it supplies; empty at the whole and the last supplier.
+        what: transformation with out-port, or a topic.
+        how: such as ``new`` or ``runs as /tracker``.
+        cost: as a text; empty for nothing.
+        bindings: what its variables stand for.
+    """
+
+    depth: int
+    port: str
+    what: str
+    how: str = ""
+    cost: str = ""
+    bindings: str = ""
+
+    @property
+    def nodelet(self) -> str:
+        """Name of the nodelet that runs; empty for none."""
+        return self.how.partition(" as ")[2]
+
+    @property
+    def label(self) -> str:
+        """Label of the transformation; empty for a topic, and for a line of another text."""
+        return "" if self.how in ("", "topic") else self.what.rpartition(".")[0]
+
+    @property
+    def is_new(self) -> bool:
+        return self.how in _NEW
+
+    @property
+    def cells(self) -> Tuple[str, str, str, str]:
+        what = f"{self.port} ← {self.what}" if self.port else self.what
+        return what, self.cost, self.how, self.bindings
+
+
+Way = Tuple[Part, ...]
+
+
+def read_way(text: str) -> Way:
+    """Read a plan; of another text, such as a refusal, each line is a part."""
+    try:
+        title, entries = read_tree(text)
+    except ValueError:
+        title, *lines = text.strip().split("\n")
+        return (Part(0, "", title), *(Part(1, "", line.lstrip("├└─│ ")) for line in lines))
+    found = _TITLE.match(title)
+    whole = Part(0, "", title)
+    if found is not None:
+        whole = Part(0, "", found["what"], found["how"] + found["more"], found["cost"])
+    return (whole, *map(_part_of, entries))
+
+
+def next_ways(client: BaseManagerClient, request: StreamRequest, way: Way) -> List[Way]:
+    """Plan without each transformation of a way: the ways that differ, the cheapest first."""
+    labels = dict.fromkeys(part.label for part in way[1:] if part.label)
+    found: Dict[str, Tuple[float, str]] = {}
+    for label in list(labels)[:_TRIED]:
+        with suppress(StreamRefused):
+            other = replace(request, exclude=(*request.exclude, label))
+            answer = client.acquire_stream(other, dry_run=True)
+            found.setdefault(answer.plan, (answer.cost, f"without {label}"))
+    ways = [(read_way(plan), how) for plan, (_, how) in sorted(found.items(), key=lambda e: e[1])]
+    return [(way[0]._replace(what=how), *way[1:]) for way, how in ways]
+
+
+def dropped_by(found: Replanned, stream: StreamStatus) -> Way:
+    """The nodelets that a stream uses no longer when it is planned again; empty for none."""
+    names = sorted(set(stream.nodelets) - set(found.reused))
+    parts = tuple(Part(1, "", name, f"dropped as {name}") for name in names)
+    return (Part(0, "", "Used no longer"), *parts) if parts else ()
+
+
+def present_way(stream: StreamStatus, snapshot: Snapshot) -> Way:
+    """The nodelets of a claim behind each other, from its topic to its sources."""
+    words = [f"on {stream.topic}" if stream.topic else "", stream.state.name.lower()]
+    state = ", ".join(filter(None, words)) + (f": {stream.detail}" if stream.detail else "")
+    whole = Part(0, "", stream.tag, state, bindings=" ".join(stream.bindings))
+    members = frozenset(stream.nodelets)
+    return (whole, *_parts(stream.topic, "", 1, members, snapshot, frozenset()))
+
+
+def _parts(
+    topic: str,
+    port: str,
+    depth: int,
+    members: FrozenSet[str],
+    snapshot: Snapshot,
+    seen: FrozenSet[str],
+) -> Iterator[Part]:
     found = snapshot.topics().get(topic)
-    refs = [ref for ref in (found.sources if found is not None else ()) if ref.nodelet in members]
-    for number, ref in enumerate(refs):
-        is_last = number == len(refs) - 1
+    for ref in found.sources if found is not None else ():
         nodelet = snapshot.nodelet(ref.nodelet)
-        made = f" ({nodelet.transformation})" if nodelet is not None else ""
-        yield f"{'└─' if is_last else '├─'} {ref.nodelet}.{ref.port}{made}"
-        inputs = [p.topic for p in (nodelet.ports if nodelet else ()) if p.direction == IN]
-        for source in dict.fromkeys(inputs):
-            if source and source not in seen:
-                for line in _lines(source, members, snapshot, seen | {source, topic}):
-                    yield f"{'   ' if is_last else '│  '}{line}"
+        if nodelet is None or ref.nodelet not in members:
+            continue
+        verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
+        given = (f"{each.name}={each.text}" for each in nodelet.parameters)
+        yield Part(
+            depth,
+            port,
+            f"{nodelet.transformation}.{ref.port}",
+            f"{verb} as {ref.nodelet}",
+            bindings=" ".join(each for each in given if each.startswith("?")),
+        )
+        for each in nodelet.ports:
+            if each.direction == IN and each.topic and each.topic not in seen:
+                before = seen | {topic, each.topic}
+                yield from _parts(each.topic, each.name, depth + 1, members, snapshot, before)
+
+
+def _part_of(entry: Entry) -> Part:
+    what, is_bound, bindings = entry.what.partition(" [?")
+    how, *costs = (word for word in entry.how.split(", ") if word)
+    cost = " + ".join(word.partition(" ")[2] for word in costs if word[:4] in ("cost", "char"))
+    rest = [word for word in costs if word[:4] not in ("cost", "char")]
+    return Part(
+        entry.depth + 1,
+        entry.port,
+        what,
+        ", ".join([how, *rest]),
+        cost,
+        f"?{bindings[:-1]}" if is_bound else "",
+    )

@@ -10,14 +10,13 @@ import socket
 import time
 from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Optional, Sequence, Tuple
 
-from python_qt_binding.QtCore import QStringListModel, Qt
+from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QCompleter,
     QDoubleSpinBox,
     QHeaderView,
     QLineEdit,
-    QPlainTextEdit,
     QPushButton,
     QSplitter,
     QVBoxLayout,
@@ -29,9 +28,10 @@ from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
-from dyknow_rqt.graph.ways import way_of
+from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
+from dyknow_rqt.panels.way_tree import WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
@@ -49,6 +49,9 @@ _LONGEST = 70
 
 class StreamsPanel(Panel):
     """Previews, acquires, releases and replans streams; shows their states."""
+
+    #: A plan is shown that is not made yet: its parts; none for no plan.
+    planned = Signal(object)
 
     def __init__(
         self,
@@ -95,13 +98,12 @@ class StreamsPanel(Panel):
         self.rate.setAccessibleName("Rate at least")
         self.age.setAccessibleName("Age at most")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
-        self.plan = text_of("Plan")
-        self.plan.setLineWrapMode(QPlainTextEdit.NoWrap)
+        self.plan = WayTree("Plan")
         #: The claim whose present plan is shown; empty for another text.
         self._explained = ""
         #: A tag that is being acquired, and the claims before.
         self._awaited: Tuple[str, FrozenSet[str]] = ("", frozenset())
-        self.plan.setPlaceholderText("How the stream would be made is shown here")
+        self._say("How the stream would be made is shown here")
         self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
         self.table.sortByColumn(1, Qt.AscendingOrder)
@@ -133,31 +135,44 @@ class StreamsPanel(Panel):
 
     @qt_slot
     def _preview(self) -> None:
-        self._explain(self.request(), lambda: None)
+        """Show how a stream would be made, and then the next best ways."""
+        request = self.request()
+
+        def ask(way: Way) -> None:
+            def add(others: Sequence[Way]) -> None:
+                if self.plan.ways == (way,):
+                    self.plan.show_ways(way, *others)
+
+            self._monitor.ask(
+                lambda client: next_ways(client, request, way), add, lambda reason: None
+            )
+
+        self._explain(request, ask)
 
     @qt_slot
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
         request = self.request()
 
-        def act() -> None:
+        def act(way: Way) -> None:
             self._awaited = request.tag, frozenset(each.claim_id for each in self.watch.streams)
             self._monitor.do(acquire(request))
 
         self._explain(request, act)
 
-    def _explain(self, request: StreamRequest, then: Callable[[], None]) -> None:
+    def _explain(self, request: StreamRequest, then: Callable[[Way], None]) -> None:
         """Show how a stream would be made, or why it cannot be."""
         for field in (self.tag, self.datatype):
             field.completer().popup().hide()
 
         def show(text: str) -> None:
-            self.plan.setPlainText(text)
-            then()
+            way = read_way(text)
+            self._show_plan(way)
+            then(way)
 
         if request.tag:
             self._explained, self._awaited = "", ("", frozenset())
-            self.plan.setPlainText("…")
+            self._say("…")
             self._monitor.ask(
                 lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
             )
@@ -177,7 +192,7 @@ class StreamsPanel(Panel):
     def _ask_to_replan(self, stream: StreamStatus) -> None:
         def ask(found: Replanned) -> None:
             self._explained = ""
-            self.plan.setPlainText(found.plan)
+            self._show_plan(read_way(found.plan), dropped_by(found, stream))
             change = replan(stream.claim_id, stream.tag)
             self._line.ask(
                 f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
@@ -214,12 +229,28 @@ class StreamsPanel(Panel):
         stream = self.watch.stream(claim)
         if stream is not None:
             self._explained = claim
-            text = way_of(stream, self._monitor.snapshot)
-            if text != self.plan.toPlainText():
-                self.plan.setPlainText(text)
+            self.plan.show_ways(present_way(stream, self._monitor.snapshot))
+            self._forget_plan()
+
+    def _show_plan(self, *ways: Way) -> None:
+        self.plan.show_ways(*ways)
+        self.planned.emit([part for way in ways for part in way])
+
+    def _say(self, text: str) -> None:
+        self._show_plan(read_way(text))
 
     @qt_slot
-    def _choose(self, claims: Sequence[str]) -> None:
+    def _forget_plan(self) -> None:
+        self.planned.emit([])
+
+    @qt_slot
+    def hideEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Draw no plan that is not shown."""
+        super().hideEvent(event)
+        self._forget_plan()
+
+    @qt_slot
+    def choose(self, claims: Sequence[str]) -> None:
         self._selection.choose_claims(claims)
         for claim in claims[:1]:
             self._show_way(claim)
@@ -273,7 +304,9 @@ class StreamsPanel(Panel):
         self.release.clicked.connect(self._release)
         self.replan.clicked.connect(self._replan)
         self.ended.toggled.connect(self._show_streams)
-        self.table.picked.connect(self._choose)
+        self.table.picked.connect(self.choose)
+        self.plan.picked.connect(self._selection.choose_nodelets)
+        self.tag.textEdited.connect(self._forget_plan)
         self._monitor.changed.connect(self._show_present_way)
         self.tag.textEdited.connect(self._complete_tag)
         self._selection.changed.connect(self._follow)

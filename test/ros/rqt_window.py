@@ -161,7 +161,7 @@ class WindowTest(Window, ManagerCase):
         QTest.keyClicks(panel.tag, "FieldPosition(ball)")
         self.does(
             lambda: QTest.keyClick(panel.tag, Qt.Key_Return),
-            lambda: "bottom_camera.image (new" in panel.plan.toPlainText(),
+            lambda: "bottom_camera.image  2  new" in panel.plan.text,
             "the plan is shown",
         )
         self.assertEqual(self.monitor.snapshot.nodelets, ())

@@ -6,9 +6,12 @@
 from __future__ import annotations
 
 from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtGui import QGuiApplication
 from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_keys
 
-from dyknow.model.streams import StreamRequest
+from dyknow.model.graph import State
+from dyknow.model.streams import Replanned, StreamRequest
+from dyknow_rqt.canvas.appearance import Tone
 from dyknow_rqt.graph.filters import tag_completions
 
 _WEATHER = (
@@ -30,10 +33,10 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "Track(ball)")
     before = remote.graph().nodelets
     qtbot.keyClick(panel.tag, Qt.Key_Return)
-    until(qtbot, lambda: "cost 0" in panel.plan.toPlainText())
+    until(qtbot, lambda: "Track(ball)  0  proven least" in panel.plan.text)
     panel.exclude.setText("tracker ; localization")
     click(qtbot, panel.preview)
-    until(qtbot, lambda: "excluded" in panel.plan.toPlainText())
+    until(qtbot, lambda: "excluded" in panel.plan.text)
     panel.exclude.clear()
     assert remote.graph().nodelets == before and not panel.table.names()
 
@@ -66,15 +69,15 @@ def test_what_matters_is_asked_for(qtbot, window, remote):
     assert (asked.prefer, asked.avoid) == (("tracker",), ("bottom camera", "BallObject"))
     panel.age.setValue(0.0)
     click(qtbot, panel.preview)
-    until(qtbot, lambda: "Track(ball) [at least 10 Hz]" in panel.plan.toPlainText())
-    assert "runs as /field/ceiling_camera" in panel.plan.toPlainText()  # instead of a detector
+    until(qtbot, lambda: "Track(ball) [at least 10 Hz]" in panel.plan.text)
+    assert "runs as /field/ceiling_camera" in panel.plan.text  # instead of a detector
 
 
 def test_a_stream_that_needs_new_nodelets_brings_them(qtbot, window, remote):
     remote.client.destroy("/field/tracker")
     panel = _ask_for(qtbot, window, "Track(ball)")
     click(qtbot, panel.preview)
-    until(qtbot, lambda: "tracker.track (new, cost 1)" in panel.plan.toPlainText())
+    until(qtbot, lambda: "tracker.track  1  new" in panel.plan.text)
     click(qtbot, panel.acquire)
     until(qtbot, lambda: "n_/tracker_1" in vertex_keys(window))
     until(qtbot, window.graph.bar.undo.isEnabled)
@@ -128,7 +131,7 @@ def test_a_formula_is_required_of_a_stream(qtbot, window, remote):
     qtbot.keyClicks(panel.require, "it.pose.x <")
     assert panel.request().require == "it.pose.x <" and "'it'" in panel.require.toolTip()
     qtbot.keyClick(panel.require, Qt.Key_Return)
-    until(qtbot, lambda: "line 1, column 12: expected a formula" in panel.plan.toPlainText())
+    until(qtbot, lambda: "line 1, column 12: expected a formula" in panel.plan.text)
     click(qtbot, panel.acquire)
     refusal = "acquire Track(ball): formula, line 1, column 12: expected a formula"
     until(qtbot, lambda: window.line.text.startswith(refusal))
@@ -163,20 +166,91 @@ def test_why_a_part_is_not_available_is_shown_in_full(qtbot, window, remote):
 def test_the_plan_that_is_shown_is_the_present_one(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "FieldPosition(ball)")
     click(qtbot, panel.acquire)
-    until(qtbot, lambda: "FieldPosition(ball), on /" in panel.plan.toPlainText())
+    until(qtbot, lambda: "FieldPosition(ball)  on /" in panel.plan.text)
     (stream,) = panel.watch.streams
-    first = panel.plan.toPlainText().split("\n")
-    source = first[1].split()[1].partition(".")[0]
-    assert first[1].startswith("└─ /") and source in stream.nodelets
+    first = panel.plan.ways
+    source = first[0][1].nodelet
+    assert source in stream.nodelets
     click(qtbot, panel.preview)
-    until(qtbot, lambda: "cost" in panel.plan.toPlainText())
+    until(qtbot, lambda: "proven least" in panel.plan.text)
     panel.table.selectRow(0)
-    assert panel.plan.toPlainText().split("\n") == first
+    assert panel.plan.ways == first
     remote.client.destroy(source)
     remote.client.settle()
-    until(qtbot, lambda: f"└─ {source}." not in panel.plan.toPlainText())
-    until(qtbot, lambda: "└─ /" in panel.plan.toPlainText())
-    assert panel.plan.lineWrapMode() == panel.plan.NoWrap
+    until(qtbot, lambda: f" as {source}" not in panel.plan.text)
+    until(qtbot, lambda: "runs as /" in panel.plan.text)
+    assert not panel.plan.wordWrap()
+
+
+def test_a_plan_is_a_tree_that_leads_to_the_graph_and_can_be_copied(qtbot, window, remote):
+    remote.client.destroy("/field/tracker")
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: len(panel.plan.ways) > 1)
+    first = panel.plan.topLevelItem(0)
+    assert [first.text(column) for column in range(3)] == ["Track(ball)", "1", "proven least"]
+    tracker = first.child(0)
+    assert [tracker.text(column) for column in range(3)] == ["tracker.track", "1", "new"]
+    source = tracker.child(0)
+    assert source.text(0) == "position ← ceiling_camera.field_position"
+    assert first.isExpanded() and not panel.plan.topLevelItem(1).isExpanded()
+    costs = [float(way[0].cost) for way in panel.plan.ways[1:]]
+    assert costs == sorted(costs) and min(costs) >= 1.0
+    assert [way[0].what for way in panel.plan.ways[1:]] == ["without ceiling_camera"]
+    panel.plan.setCurrentItem(source)
+    assert window.selection.nodelets == ["/field/ceiling_camera"]
+    qtbot.keyClick(panel.plan, Qt.Key_C, Qt.ControlModifier)
+    assert "  tracker.track  1  new\n    position ←" in QGuiApplication.clipboard().text()
+
+
+def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, remote):
+    scene, ghost = window.graph.view.scene(), "g_tracker"
+    remote.client.destroy("/field/tracker")
+    until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    panel.exclude.setText("ceiling_camera")
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: ghost in vertex_keys(window))
+    assert scene.vertices[ghost].stroke().style() == Qt.DashLine
+    assert scene.vertices[ghost].vertex.label == "tracker\nnew, cost 1"
+    source = scene.vertices["n_/nao1/localization"]
+    assert source.tone is Tone.KEPT and source.fill() == source.colours.kept
+    (arrow,) = (edge for edge in scene.edges if edge.head == ghost)
+    assert arrow.tail == "t_/field/ball" and scene.edges[arrow].is_dead
+    scene.highlight("n_/nao1/resize")
+    scene.highlight(None)
+    assert source.tone is Tone.KEPT
+    window.tabs.setCurrentWidget(window.active)
+    until(qtbot, lambda: ghost not in vertex_keys(window))
+    assert source.tone is Tone.NONE
+    window.tabs.setCurrentWidget(panel)
+    click(qtbot, panel.acquire)
+    until(
+        qtbot, lambda: "n_/tracker_1" in vertex_keys(window) and ghost not in vertex_keys(window)
+    )
+
+
+def test_what_a_new_plan_drops_is_struck_out(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "FieldPosition(ball)")
+    panel.exclude.setText("localization")
+    remote.client.alter("/field/ceiling_camera", state=State.RUNNING)
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: bool(panel.table.names()) and not window.monitor.is_changing)
+    (stream,) = panel.watch.streams
+    client, scene = remote.client, window.graph.view.scene()
+    client.replan_stream = lambda claim, dry_run: Replanned(
+        ("tracker",), (), 1.0, f"{stream.tag}: cost 1 (proven least)\n└─ t.p (new, cost 1)", ""
+    )
+    panel.table.choose(panel.table.names())
+    click(qtbot, panel.replan)
+    until(qtbot, lambda: "Used no longer" in panel.plan.text)
+    dropped = scene.vertices[f"n_{stream.nodelets[0]}"]
+    assert dropped.tone is Tone.DROPPED
+    until(qtbot, lambda: "g_t" in vertex_keys(window))
+    panel.table.choose(panel.table.names())
+    panel._show_way(stream.claim_id)
+    until(qtbot, lambda: "g_t" not in vertex_keys(window))
+    assert dropped.tone is Tone.NONE
 
 
 def test_a_tag_is_completed_within_its_parentheses():
