@@ -17,7 +17,6 @@ from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.health import Ill, ills_of
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.stream_watch import StreamWatch
 from dyknow_rqt.widgets import wrapped
 
 
@@ -29,16 +28,16 @@ class HealthLabel(QLabel):
     #: The next claim that is not well: a list of its id.
     claim_wanted = Signal(object)
 
-    def __init__(self, monitor: GraphMonitor, watch: StreamWatch) -> None:
+    def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
-        self._monitor, self._watch = monitor, watch
+        self._monitor = monitor
         self._traffic: Mapping[PortRef, PortRate] = {}
         self._ills: List[Ill] = []
         self._last: Optional[Ill] = None
         self.setTextInteractionFlags(Qt.LinksAccessibleByMouse | Qt.LinksAccessibleByKeyboard)
         self.setAccessibleName("What is not well")
         self.linkActivated.connect(self.lead)
-        for signal in (monitor.changed, watch.changed, monitor.heart.linked):
+        for signal in (monitor.changed, monitor.watch.changed, monitor.heart.linked):
             signal.connect(self._look)
         monitor.measured.connect(self._take_traffic)
         self.hide()
@@ -75,7 +74,7 @@ class HealthLabel(QLabel):
         """Show nothing while it may be old."""
         monitor, ills = self._monitor, []
         if monitor.is_linked:
-            ills = ills_of(monitor.snapshot, self._watch.streams, self._traffic)
+            ills = ills_of(monitor.snapshot, monitor.watch.streams, self._traffic)
         if ills != self._ills:
             self._ills = ills
             self._show()

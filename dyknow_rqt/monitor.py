@@ -40,12 +40,12 @@ from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, ta
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.remote import Remote
+from dyknow_rqt.stream_watch import StreamWatch
 
 if TYPE_CHECKING:
     from dyknow.formulas import Verdict
     from dyknow.model.graph import Model
     from dyknow.model.statistics import NodeletCount
-    from dyknow.model.streams import StreamStatus
 
 T = TypeVar("T")
 
@@ -118,8 +118,8 @@ class GraphMonitor(QObject):
         self._drawing.timeout.connect(self._take_heard)
         #: The last verdicts by topic, None before the first one.
         self._verdicts: Dict[str, Optional[Verdict]] = {}
-        self._streams: Tuple[StreamStatus, ...] = ()
-        self.heart.listed.connect(self._take_streams)
+        self.watch = StreamWatch(self)
+        self.watch.changed.connect(self._take_streams)
         self._gathering = QTimer(self)
         self._gathering.setSingleShot(True)
         self._gathering.setInterval(_GATHERING)
@@ -401,18 +401,16 @@ class GraphMonitor(QObject):
             self._gathering.start()
 
     @qt_slot
-    def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
-        if tuple(streams) != self._streams:
-            self._streams = tuple(streams)
-            self._tell_verdicts()
-            waiting = [each for each in streams if each.state is ClaimState.PENDING]
-            pending = {each.bound_tag: each.detail.partition(": ")[2] for each in waiting}
-            self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
+    def _take_streams(self) -> None:
+        self._tell_verdicts()
+        waiting = [each for each in self.watch.streams if each.state is ClaimState.PENDING]
+        pending = {each.bound_tag: each.detail.partition(": ")[2] for each in waiting}
+        self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
 
     @qt_slot
     def _tell_verdicts(self) -> None:
         nodelets = self.snapshot.nodelets
-        self.decided.emit(port_verdicts(nodelets, self._verdicts, self._streams))
+        self.decided.emit(port_verdicts(nodelets, self._verdicts, self.watch.streams))
 
     def _log_unexpected(self, error: Exception) -> None:
         if not isinstance(error, DyKnowError):

@@ -13,7 +13,6 @@ from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.stream_watch import StreamWatch
 
 #: The key of a vertex, or an arrow.
 Key = Union[str, Edge]
@@ -33,13 +32,13 @@ class Selection(QObject):
     #: Something else is selected now.
     changed = Signal()
 
-    def __init__(self, monitor: GraphMonitor, watch: StreamWatch) -> None:
+    def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
-        self._watch = watch
+        self._watch = monitor.watch
         self.keys: FrozenSet[Key] = frozenset()
         self.claims: FrozenSet[str] = frozenset()
         monitor.changed.connect(self._follow_graph)
-        watch.changed.connect(self._follow_streams)
+        monitor.watch.changed.connect(self._follow_streams)
 
     @property
     def nodelets(self) -> List[str]:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Optional, Sequence, Tuple
 from python_qt_binding.QtCore import QObject, Signal
 
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.monitor import GraphMonitor
 
 if TYPE_CHECKING:
     from dyknow.model.streams import StreamStatus
+    from dyknow_rqt.monitor import GraphMonitor
 
 
 class StreamWatch(QObject):
-    """Reads the list after each event and each change, and takes the results of the heartbeat."""
+    """Reads the list after each event and each change, and takes those of the heartbeat."""
 
     #: The list has changed.
     changed = Signal()

@@ -34,7 +34,6 @@ from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.stream_watch import StreamWatch
 from dyknow_rqt.widgets import KeysDialog
 
 #: Pixels: a window that is less wide than high and than this is narrow. The control panel is shown
@@ -57,17 +56,16 @@ class DyKnowWidget(QWidget):
         self.monitor = GraphMonitor(remote)
         self.line = StatusLine()
         self.report = self.line.report
-        watch = StreamWatch(self.monitor)
-        self.health = HealthLabel(self.monitor, watch)
+        self.health = HealthLabel(self.monitor)
         self.line.show_beside(self.health)
-        self.selection = Selection(self.monitor, watch)
+        self.selection = Selection(self.monitor)
         self._is_chosen = False
         self.graph = GraphPanel(self.monitor, self.selection)
         self.active = ActivePanel(self.monitor, self.line, self.selection)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
         self.connect_ = ConnectPanel(self.monitor, self.line)
-        self.streams = StreamsPanel(self.monitor, self.line, watch, self.selection)
+        self.streams = StreamsPanel(self.monitor, self.line, self.selection)
         self.tabs = QTabWidget()
         self.tabs.setAccessibleName("Control panel")
         self.tabs.tabBar().setAccessibleName("Tabs of the control panel")

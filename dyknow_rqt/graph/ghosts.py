@@ -32,8 +32,7 @@ def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[Part]) -> Fi
     for part in parts:
         key = _key(part, snapshot, drawn)
         if part.is_new:
-            note = part.how + (f", cost {part.cost}" if part.cost else "")
-            note += f"\n{part.bindings}" if part.bindings else ""
+            note = f"cost {part.cost or 0}"
             ghosts[key] = Vertex(key, VertexKind.GHOST, part.label, note=note)
         del above[part.depth :]
         if part.port and {key, above[-1]} <= drawn | set(ghosts):

@@ -34,7 +34,6 @@ from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.panels.way_tree import WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.stream_watch import StreamWatch
 from dyknow_rqt.widgets import form_in, row_of, text_of
 
 if TYPE_CHECKING:
@@ -57,12 +56,11 @@ class StreamsPanel(Panel):
         self,
         monitor: GraphMonitor,
         line: StatusLine,
-        watch: StreamWatch,
         selection: Selection,
         parent: Optional[QWidget] = None,
     ) -> None:
         super().__init__(monitor, line, parent)
-        self.watch, self._selection = watch, selection
+        self.watch, self._selection = monitor.watch, selection
         self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
         self.prefer, self.avoid = QLineEdit(), QLineEdit()
         self.tag.setPlaceholderText("FieldPosition(ball)")

@@ -220,7 +220,7 @@ def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, rem
     until(qtbot, lambda: not rates(window))
     window.streams.tag.setText("Track(ball)")
     window.streams.preview.click()
-    assert "/dyknow_manager silent for" in window.streams.plan.toPlainText()
+    assert "/dyknow_manager silent for" in window.streams.plan.text
     remote.client.answers.set()
     until(qtbot, lambda: is_fine(window))
 

@@ -212,7 +212,7 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     click(qtbot, panel.preview)
     until(qtbot, lambda: ghost in vertex_keys(window))
     assert scene.vertices[ghost].stroke().style() == Qt.DashLine
-    assert scene.vertices[ghost].vertex.label == "tracker\nnew, cost 1"
+    assert scene.vertices[ghost].vertex.label == "tracker\ncost 1"
     source = scene.vertices["n_/nao1/localization"]
     assert source.tone is Tone.KEPT and source.fill() == source.colours.kept
     (arrow,) = (edge for edge in scene.edges if edge.head == ghost)
