@@ -84,7 +84,8 @@ def test_without_nodelets_there_is_no_map(qtbot):
 def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qtbot, window):
     view, scene = window.graph.view, window.graph.view.scene()
     item = scene.vertices["n_/part0/nodelet0"]
-    assert item.is_far and item in view.items(centre_of(view, "n_/part0/nodelet0"))
+    until(qtbot, lambda: item.is_far)
+    assert item in view.items(centre_of(view, "n_/part0/nodelet0"))
     plain = window.graph.view.grab().toImage()
     item.setSelected(True)
     assert window.graph.view.grab().toImage() != plain
