@@ -23,10 +23,8 @@ from dyknow_rqt.widgets import wrapped
 class HealthLabel(QLabel):
     """Such as ``3 lost, 1 degraded, 2 slow``; each word is a link to the next of its kind."""
 
-    #: The next nodelet that is not well: a list of its name.
-    nodelet_wanted = Signal(object)
-    #: The next claim that is not well: a list of its id.
-    claim_wanted = Signal(object)
+    #: Show an ``Ill``.
+    wanted = Signal(object)
 
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
@@ -48,11 +46,8 @@ class HealthLabel(QLabel):
         ills = [ill for ill in self._ills if word in ("", ill.word)]
         if ills:
             number = ills.index(self._last) + 1 if self._last in ills else 0
-            self._last = ill = ills[number % len(ills)]
-            signal, name = (
-                (self.claim_wanted, ill.claim) if ill.claim else (self.nodelet_wanted, ill.nodelet)
-            )
-            signal.emit([name])
+            self._last = ills[number % len(ills)]
+            self.wanted.emit(self._last)
 
     @qt_slot
     def next(self) -> None:

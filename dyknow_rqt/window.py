@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import Any, Dict, Optional, Sequence
+from typing import Any, Dict, Optional
 
 from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
@@ -23,6 +23,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
+from dyknow_rqt.graph.health import Ill
 from dyknow_rqt.graph_panel import GraphPanel
 from dyknow_rqt.health_label import HealthLabel
 from dyknow_rqt.monitor import GraphMonitor
@@ -167,9 +168,7 @@ class DyKnowWidget(QWidget):
         self.active.menu_wanted.connect(self.graph.show_menu)
         for table in (self.active.table, self.streams.table, self.streams.plan):
             table.picked.connect(self.graph.reveal_selection)
-        self.health.nodelet_wanted.connect(self.selection.choose_nodelets)
-        self.health.nodelet_wanted.connect(self.graph.reveal_selection)
-        self.health.claim_wanted.connect(self._lead_to_claim)
+        self.health.wanted.connect(self._lead_to)
         self.graph.bar.next_ill.triggered.connect(self.health.next)
         self.streams.planned.connect(self.graph.show_plan)
         self.library.create_wanted.connect(self._begin_create)
@@ -240,9 +239,12 @@ class DyKnowWidget(QWidget):
             self.streams.tag.setFocus()
 
     @qt_slot
-    def _lead_to_claim(self, claims: Sequence[str]) -> None:
-        self.tabs.setCurrentWidget(self.streams)
-        self.streams.choose(claims)
+    def _lead_to(self, ill: Ill) -> None:
+        if ill.claim:
+            self.tabs.setCurrentWidget(self.streams)
+            self.streams.choose([ill.claim])
+        else:
+            self.selection.choose_nodelets([ill.nodelet])
         self.graph.reveal_selection()
 
     @qt_slot

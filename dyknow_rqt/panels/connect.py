@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Iterable, List, Optional
+from typing import Iterable, List, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
@@ -77,23 +77,38 @@ class ConnectPanel(Panel):
         super().__init__(monitor, line, parent)
         self.source, self.sink = _PortChoice("From"), _PortChoice("To")
         self.single = _PortChoice("Single")
-        self.topic_chosen = QLabel()
+        self.topic_chosen, self.now, self.replaced = (QLabel(wordWrap=True) for _ in range(3))
         self.topic_chosen.setTextInteractionFlags(Qt.TextSelectableByMouse)
-        self.topic_chosen.setWordWrap(True)
         self.connect = QPushButton("Connect")
         self.topic = QLineEdit()
         self.topic.setPlaceholderText("/camera/image")
         self._topics = QStringListModel(self)
         self.topic.setCompleter(QCompleter(self._topics, self))
-        self.now = QLabel()
-        self.now.setWordWrap(True)
-        self.replaced = QLabel()
-        self.replaced.setWordWrap(True)
         self.connect_topic = QPushButton("Connect")
         self.disconnect_port = QPushButton("D&isconnect")
         column = QVBoxLayout(self)
-        column.addWidget(self._two_ports())
-        column.addWidget(self._port_and_topic())
+        column.addWidget(
+            _box(
+                "Two nodelets",
+                ("From:", self.source.nodelet),
+                ("port:", self.source.port),
+                ("&To:", self.sink.nodelet),
+                ("port:", self.sink.port),
+                ("over topic:", self.topic_chosen),
+                ("", self.connect),
+            )
+        )
+        column.addWidget(
+            _box(
+                "One port and a topic",
+                ("Nodelet:", self.single.nodelet),
+                ("port:", self.single.port),
+                ("now:", self.now),
+                ("To&pic:", self.topic),
+                ("", self.replaced),
+                ("", row_of(self.connect_topic, self.disconnect_port)),
+            )
+        )
         column.addStretch(1)
         for choice in (self.source, self.sink, self.single):
             choice.nodelet.currentIndexChanged.connect(self._follow)
@@ -195,29 +210,14 @@ class ConnectPanel(Panel):
         choice.offer_nodelets(name for name in sorted(ports) if ports[name])
         choice.offer_ports(ports.get(choice.nodelet.currentText(), []))
 
-    def _two_ports(self) -> QGroupBox:
-        box = QGroupBox("Two nodelets")
-        form = form_in(box)
-        form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
-        form.addRow("From:", self.source.nodelet)
-        form.addRow("port:", self.source.port)
-        form.addRow("&To:", self.sink.nodelet)
-        form.addRow("port:", self.sink.port)
-        form.addRow("over topic:", self.topic_chosen)
-        form.addRow("", self.connect)
-        return box
 
-    def _port_and_topic(self) -> QGroupBox:
-        box = QGroupBox("One port and a topic")
-        form = form_in(box)
-        form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
-        form.addRow("Nodelet:", self.single.nodelet)
-        form.addRow("port:", self.single.port)
-        form.addRow("now:", self.now)
-        form.addRow("To&pic:", self.topic)
-        form.addRow("", self.replaced)
-        form.addRow("", row_of(self.connect_topic, self.disconnect_port))
-        return box
+def _box(title: str, *rows: Tuple[str, object]) -> QGroupBox:
+    box = QGroupBox(title)
+    form = form_in(box)
+    form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
+    for name, field in rows:
+        form.addRow(name, field)
+    return box
 
 
 def _direction(snapshot: Snapshot, ref: PortRef) -> str:

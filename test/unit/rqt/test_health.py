@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 from python_qt_binding.QtCore import Qt
 from unit.rqt.hands import until
 
 from dyknow.errors import StreamRefused
 from dyknow.model.graph import PortRef, State
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow_rqt.graph.health import Ill, ills_of
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -21,7 +19,7 @@ from dyknow_rqt.graph.snapshot import Snapshot
 
 def test_the_worst_comes_first_and_each_once(remote):
     streams = [
-        SimpleNamespace(state=state, bound_tag=f"Tag({state.name})", claim_id=state.name)
+        StreamStatus(state.name, "test", "Tag(a)", "", "", state, "", (), 0.0)
         for state in ClaimState
     ]
     traffic = {
