@@ -23,7 +23,7 @@ from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.ghosts import fates_of, with_ghosts
 from dyknow_rqt.graph.layout import to_dot
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.ways import Part
+from dyknow_rqt.graph.ways import WayPart
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
@@ -61,7 +61,7 @@ class GraphPanel(QWidget):
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
         self._shape = 1.0
-        self._plan: Sequence[Part] = ()
+        self._plan: Sequence[WayPart] = ()
         self._is_figuring = self._is_outdated = False
         self._calls = BackgroundCalls(1)
         self._turning = QTimer(self)
@@ -134,7 +134,7 @@ class GraphPanel(QWidget):
         raise error
 
     @qt_slot
-    def show_plan(self, parts: Sequence[Part]) -> None:
+    def show_plan(self, parts: Sequence[WayPart]) -> None:
         """Draw a plan that is not made yet over the graph; none of it ends that."""
         if tuple(parts) != self._plan:
             self._plan = tuple(parts)

@@ -11,10 +11,10 @@ from typing import Dict, Iterable, List, Mapping, Sequence, Set
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.ways import Part
+from dyknow_rqt.graph.ways import WayPart
 
 
-def fates_of(parts: Iterable[Part]) -> Mapping[str, bool]:
+def fates_of(parts: Iterable[WayPart]) -> Mapping[str, bool]:
     """Keys of the nodelets that a plan uses on (True), or drops."""
     named = (part for part in parts if part.nodelet)
     return {
@@ -23,7 +23,7 @@ def fates_of(parts: Iterable[Part]) -> Mapping[str, bool]:
     }
 
 
-def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[Part]) -> Figure:
+def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) -> Figure:
     """Add the nodelets that a plan would bring, with arrows from their sources."""
     drawn = {vertex.key for vertex in figure.vertices}
     ghosts: Dict[str, Vertex] = {}
@@ -42,7 +42,7 @@ def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[Part]) -> Fi
     return replace(figure, vertices=tuple(vertices), edges=tuple(sorted({*figure.edges, *edges})))
 
 
-def _key(part: Part, snapshot: Snapshot, drawn: Set[str]) -> str:
+def _key(part: WayPart, snapshot: Snapshot, drawn: Set[str]) -> str:
     """The vertex of a part: of one that runs its topic, if it is drawn."""
     topic = part.what
     if part.nodelet:

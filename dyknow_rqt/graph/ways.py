@@ -24,7 +24,7 @@ _NEW = ("new", "at no cost")
 _TRIED = 6
 
 
-class Part(NamedTuple):
+class WayPart(NamedTuple):
     """A line of a way: a supplier, below the one that it supplies; at depth 0 the whole way.
 
     Attributes:
@@ -63,7 +63,7 @@ class Part(NamedTuple):
         return what, self.cost, self.how, self.bindings
 
 
-Way = Tuple[Part, ...]
+Way = Tuple[WayPart, ...]
 
 
 def read_way(text: str) -> Way:
@@ -72,11 +72,11 @@ def read_way(text: str) -> Way:
         title, entries = read_tree(text)
     except ValueError:
         title, *lines = text.strip().split("\n")
-        return (Part(0, "", title), *(Part(1, "", line.lstrip("├└─│ ")) for line in lines))
+        return (WayPart(0, "", title), *(WayPart(1, "", line.lstrip("├└─│ ")) for line in lines))
     found = _TITLE.match(title)
-    whole = Part(0, "", title)
+    whole = WayPart(0, "", title)
     if found is not None:
-        whole = Part(0, "", found["what"], found["how"] + found["more"], found["cost"])
+        whole = WayPart(0, "", found["what"], found["how"] + found["more"], found["cost"])
     return (whole, *map(_part_of, entries))
 
 
@@ -96,15 +96,15 @@ def next_ways(client: BaseManagerClient, request: StreamRequest, way: Way) -> Li
 def dropped_by(found: Replanned, stream: StreamStatus) -> Way:
     """The nodelets that a stream uses no longer when it is planned again; empty for none."""
     names = sorted(set(stream.nodelets) - set(found.reused))
-    parts = tuple(Part(1, "", name, f"dropped as {name}") for name in names)
-    return (Part(0, "", "Used no longer"), *parts) if parts else ()
+    parts = tuple(WayPart(1, "", name, f"dropped as {name}") for name in names)
+    return (WayPart(0, "", "Used no longer"), *parts) if parts else ()
 
 
 def present_way(stream: StreamStatus, snapshot: Snapshot) -> Way:
     """The nodelets of a claim behind each other, from its topic to its sources."""
     words = [f"on {stream.topic}" if stream.topic else "", stream.state.name.lower()]
     state = ", ".join(filter(None, words)) + (f": {stream.detail}" if stream.detail else "")
-    whole = Part(0, "", stream.tag, state, bindings=" ".join(stream.bindings))
+    whole = WayPart(0, "", stream.tag, state, bindings=" ".join(stream.bindings))
     members = frozenset(stream.nodelets)
     return (whole, *_parts(stream.topic, "", 1, members, snapshot, frozenset()))
 
@@ -116,7 +116,7 @@ def _parts(
     members: FrozenSet[str],
     snapshot: Snapshot,
     seen: FrozenSet[str],
-) -> Iterator[Part]:
+) -> Iterator[WayPart]:
     found = snapshot.topics().get(topic)
     for ref in found.sources if found is not None else ():
         nodelet = snapshot.nodelet(ref.nodelet)
@@ -124,7 +124,7 @@ def _parts(
             continue
         verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
         given = (f"{each.name}={each.text}" for each in nodelet.parameters)
-        yield Part(
+        yield WayPart(
             depth,
             port,
             f"{nodelet.transformation}.{ref.port}",
@@ -137,12 +137,12 @@ def _parts(
                 yield from _parts(each.topic, each.name, depth + 1, members, snapshot, before)
 
 
-def _part_of(entry: Entry) -> Part:
+def _part_of(entry: Entry) -> WayPart:
     what, is_bound, bindings = entry.what.partition(" [?")
     how, *costs = (word for word in entry.how.split(", ") if word)
     cost = " + ".join(word.partition(" ")[2] for word in costs if word[:4] in ("cost", "char"))
     rest = [word for word in costs if word[:4] not in ("cost", "char")]
-    return Part(
+    return WayPart(
         entry.depth + 1,
         entry.port,
         what,
