@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import statistics
 import time
 from typing import Callable, Iterator, NamedTuple, Sequence
 
@@ -32,19 +31,40 @@ from dyknow_rqt.window import DyKnowWidget, spare_imports
 _PATIENCE = 180.0
 #: Seconds that something must hold for it to be over.
 _REST = 2.0
+#: Nothing happens for so many seconds.
+_IDLE, IDLE = 8.0, "idle"
 #: Frames of each movement.
 _FRAMES = 60
 
 
+class Tick(NamedTuple):
+    """A turn of the window's event loop, or a frame.
+
+    Attributes:
+        time: seconds on the clock.
+        own: seconds of a processor that the window's thread has taken.
+        all: those of all threads.
+    """
+
+    time: float
+    own: float
+    all: float
+
+
 class Row(NamedTuple):
-    """A row of the table: an action, and its gaps."""
+    """A row of the table: an action, and its gaps.
+
+    Those by the clock depend on what else the machine does, those of the processor's time do not.
+    """
 
     nodelets: int
     what: str
     frames: int
     frames_per_s: float
-    median_ms: float
     longest_ms: float
+    frames_per_cpu_s: float
+    longest_cpu_ms: float
+    load_percent: float
 
     @property
     def is_moved(self) -> bool:
@@ -62,6 +82,8 @@ def use(count: int) -> list[Row]:
             spawn_relay(client, number)
         window = stack.enter_context(_window(DyKnowWidget(RosRemote(MANAGER))))
         rows.append(_row(count, "open", _gaps(lambda: _is_whole(window, count))))
+        end = time.monotonic() + _IDLE
+        rows.append(_row(count, IDLE, _gaps(lambda: time.monotonic() > end)))
         for what, nodes in (
             ("nodelet manager killed", [NODELET_MANAGER]),
             ("both managers killed", [MANAGER, NODELET_MANAGER]),
@@ -112,11 +134,11 @@ def _is_whole_again(window: DyKnowWidget, count: int) -> Callable[[], bool]:
     return is_whole_again
 
 
-def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
+def _gaps(is_done: Callable[[], bool]) -> Sequence[Tick]:
     """Let the window run until something holds and goes on to; take the times of its turns."""
-    ticks = [time.monotonic()]
+    ticks = [_now()]
     timer = QTimer()
-    timer.timeout.connect(lambda: ticks.append(time.monotonic()))
+    timer.timeout.connect(lambda: ticks.append(_now()))
     timer.start(5)
     end, since = time.monotonic() + _PATIENCE, 0.0
     while not since or time.monotonic() < since + _REST:
@@ -128,7 +150,7 @@ def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
     return ticks
 
 
-def _moves(window: DyKnowWidget) -> Iterator[tuple[str, Sequence[float]]]:
+def _moves(window: DyKnowWidget) -> Iterator[tuple[str, Sequence[Tick]]]:
     """Zoom from the whole to one nodelet and back, move about, point at one after the other."""
     view = window.graph.view
     view.fit()
@@ -151,15 +173,15 @@ def _moves(window: DyKnowWidget) -> Iterator[tuple[str, Sequence[float]]]:
     yield "point at nodelets", _frames(window, lambda: view.scene().highlight(next(keys)))
 
 
-def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[float]:
+def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[Tick]:
     view = window.graph.view
     QTest.qWait(300)
-    ticks = [time.monotonic()]
+    ticks = [_now()]
     for _ in range(_FRAMES):
         move()
         QApplication.processEvents()
         view.viewport().repaint()  # the rest of the drawing
-        ticks.append(time.monotonic())
+        ticks.append(_now())
     return ticks
 
 
@@ -169,7 +191,20 @@ def _drag(view: GraphView) -> None:
     bar.setValue(bar.value() + 20)
 
 
-def _row(count: int, what: str, ticks: Sequence[float]) -> Row:
-    gaps = [1e3 * (after - before) for before, after in zip(ticks, ticks[1:])]
-    fps = len(gaps) / (ticks[-1] - ticks[0])
-    return Row(count, what, len(gaps), fps, statistics.median(gaps), max(gaps))
+def _now() -> Tick:
+    return Tick(time.monotonic(), time.thread_time(), time.process_time())
+
+
+def _row(count: int, what: str, ticks: Sequence[Tick]) -> Row:
+    gaps = [[b - a for a, b in zip(*pair)] for pair in zip(ticks, ticks[1:])]
+    times, own, whole = zip(*gaps)
+    return Row(
+        nodelets=count,
+        what=what,
+        frames=len(gaps),
+        frames_per_s=len(gaps) / sum(times),
+        longest_ms=1e3 * max(times),
+        frames_per_cpu_s=len(gaps) / sum(own),
+        longest_cpu_ms=1e3 * max(own),
+        load_percent=100 * sum(whole) / sum(times),
+    )

@@ -281,6 +281,7 @@ class GraphMonitor(QObject):
     def _looked(self) -> _Looked:
         """Read everything for a look; in the background."""
         model = self.remote.graph()
+        model = replace(model, nodelets=self.snapshot.shared(model.nodelets))
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.node for each in model.nodelets}
         nodes, taken = self.snapshot.nodes, self.snapshot.taken
@@ -311,7 +312,8 @@ class GraphMonitor(QObject):
     def _hear_model(self, model: Model) -> None:
         """Take a model that the manager publishes; in any thread."""
         self.heart.contact.hear_manager()
-        self._calls.deliver(lambda: self._hear(model))
+        shared = replace(model, nodelets=self.snapshot.shared(model.nodelets))
+        self._calls.deliver(lambda: self._hear(shared))
 
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
@@ -345,8 +347,8 @@ class GraphMonitor(QObject):
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self.changed.emit(snapshot)
-            self._tell_rates()
-            self._follow_verdicts()
+            self._calls.deliver(self._tell_rates)
+            self._calls.deliver(self._follow_verdicts)
 
     def _take_library(self, model: Model) -> None:
         self._reading = False

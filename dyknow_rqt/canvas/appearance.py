@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Dict, FrozenSet, List, Mapping, NamedTuple, Optional
+from typing import TYPE_CHECKING, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
@@ -226,22 +226,22 @@ def port_tip(
     return _tip(*lines)
 
 
-def edge_traffic(edge: Edge, traffic: Mapping[PortRef, PortRate]) -> Optional[PortRate]:
-    """The rate of an arrow, counted by its source or else its sink; None if unknown."""
-    nodelet = VertexKind.NODELET.value + "_"
-    sink = source = None
-    if edge.tail.startswith(nodelet):
-        source = traffic.get(PortRef(edge.tail[len(nodelet) :], edge.tail_port))
-    if edge.head.startswith(nodelet):
-        sink = traffic.get(PortRef(edge.head[len(nodelet) :], edge.head_port))
-    if sink is not None and sink.drop_rate > 0:
-        return sink
-    return source or sink
+def edge_traffic(
+    refs: Sequence[PortRef], traffic: Mapping[PortRef, PortRate]
+) -> Optional[PortRate]:
+    """The rate of an arrow, counted by its source or else its sink; None if unknown.
+
+    One that its sink cannot follow has that of the sink.
+    """
+    found = [traffic[ref] for ref in refs if ref in traffic]
+    return found[0 if found[0].drop_rate > 0 else -1] if found else None
 
 
-def edge_verdict(edge: Edge, verdicts: Mapping[PortRef, PortVerdict]) -> Optional[PortVerdict]:
+def edge_verdict(
+    refs: Sequence[PortRef], verdicts: Mapping[PortRef, PortVerdict]
+) -> Optional[PortVerdict]:
     """The last verdict that came along an arrow from an out-port; None if it carries none."""
-    return next((verdicts[ref] for ref in edge_refs(edge) if ref in verdicts), None)
+    return next((verdicts[ref] for ref in refs if ref in verdicts), None)
 
 
 def edge_refs(edge: Edge) -> List[PortRef]:

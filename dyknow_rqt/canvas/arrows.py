@@ -24,7 +24,7 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
+from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone, edge_refs
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
@@ -42,6 +42,8 @@ class EdgeItem(Item):
     def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.edge = edge
+        #: The ports at its ends, the in-port first.
+        self.refs = edge_refs(edge)
         self.traffic: Optional[PortRate] = None
         self.verdict: Optional[PortVerdict] = None
         self.is_dead = False
@@ -82,12 +84,21 @@ class EdgeItem(Item):
 
     def show(
         self, traffic: Optional[PortRate], verdict: Optional[PortVerdict], is_dead: bool
-    ) -> None:
-        """Show its traffic and the last verdict; nothing comes along one that is dead."""
+    ) -> bool:
+        """Show its traffic and the last verdict; nothing comes along one that is dead.
+
+        Returns whether its label needs another size.
+        """
         looks = (None if is_dead else traffic, verdict, is_dead)
-        if looks != (self.traffic, self.verdict, self.is_dead):
-            self.traffic, self.verdict, self.is_dead = looks
+        if looks == (self.traffic, self.verdict, self.is_dead):
+            return False
+        stroke, shape = self.plain_stroke(), self.label_shape
+        self.traffic, self.verdict, self.is_dead = looks
+        if self.plain_stroke() == stroke:
+            self.update(self.label_area)
+        else:
             self.look_again()
+        return self.label_shape != shape
 
     def place_label(self, area: Optional[Rectangle]) -> None:
         """Set the area of its label; None if there is no room for it."""
@@ -122,6 +133,10 @@ class EdgeItem(Item):
             parts.append(self.verdict.truth.name)
         return "\n".join(parts)
 
+    def outline(self) -> QPainterPath:
+        """Its line, in the coordinates of the drawing."""
+        return self.path
+
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it: wider than the line."""
         stroker = QPainterPathStroker()
@@ -147,6 +162,10 @@ class EdgeItem(Item):
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
             return QPen(self.colours.of(self.tone), 2.0)
+        return self.plain_stroke()
+
+    def plain_stroke(self) -> QPen:
+        """The pen while nothing is selected or highlighted."""
         if self.is_dead:
             return QPen(self.colours.box_line, 1.1, Qt.DashLine)
         if self.verdict is not None:

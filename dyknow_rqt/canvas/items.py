@@ -45,7 +45,7 @@ class Item(QGraphicsRectItem):
     def set_tone(self, tone: Tone) -> None:
         if tone is not self.tone:
             self.tone = tone
-            self.look_again()
+            self.update()
 
     def set_colours(self, colours: Colours) -> None:
         self.colours = colours
@@ -65,6 +65,11 @@ class Item(QGraphicsRectItem):
         self.update()
         if self.scene() is not None:
             self.scene().look_again()
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is marked, for now, so that the overview paints it on top."""
+        return self.tone is not Tone.NONE or self.isSelected()
 
 
 class BoxItem(Item):

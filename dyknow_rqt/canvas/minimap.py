@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Tuple
+from typing import Any, Callable, Iterator, Tuple
 
 from python_qt_binding.QtCore import (
     QPoint,
@@ -18,10 +18,11 @@ from python_qt_binding.QtCore import (
     QTimer,
     Signal,
 )
-from python_qt_binding.QtGui import QPainter, QPen, QPixmap
+from python_qt_binding.QtGui import QPainter, QPen
 from python_qt_binding.QtWidgets import QWidget
 
 from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.overview import Overview
 from dyknow_rqt.canvas.scene import GraphScene
 
 #: Pixels: its largest size, and its distance from the edges of the view.
@@ -41,14 +42,16 @@ class Minimap(QWidget):
         self.report = report
         self._scene = scene
         self._seen = QRectF()
-        self._picture = QPixmap()
+        self._overview = Overview()
         self._lag = QTimer(self)
         self._lag.setSingleShot(True)
-        self._lag.timeout.connect(self._take_picture)
+        self._lag.setInterval(_LAG)
+        self._lag.timeout.connect(self._look)
         self.setCursor(Qt.SizeAllCursor)
         self.setToolTip("The whole graph: press or drag to move there")
         self.setAccessibleName("Map of the graph")
-        scene.changed_looks.connect(self._take_picture_later)
+        scene.changed_looks.connect(self._lag.start)
+        scene.changed_marks.connect(self.update)
         self.hide()
 
     def follow(self, seen: QRectF) -> None:
@@ -60,16 +63,22 @@ class Minimap(QWidget):
             size = size.expandedTo(QSize(24, 24))
             corner = self.parentWidget().rect().bottomRight() - QPoint(_MARGIN, _MARGIN)
             self.setGeometry(QRect(corner - QPoint(size.width(), size.height()), size))
-            if self._picture.size() != size:
-                self._lag.start(0)
+        if is_useful and (not self.isVisible() or self._overview.area != whole):
+            self._lag.start(0)
         self.setVisible(is_useful)
         self.update()
 
     @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
-        painter.drawPixmap(0, 0, self._picture)
         corner, scale = self._frame()
+        painter.fillRect(self.rect(), self._scene.backgroundBrush())
+        painter.save()
+        painter.scale(scale, scale)
+        painter.translate(-corner)
+        self._overview.paint(painter)
+        self._scene.paint_marked(painter)
+        painter.restore()
         seen = QRectF(
             (self._seen.topLeft() - corner) * scale, self._seen.size() * scale
         ).intersected(QRectF(self.rect()).adjusted(0, 0, -1, -1))
@@ -88,22 +97,16 @@ class Minimap(QWidget):
         self.mousePressEvent(event)
 
     @qt_slot
-    def _take_picture_later(self) -> None:
-        self._lag.start(_LAG)
+    def _look(self) -> None:
+        if self.isVisible():
+            self._scene.slices.want(self._picture)
 
-    @qt_slot
-    def _take_picture(self) -> None:
-        if self._scene.drawing_area().isEmpty():
-            return
-        self._picture = QPixmap(self.size())
-        self._picture.fill(self._scene.backgroundBrush().color())
-        corner, scale = self._frame()
-        painter = QPainter(self._picture)
-        painter.scale(scale, scale)
-        painter.translate(-corner)
-        self._scene.paint_overview(painter)
-        painter.end()
-        self.update()
+    def _picture(self) -> Iterator[None]:
+        area = self._scene.drawing_area()
+        if not area.isEmpty():
+            scale = self._frame()[1] * self.devicePixelRatioF()
+            yield from self._scene.overview_of(self._overview, area, scale)
+            self.update()
 
     def _frame(self) -> Tuple[QPointF, float]:
         """The corner of the shown area, and its scale."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Dict, Iterable, Iterator, List, Tuple, Union
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -13,6 +13,7 @@ from python_qt_binding.QtGui import (
     QColor,
     QFont,
     QFontMetricsF,
+    QImage,
     QPainter,
     QPainterPath,
     QPen,
@@ -37,48 +38,89 @@ _NARROW, _MARGIN = 90.0, 3.0
 
 #: Pixels from where on an arrow is light, so as not to hide what it passes.
 _LONG = 600.0
-
-
-class _Stroke(NamedTuple):
-    """Shapes that are painted with one pen and one brush."""
-
-    pen: QPen
-    brush: QBrush
-    path: QPainterPath
+#: The most shapes that are painted at a time, and pixels of a picture.
+_FEW, _MOST_PIXELS = 150, 6e6
 
 
 class Overview:
-    """Paints all vertices and arrows of one look together, as Qt does fast.
+    """A picture of the boxes, arrows and vertices in an area, without names.
 
-    Painting one by one calls Python thousands of times for a picture of 500 nodelets.
+    It is painted piece by piece, all things of one look together: one by one Python would be
+    called thousands of times for 500 nodelets. Until it is done the last picture is shown.
+
+    Attributes:
+        area: what it shows, in pixels of the drawing.
+        scale: pixels of the picture per pixel of the drawing; 0 before the first.
     """
 
     def __init__(self) -> None:
-        self._strokes: Optional[List[_Stroke]] = None
+        self.area = QRectF()
+        self.scale = 0.0
+        self._picture = QImage()
 
-    def forget(self) -> None:
-        """Gather the strokes again: something looks different now."""
-        self._strokes = None
-
-    def paint(
+    def painted(
         self,
-        painter: QPainter,
+        area: QRectF,
+        scale: float,
+        paper: QColor,
         boxes: Iterable[BoxItem],
         edges: Iterable[EdgeItem],
         vertices: Iterable[VertexItem],
-    ) -> None:
-        """Paint boxes, arrows, then vertices; in the coordinates of the drawing."""
-        for box in boxes:
-            box.paint(painter, None)
-        if self._strokes is None:
-            self._strokes = [*_arrows(edges), *_shapes(vertices)]
-        is_smooth = painter.worldTransform().m11() > _DOTS
-        for pen, brush, path in self._strokes:
-            is_line = brush.style() == Qt.NoBrush
-            painter.setRenderHint(QPainter.Antialiasing, is_line or is_smooth)
+    ) -> Iterator[None]:
+        """Paint another picture, a step at a time; of a large area a coarse one."""
+        scale = min(scale, (_MOST_PIXELS / (area.width() * area.height())) ** 0.5)
+        picture = QImage((area.size() * scale).toSize(), QImage.Format_RGB32)
+        picture.fill(paper)
+        painter = QPainter(picture)
+        painter.scale(scale, scale)
+        painter.translate(-area.topLeft())
+        try:
+            for box in boxes:
+                box.paint(painter, None)
+                yield
+            for strokes in (_arrows(edges), _shapes(vertices)):
+                found: Dict[_Look, List[QPainterPath]] = {}
+                for look, path in strokes:
+                    pieces = found.setdefault(look, [])
+                    if not pieces or pieces[-1].elementCount() > _FEW * 4:
+                        pieces.append(QPainterPath())
+                    pieces[-1].addPath(path)
+                    yield
+                for look, pieces in sorted(found.items()):
+                    for path in pieces:
+                        _stroke(painter, look, path, scale)
+                        yield
+        finally:
+            painter.end()
+        self._picture, self.area, self.scale = picture, area, scale
+
+    def paint(self, painter: QPainter) -> None:
+        """Paint the last picture where it belongs, in the coordinates of the drawing."""
+        painter.save()
+        painter.setRenderHint(QPainter.SmoothPixmapTransform)
+        transform = painter.worldTransform()
+        pixels = painter.device().devicePixelRatioF()
+        if abs(transform.m11() * pixels - self.scale) < 1e-6:  # copied as it is, which is faster
+            self._picture.setDevicePixelRatio(pixels)
+            corner = transform.map(self.area.topLeft())
+            painter.resetTransform()
+            painter.drawImage(corner.toPoint(), self._picture)
+        elif self.scale:
+            self._picture.setDevicePixelRatio(1.0)
+            painter.drawImage(self.area, self._picture)
+        painter.restore()
+
+
+def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]) -> None:
+    """Paint the things that stand out on top of a picture, in the coordinates of the drawing."""
+    painter.setRenderHint(QPainter.Antialiasing)
+    for item in items:
+        if item.stands_out:
+            pen = item.stroke()
+            pen.setCosmetic(True)
             painter.setPen(pen)
-            painter.setBrush(brush)
-            painter.drawPath(path)
+            painter.setBrush(Qt.NoBrush)
+            painter.drawPath(item.outline())
 
 
 def paint_titles(
@@ -130,37 +172,32 @@ def paint_titles(
         painter.restore()
 
 
-def _arrows(edges: Iterable[EdgeItem]) -> Iterable[_Stroke]:
-    found: Dict[Tuple[float, int, int], _Stroke] = {}
+#: Width, colours of pen and brush, and style of the pen; those that stand out come last.
+_Look = Tuple[float, int, int, int]
+
+
+def _stroke(painter: QPainter, look: _Look, path: QPainterPath, scale: float) -> None:
+    width, colour, fill, style = look
+    pen = QPen(QColor.fromRgba(colour), width, Qt.PenStyle(style))
+    pen.setCosmetic(True)  # as wide as it is in the drawing at full size
+    painter.setPen(pen)
+    painter.setBrush(QBrush(QColor.fromRgba(fill)) if fill else Qt.NoBrush)
+    painter.setRenderHint(QPainter.Antialiasing, not fill or scale > _DOTS)
+    painter.drawPath(path)
+
+
+def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
     for edge in edges:
-        pen, area = edge.stroke(), edge.rect()
+        pen, area = edge.plain_stroke(), edge.rect()
         if max(area.width(), area.height()) > _LONG and pen.color() == edge.colours.line:
             pen.setColor(edge.colours.box_line)
-        stroke = found.setdefault(_look(pen), _Stroke(_thin(pen), QBrush(), QPainterPath()))
-        stroke.path.addPath(edge.path)
-    return [stroke for _, stroke in sorted(found.items())]
+        yield _look(pen), edge.path
 
 
-def _shapes(vertices: Iterable[VertexItem]) -> Iterable[_Stroke]:
-    found: Dict[Tuple[object, ...], _Stroke] = {}
+def _shapes(vertices: Iterable[VertexItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
     for item in vertices:
-        pen, fill = item.stroke(), item.fill()
-        look = (*_look(pen), fill.rgba())
-        stroke = found.setdefault(look, _Stroke(_thin(pen), QBrush(fill), QPainterPath()))
-        area = item.area.translated(item.pos())
-        if item.vertex.kind.is_square:
-            stroke.path.addRect(area)
-        else:
-            stroke.path.addEllipse(area)
-    return [stroke for _, stroke in sorted(found.items())]
+        yield _look(item.plain_stroke(), item.fill().rgba()), item.outline()
 
 
-def _look(pen: QPen) -> Tuple[float, int, int]:
-    """The attributes that pens of one look share; those that stand out come last."""
-    return pen.widthF(), pen.color().rgba(), int(pen.style())
-
-
-def _thin(pen: QPen) -> QPen:
-    """The pen as wide on the screen as it is in the drawing at full size."""
-    pen.setCosmetic(True)
-    return pen
+def _look(pen: QPen, fill: int = 0) -> _Look:
+    return pen.widthF(), pen.color().rgba(), fill, int(pen.style())

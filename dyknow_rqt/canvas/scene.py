@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import (
     Any,
     Callable,
@@ -34,7 +33,6 @@ from dyknow_rqt.canvas.appearance import (
     appearance_of,
     colours_of,
     dead_keys,
-    edge_refs,
     edge_traffic,
     edge_verdict,
     greys_of,
@@ -43,7 +41,8 @@ from dyknow_rqt.canvas.appearance import (
 )
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
-from dyknow_rqt.canvas.overview import FAR, Overview, paint_titles
+from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
+from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind, key_of
 from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
@@ -58,8 +57,6 @@ _MARGIN = 3000.0
 #: Pixels of the largest image that is written.
 _MOST_PIXELS = 16_000_000.0
 _FRAME = 16.0
-#: Seconds of drawing until the next turn of the event loop.
-_SLICE = 0.02
 
 
 class GraphScene(QGraphicsScene):
@@ -67,6 +64,8 @@ class GraphScene(QGraphicsScene):
 
     #: Something looks different now.
     changed_looks = Signal()
+    #: Other things stand out now.
+    changed_marks = Signal()
     #: The transports of the connections of these nodes are wanted.
     transports_wanted = Signal(object)
     #: A ``Drawing`` is drawn.
@@ -94,23 +93,23 @@ class GraphScene(QGraphicsScene):
         self._ghosts: Mapping[object, Tone] = {}
         self.overview = Overview()
         self._is_far = self._is_placing = self._wants_labels = False
+        self._seen, self._scale = QRectF(), 1.0
         #: Whether a drawing has begun that is not shown yet.
         self.is_drawing = False
+        self._drawing = Drawing()
         self._calls = BackgroundCalls(1)
-        self._steps: Iterator[None] = iter(())
-        self._slices = QTimer(self)
-        self._slices.setInterval(0)
-        self._slices.timeout.connect(self._go_on)
+        self.slices = Slices(report, self)
         self._labelling = QTimer(self)
         self._labelling.setSingleShot(True)
         self._labelling.setInterval(0)
         self._labelling.timeout.connect(self._place_labels)
         self._area: Optional[QRectF] = None
-        self.selectionChanged.connect(self.look_again)
+        self.selectionChanged.connect(self._mark)
         self.setBackgroundBrush(self._colours.paper)
 
     def close_down(self) -> None:
         self._labelling.stop()
+        self.slices.close()
         self._calls.close()
 
     @property
@@ -123,23 +122,12 @@ class GraphScene(QGraphicsScene):
 
         Things in both keep their items and their selection.
         """
-        self._steps = self._drawing(drawing)
-        self._go_on()
+        self._drawing = drawing
+        self.slices.want(self._draw)
+        self.slices.go_on()
 
-    @qt_slot
-    def _go_on(self) -> None:
-        self._slices.stop()
-        self.is_drawing = True
-        end = time.monotonic() + _SLICE
-        try:
-            for _ in self._steps:
-                if time.monotonic() > end:
-                    self._slices.start()
-                    break
-        finally:
-            self.is_drawing = self._slices.isActive()
-
-    def _drawing(self, drawing: Drawing) -> Iterator[None]:
+    def _draw(self) -> Iterator[None]:
+        drawing, self.is_drawing = self._drawing, True
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
         self._remove(self.vertices, {vertex.key for vertex in figure.vertices})
         self._remove(self.edges, set(figure.edges))
@@ -157,7 +145,7 @@ class GraphScene(QGraphicsScene):
             end = self.vertices[edge.head].anchor(edge.head_port, leaving=False)
             arrow.shows_name = not (edge.tail[0] == "t" or edge.head[0] == "t")
             arrow.set_curve(layout.curves[edge], start, end)
-            self._show_traffic(edge, arrow)
+            self._show_traffic(arrow)
             self._add(self.edges, edge, arrow)
             yield
         for group in figure.groups():
@@ -175,14 +163,14 @@ class GraphScene(QGraphicsScene):
         self.shown.emit(drawing)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
-        before, self._snapshot = self._snapshot, snapshot
-        dead, self._dead = self._dead, dead_keys(snapshot)
-        for key, item in self.vertices.items():
-            now, then = snapshot.nodelet(item.vertex.name), before.nodelet(item.vertex.name)
-            if (now is not then and now != then) or (key in dead) != (key in self._dead):
-                self._show_state(item)
-        if dead != self._dead:
-            self._show_all_traffic()
+        self._snapshot, self._dead = snapshot, dead_keys(snapshot)
+        self.slices.want(self._show_states)
+        self.slices.want(self._show_all_traffic)
+
+    def _show_states(self) -> Iterator[None]:
+        for item in list(self.vertices.values()):
+            self._show_state(item)
+            yield
 
     def _show_state(self, item: VertexItem) -> None:
         nodelet = self._snapshot.nodelet(item.vertex.name)
@@ -190,15 +178,19 @@ class GraphScene(QGraphicsScene):
             is_dead = item.vertex.key in self._dead
             item.set_appearance(Appearance(State.LOST if is_dead else State.RUNNING))
             return
+        if item.shown is nodelet:
+            return
+        item.shown = nodelet
         item.set_appearance(appearance_of(nodelet))
-        connected = nodelet.connections
+        connected = {port.name for port in nodelet.ports if port.topic}
         for port in item.ports.values():
             port.set_connected(port.ref.port in connected)
             port.set_verdict(self._verdicts.get(port.ref))
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
-        self._traffic = traffic
-        self._show_all_traffic()
+        if traffic != self._traffic:
+            self._traffic = traffic
+            self.slices.want(self._show_all_traffic)
 
     def set_verdicts(self, verdicts: Mapping[PortRef, PortVerdict]) -> None:
         before, self._verdicts = self._verdicts, verdicts
@@ -206,21 +198,26 @@ class GraphScene(QGraphicsScene):
             port = self.port_item(ref)
             if port is not None:
                 port.set_verdict(verdicts.get(ref))
-        self._show_all_traffic()
+        if verdicts != before:
+            self.slices.want(self._show_all_traffic)
 
-    def _show_all_traffic(self) -> None:
+    def _show_all_traffic(self) -> Iterator[None]:
         """Update all arrows, and place their labels again if these have other sizes then."""
-        shapes = [item.label_shape for item in self.edges.values()]
-        for edge, item in self.edges.items():
-            self._show_traffic(edge, item)
-        if shapes != [item.label_shape for item in self.edges.values()]:
+        for item in list(self.edges.values()):
+            if self._show_traffic(item):
+                self._wants_labels = True
+            yield
+        if self._wants_labels:
             self._labelling.start()
 
-    def _show_traffic(self, edge: Edge, item: EdgeItem) -> None:
-        traffic, verdict = edge_traffic(edge, self._traffic), edge_verdict(edge, self._verdicts)
-        planned = key_of(VertexKind.GHOST, "")
-        ends = (edge.tail, edge.head)
-        item.show(traffic, verdict, any(k in self._dead or k.startswith(planned) for k in ends))
+    def _show_traffic(self, item: EdgeItem) -> bool:
+        """Update an arrow; returns whether its label has another size."""
+        traffic, verdict = edge_traffic(item.refs, self._traffic), None
+        if self._verdicts:
+            verdict = edge_verdict(item.refs, self._verdicts)
+        planned, ends = key_of(VertexKind.GHOST, ""), (item.edge.tail, item.edge.head)
+        is_dead = any(key in self._dead or key.startswith(planned) for key in ends)
+        return item.show(traffic, verdict, is_dead)
 
     def tip_of(self, item: object) -> str:
         refs = self._refs_of(item)[:1] if isinstance(item, EdgeItem) else self._refs_of(item)
@@ -238,7 +235,7 @@ class GraphScene(QGraphicsScene):
     def _refs_of(self, item: object) -> List[PortRef]:
         """The ports whose connections an item shows, sources first."""
         if isinstance(item, EdgeItem):
-            return edge_refs(item.edge)[::-1]
+            return item.refs[::-1]
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
             topic = self._snapshot.topics().get(item.vertex.name)
             return list(topic.sources or topic.targets) if topic is not None else []
@@ -268,14 +265,37 @@ class GraphScene(QGraphicsScene):
 
     # Painting
 
-    def set_zoom(self, zoom: float) -> None:
-        """Let the overview paint things that are too small for names."""
+    def set_zoom(self, zoom: float, seen: Optional[QRectF] = None) -> None:
+        """Let the overview paint things that are too small for names.
+
+        Args:
+            zoom: pixels of the screen per pixel of the drawing.
+            seen: the part of the drawing that is in view.
+        """
+        self._seen, self._scale = seen or self._seen, zoom
         if self._is_far != (zoom < FAR):
             self._is_far = zoom < FAR
             for item in self._items():
                 item.set_far(self._is_far)
             if self._wants_labels:
                 self._labelling.start()
+        shown = self.overview.area.contains(self._seen & self.drawing_area())
+        if self._is_far and not (shown and abs(self.overview.scale - zoom) < 1e-9):
+            self.slices.want(self._picture)
+
+    def _picture(self) -> Iterator[None]:
+        """Paint the overview of what is seen, and of as much again around it."""
+        seen = self._seen
+        across, down = seen.width() / 2, seen.height() / 2
+        area = seen.adjusted(-across, -down, across, down) & self.drawing_area()
+        if self._is_far and not area.isEmpty():
+            yield from self.overview_of(self.overview, area, self._scale)
+            self.update()
+
+    def overview_of(self, overview: Overview, area: QRectF, scale: float) -> Iterator[None]:
+        boxes = sorted(self._boxes.values(), key=lambda box: box.zValue())
+        edges, vertices = list(self.edges.values()), list(self.vertices.values())
+        yield from overview.painted(area, scale, self._colours.paper, boxes, edges, vertices)
 
     @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
@@ -284,7 +304,8 @@ class GraphScene(QGraphicsScene):
         titles = [(box.area, box.name) for _, box in boxes]
         seen = painter.worldTransform().inverted()[0].mapRect(QRectF(painter.viewport()))
         if self._is_far:
-            self.paint_overview(painter)
+            self.overview.paint(painter)
+            self.paint_marked(painter)
             titles += [
                 (item.area.translated(item.pos()), item.vertex.name)
                 for item in self.vertices.values()
@@ -297,18 +318,27 @@ class GraphScene(QGraphicsScene):
         areas = [box.area for box in self._boxes.values()]
         return any(a.intersects(seen) and not seen.contains(a.topLeft()) for a in areas)
 
-    def paint_overview(self, painter: QPainter) -> None:
-        """Paint everything as it looks from far away."""
-        boxes = sorted(self._boxes.values(), key=lambda box: box.zValue())
-        self.overview.paint(painter, boxes, self.edges.values(), self.vertices.values())
+    def paint_marked(self, painter: QPainter) -> None:
+        """Paint what stands out on top of a picture."""
+        paint_marked(painter, (*self.edges.values(), *self.vertices.values()))
 
     @qt_slot
     def look_again(self) -> None:
-        """Have the overview painted again: something looks different now."""
-        self.overview.forget()
+        """Have the overviews painted again: something looks different now."""
+        self.slices.want(self._tell_looks)
+
+    def _tell_looks(self) -> Iterator[None]:
         self.changed_looks.emit()
-        if self._is_far and not self.is_drawing:
+        if self._is_far:
+            self.slices.want(self._picture)
+        yield
+
+    @qt_slot
+    def _mark(self) -> None:
+        """Show what stands out now."""
+        if self._is_far:
             self.update()
+        self.changed_marks.emit()
 
     def event(self, event: QEvent) -> bool:
         """Handle an event; in Python, so that items are queried without waits."""
@@ -362,6 +392,7 @@ class GraphScene(QGraphicsScene):
             item.set_found(bool(wanted) and wanted in item.vertex.name.lower())
             if item.found:
                 hits.append(item)
+        self._mark()
         return sorted(hits, key=lambda item: (item.x(), item.y()))
 
     def box_at(self, place: QPointF) -> Group:
@@ -480,3 +511,4 @@ class GraphScene(QGraphicsScene):
     def _paint_tones(self, tones: Mapping[object, Tone]) -> None:
         for key, item in (*self.vertices.items(), *self.edges.items()):
             item.set_tone(tones.get(key, self._ghosts.get(key, Tone.NONE)))
+        self._mark()

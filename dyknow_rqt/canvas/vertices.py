@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List
+from typing import TYPE_CHECKING, Any, Dict, List, Optional
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -27,6 +27,9 @@ from dyknow_rqt.canvas.appearance import Appearance, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
+
+if TYPE_CHECKING:
+    from dyknow.model.graph import NodeletStatus
 
 #: Pixels of the least text that is written.
 _LEAST = 9.0
@@ -54,6 +57,8 @@ class VertexItem(Item):
         self._is_downwards = False
         self._label = ""
         self.found = False
+        #: The state of the nodelet that it shows.
+        self.shown: Optional[NodeletStatus] = None
         self.setAcceptHoverEvents(True)
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setZValue(10)  # names of ports are read above rates
@@ -63,6 +68,7 @@ class VertexItem(Item):
         if (vertex, size, is_downwards) == (self.vertex, self._size, self._is_downwards):
             return
         self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
+        self.shown = None  # its ports may be others
         self._label = vertex.label
         self.setRect(self.area.adjusted(-5 - _BESIDE / 2, -5, 5 + _BESIDE / 2, 5))
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
@@ -86,7 +92,11 @@ class VertexItem(Item):
     def set_found(self, found: bool) -> None:
         if found != self.found:
             self.found = found
-            self.look_again()
+            self.update()
+
+    @property
+    def stands_out(self) -> bool:
+        return self.found or super().stands_out
 
     def set_far(self, is_far: bool) -> None:
         super().set_far(is_far)
@@ -126,6 +136,10 @@ class VertexItem(Item):
         dot = QRectF(-PORT_RADIUS, -PORT_RADIUS, 2 * PORT_RADIUS, 2 * PORT_RADIUS)
         areas += [dot.translated(port.pos()) for port in self.ports.values()]
         return [area.translated(self.pos()) for area in areas]
+
+    def outline(self) -> QPainterPath:
+        """Its shape, in the coordinates of the drawing."""
+        return self.shape().translated(self.pos())
 
     def shape(self) -> QPainterPath:
         path = QPainterPath()
@@ -196,6 +210,15 @@ class VertexItem(Item):
         return QPointF(off * width / 2, share * height / 2)
 
     def stroke(self) -> QPen:
+        pen = self.plain_stroke()
+        if self.tone is not Tone.NONE:
+            pen = QPen(self.colours.of(self.tone), 2.2, pen.style())
+        if self.isSelected() or self.found:
+            pen = QPen(self.colours.chosen, 3.0, pen.style())
+        return pen
+
+    def plain_stroke(self) -> QPen:
+        """The pen while nothing is selected or highlighted."""
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
         if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
@@ -205,10 +228,6 @@ class VertexItem(Item):
             colour, style = self.colours.muted, Qt.DashLine
         elif self.appearance.state is State.STARTING:
             style = Qt.DotLine
-        if self.tone is not Tone.NONE:
-            colour, width = self.colours.of(self.tone), 2.2
-        if self.isSelected() or self.found:
-            colour, width = self.colours.chosen, 3.0
         return QPen(colour, width, style)
 
     def fill(self) -> QColor:

@@ -313,7 +313,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def _follow(self) -> None:
-        self.scene().set_zoom(self.zoom * self.devicePixelRatioF())
+        self.scene().set_zoom(self.zoom * self.devicePixelRatioF(), self.seen)
         if self.scene().has_sticky_titles(self.seen):
             self.viewport().update()  # they do not move with the drawing
         self._minimap.follow(self.seen)

@@ -13,6 +13,7 @@ from typing import (
     AbstractSet,
     Dict,
     FrozenSet,
+    Iterable,
     List,
     Mapping,
     Optional,
@@ -65,6 +66,13 @@ class Snapshot:
     def port(self, ref: PortRef) -> Optional[PortState]:
         nodelet = self.nodelet(ref.nodelet)
         return nodelet.port(ref.port) if nodelet is not None else None
+
+    def shared(self, nodelets: Iterable[NodeletStatus]) -> Tuple[NodeletStatus, ...]:
+        """Take the own values of nodelets that have not changed: these are compared at once."""
+        pairs = ((each, self.nodelet(each.name)) for each in nodelets)
+        return tuple(
+            each if before is None or before != each else before for each, before in pairs
+        )
 
     def topics(self) -> Mapping[str, Topic]:
         """Topics that ports are connected to, by name, in order."""

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import pytest
-from python_qt_binding.QtCore import QPoint, Qt
+from python_qt_binding.QtCore import QObject, QPoint, Qt
 from python_qt_binding.QtGui import QImage, QPalette
 from python_qt_binding.QtWidgets import QToolButton
 from unit.rqt.hands import button_of, centre_of, click, until, vertex_keys, window_of
 
-from dyknow_rqt.canvas.overview import FAR
+from dyknow.model.graph import State
+from dyknow_rqt.canvas.overview import FAR, Overview
+from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.screenshots import dark_palette
@@ -76,9 +78,46 @@ def test_the_map_shows_what_is_seen_and_moves_there(qtbot, window):
 
 def test_without_nodelets_there_is_no_map(qtbot):
     widget = window_of(qtbot, tree(0))
-    widget.graph.view.scene().look_again()
-    widget.graph.view._minimap._take_picture()
-    assert widget.line.text == "" and not widget.graph.view._minimap.isVisible()
+    scene, minimap = widget.graph.view.scene(), widget.graph.view._minimap
+    scene.look_again()
+    scene.slices.want(minimap._picture)
+    until(qtbot, lambda: not scene.slices.is_wanted(minimap._picture))
+    assert widget.line.text == "" and not minimap.isVisible()
+
+
+def test_the_picture_of_what_is_small_follows_in_pieces(qtbot, window):
+    scene = window.graph.view.scene()
+    until(qtbot, lambda: not scene.slices.is_wanted(scene._picture))
+    before = scene.overview._picture
+    scene.highlight("n_/part0/nodelet0")
+    assert not scene.slices.is_wanted(scene._picture), "what stands out is painted on top"
+    scene.highlight(None)
+    window.monitor.remote.client.alter("/part0/nodelet0", state=State.LOST, detail="gone")
+    until(qtbot, lambda: scene.overview._picture is not before)
+    steps = scene.overview_of(Overview(), scene.drawing_area(), 0.2)
+    assert sum(1 for _ in steps) > 3 * _COUNT, "it may be interrupted after each thing"
+    window.monitor.remote.client.alter("/part0/nodelet0", state=State.RUNNING, detail="")
+
+
+def test_work_in_slices_is_done_once_more_if_it_was_wanted_meanwhile(qtbot):
+    done, said, parent = [], [], QObject()
+    slices = Slices(said.append, parent)
+
+    def work():
+        done.append("begun")
+        yield
+        if len(done) == 1:
+            slices.want(work)
+            slices.want(work)
+
+    def fail():
+        raise OSError("no room")
+        yield
+
+    slices.want(fail)
+    slices.want(work)
+    until(qtbot, lambda: not (slices.is_wanted(work) or slices.is_wanted(fail)))
+    assert done == ["begun", "begun"] and said == ["no room"]
 
 
 def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qtbot, window):
