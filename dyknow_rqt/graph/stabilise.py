@@ -177,12 +177,15 @@ def _strangers(
 def _curves(
     fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
 ) -> Dict[Edge, Tuple[Point, ...]]:
-    """Shift the curves whose two ends moved equally; compute the rest again."""
+    """Shift the curves whose two ends moved equally; compute the rest again.
+
+    What graphviz has not laid out yet has none.
+    """
     curves: Dict[Edge, Tuple[Point, ...]] = {}
     for edge in after.edges:
         tail = centres[edge.tail].minus(fresh.centres[edge.tail])
         head = centres[edge.head].minus(fresh.centres[edge.head])
-        if tail.distance(head) < 1.0:
+        if edge in fresh.curves and tail.distance(head) < 1.0:
             curves[edge] = tuple(place.plus(tail) for place in fresh.curves[edge])
         else:
             curves[edge] = curve_between(

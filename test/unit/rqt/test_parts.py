@@ -128,6 +128,16 @@ def test_what_comes_goes_or_grows_moves_nothing_else():
         check_boxes(after)
 
 
+def test_what_comes_is_drawn_with_all_arrows_before_it_is_laid_out():
+    nodelets = chains(12, joined=True)
+    before = drawn(figure_of_all(nodelets))
+    more = [*nodelets, nodelet("/chain3/more", ">in=/chain3/t2", "out>=/chain3/x")]
+    figure = figure_of_all(more)
+    after = drawn(figure, before, are_laid_out=False)
+    assert set(after.layout.curves) == set(figure.edges)
+    check_boxes(after)
+
+
 _SIZES = some.builds(Size, some.floats(10, 500), some.floats(10, 200))
 
 
