@@ -30,6 +30,7 @@ from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_g
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.topic_card import TopicCard
 from dyknow_rqt.widgets import Sign
 
 #: Milliseconds that a view must keep its size before the graph follows.
@@ -73,6 +74,7 @@ class GraphPanel(QWidget):
         self.layouter = Layouter()
         self.files = WiringFiles(monitor, self)
         self.sign = Sign(self.view)
+        self.card = TopicCard(monitor, self.view, self.report)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
@@ -88,6 +90,7 @@ class GraphPanel(QWidget):
 
     def close_down(self) -> None:
         self._calls.close()
+        self.card.close_down()
         self.layouter.close()
         self.view.scene().close_down()
 
@@ -356,6 +359,7 @@ class GraphPanel(QWidget):
         """Keep the message in the middle, and follow changes of the palette."""
         if event.type() == QEvent.Resize:
             self._show_sign()
+            self.card.place()
             self._turning.start()
         elif event.type() == QEvent.PaletteChange:
             self._grey()
@@ -382,6 +386,7 @@ class GraphPanel(QWidget):
         view.dropped.connect(self._dropped)
         view.delete_pressed.connect(self._delete)
         view.box_pressed.connect(bar.toggle_box)
+        view.topic_pressed.connect(self.card.show_topic)
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)
         bar.structure_changed.connect(self.tidy)

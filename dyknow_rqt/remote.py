@@ -16,6 +16,7 @@ from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model
 from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
+from dyknow_rqt.graph.samples import Sample
 from dyknow_rqt.graph.snapshot import Side, Transports
 
 
@@ -56,6 +57,24 @@ class Remote(ABC):
         """Listen to the verdicts of these nodes on these topics, and to no others.
 
         It returns at once, and is called after ``start`` in the thread of the window.
+        """
+
+    @abstractmethod
+    def follow(
+        self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
+    ) -> Callable[[], None]:
+        """Listen to a topic of a node, and hand on what is shown of its messages.
+
+        At most five a second are handed on, in any thread.
+
+        Args:
+            topic: global name.
+            datatype: its ROS type; empty if unknown.
+            node: publishes it.
+            on_sample: takes what messages are reduced to.
+
+        Returns:
+            What ends it, at once.
         """
 
     @abstractmethod

@@ -3,23 +3,26 @@
 
 """The window's view on ROS: the manager's client, its topics, the master. No Qt here.
 
-``RosRemote`` owns connections to three topics of the manager, and to each topic of verdicts. It
-registers nothing with the master, so it needs no node, outlives any master, and leaves nothing
-behind.
+``RosRemote`` owns connections to three topics of the manager, to each topic of verdicts, and to
+those that the user looks at. It registers nothing with the master, so it needs no node, outlives
+any master, and leaves nothing behind.
 """
 
 from __future__ import annotations
 
 import os
 from functools import partial
-from typing import AbstractSet, Callable, Collection, Dict, List, Optional, Sequence, Tuple
+from typing import AbstractSet, Any, Callable, Collection, Dict, List, Optional, Sequence, Tuple
 
 from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from dyknow_msgs.msg import Verdict as VerdictMessage
+from roslib.message import get_message_class
 
 from dyknow import names
+from dyknow.datatypes import ANY
+from dyknow.errors import HostError
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
 from dyknow.model.statistics import NodeletCount
@@ -28,6 +31,7 @@ from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import counts_from, event_from, model_from
 from dyknow.ros.wire.topic_reader import TopicFollower
+from dyknow_rqt.graph.samples import Sample, sample_of
 from dyknow_rqt.graph.snapshot import Side, Transports
 from dyknow_rqt.remote import Remote
 
@@ -93,6 +97,20 @@ class RosRemote(Remote):
             self._verdicts[node, topic] = follower
             follower.start()
 
+    def follow(
+        self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
+    ) -> Callable[[], None]:
+        if datatype in ANY:
+            types = dict(self._master.ask("getTopicTypes"))
+            datatype = types.get(topic, "")
+        found = get_message_class(datatype) if datatype not in ANY else None
+        if found is None:
+            raise HostError(f"{topic}: messages of type '{datatype}' are not known here")
+        reduced = _Reduced(found)
+        follower = TopicFollower(self._master, node, topic, reduced, on_sample, last_only=True)
+        follower.start()
+        return follower.close
+
     def close(self) -> None:
         for follower in self._followers:
             follower.close()
@@ -143,3 +161,17 @@ class RosRemote(Remote):
     def _hear_verdict(self, topic: str, message: VerdictMessage) -> None:
         since = message.since.to_nsec()
         self._on_verdict(topic, Verdict(since, Truth(message.value), since, message.why))
+
+
+class _Reduced:
+    """Takes the place of a class of messages, of which it reads only what is shown."""
+
+    def __init__(self, message_class: Any) -> None:
+        self._class = message_class
+        self._type, self._md5sum = message_class._type, message_class._md5sum
+
+    def __call__(self) -> _Reduced:
+        return self
+
+    def deserialize(self, frame: bytes) -> Sample:
+        return sample_of(self._class().deserialize(frame), len(frame))

@@ -8,6 +8,7 @@ It needs neither a screen nor ROS processes.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -21,6 +22,7 @@ from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 from dyknow.model.graph import PortRef
 from dyknow_rqt.example_graphs import soccer, tree
 from dyknow_rqt.graph.figure import Boxes
+from dyknow_rqt.graph.samples import Sample
 from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.window import DyKnowWidget
 
@@ -81,6 +83,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("create", light, _pose_create),
         ("connect", light, _pose_connect),
         ("plan", light, _pose_plan),
+        ("card", light, _pose_card),
         ("gone", light, _pose_gone),
         ("dark", dark_palette(), _pose_dark),
     ):
@@ -218,6 +221,26 @@ def _pose_plan(widget: DyKnowWidget) -> None:
     streams.preview.click()
     wait(lambda: "g_tracker" in widget.graph.view.scene().vertices, 10.0, "the plan is drawn")
     QTest.qWait(1000)
+
+
+def _pose_card(widget: DyKnowWidget) -> None:
+    """The ball rolls to and fro."""
+    remote, card = widget.monitor.remote, widget.graph.card
+    assert isinstance(remote, SimulatedRemote)
+    card.show_topic("/field/ball")
+    for number in range(60):
+        x = 1.5 * math.sin(number / 8)
+        lines = [
+            "header:",
+            f"  seq: {900 + number}",
+            "  stamp: 1732550400.25",
+            "  frame_id: field",
+        ]
+        lines += ["point:", f"  x: {x:.6g}", "  y: 0.25", "  z: 0"]
+        numbers = {"point.x": x, "point.y": 0.25, "point.z": 0.0}
+        remote.send("/field/ball", Sample("\n".join(lines), numbers, None, 45))
+        QTest.qWait(80)
+    card.place()
 
 
 def _pose_gone(widget: DyKnowWidget) -> None:

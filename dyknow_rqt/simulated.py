@@ -15,6 +15,7 @@ from dyknow.model.statistics import NodeletCount
 from dyknow.model.streams import StreamEvent
 from dyknow.periodic import PeriodicWorker
 from dyknow.simulated import SimulatedManagerClient
+from dyknow_rqt.graph.samples import Sample
 from dyknow_rqt.graph.snapshot import Side, Transports
 from dyknow_rqt.remote import Remote
 
@@ -32,6 +33,7 @@ class SimulatedRemote(Remote):
         subscribers: nodes that subscribe, by topic.
         connected: transports of connections to other processes.
         followed: nodes and topics whose verdicts are heard.
+        listeners: those that the user looks at, by topic.
     """
 
     def __init__(self) -> None:
@@ -44,6 +46,8 @@ class SimulatedRemote(Remote):
         self.subscribers: Dict[str, List[str]] = {}
         self.connected: Transports = {}
         self.followed: AbstractSet[Tuple[str, str]] = frozenset()
+        self.listeners: Dict[str, List[Callable[[Sample], None]]] = {}
+        self._samples: Dict[str, Sample] = {}
         self._verdicts: Dict[str, Verdict] = {}
         self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
         self._on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
@@ -68,6 +72,26 @@ class SimulatedRemote(Remote):
         """Let a verdict come, from ``since`` on; as from a nodelet, the last one is latched."""
         self._verdicts[topic] = Verdict(since, truth, since, why)
         self._hand_on([topic])
+
+    def follow(
+        self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
+    ) -> Callable[[], None]:
+        listeners = self.listeners.setdefault(topic, [])
+        listeners.append(on_sample)
+        if topic in self._samples:
+            on_sample(self._samples[topic])
+
+        def end() -> None:
+            if on_sample in listeners:
+                listeners.remove(on_sample)
+
+        return end
+
+    def send(self, topic: str, sample: Sample) -> None:
+        """Let a message come; the last one is latched."""
+        self._samples[topic] = sample
+        for listener in list(self.listeners.get(topic, ())):
+            listener(sample)
 
     def close(self) -> None:
         self.client.on_model = lambda model: None

@@ -152,8 +152,8 @@ KEYS = (
     ("arrows", "select the next thing in that direction; with Ctrl move the view"),
     ("+, -, wheel", "zoom"),
     ("Delete", "disconnect, or destroy; in the tables: destroy, delete or release"),
-    ("Return", "press the button that has the focus"),
-    ("Esc", "decline what the line at the bottom asks, or dismiss it; end a connection"),
+    ("Return", "press the button that has the focus; in the graph show the last message"),
+    ("Esc", "decline what the line at the bottom asks, or dismiss it; end a connection, close a card"),
     ("menu key", "the context menu of the selection"),
     ("Shift+?, F1", "this list"),
 )

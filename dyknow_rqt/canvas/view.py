@@ -44,6 +44,20 @@ _ARROWS = {
 }
 
 
+def topic_of(item: object) -> str:
+    """The topic of an arrow or of a rectangle; empty for all else."""
+    if isinstance(item, EdgeItem):
+        return item.edge.topic
+    if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
+        return item.vertex.name
+    return ""
+
+
+def _far() -> int:
+    """Pixels from which on a movement is no click."""
+    return int(QApplication.startDragDistance())
+
+
 class GraphView(QGraphicsView):
     """The wheel zooms at the pointer, a drag on the background moves, one from a port connects."""
 
@@ -53,6 +67,8 @@ class GraphView(QGraphicsView):
     drag_began = Signal(object)
     #: It is over another port now, the topic of that name, or None.
     dragged = Signal(object, object)
+    #: An arrow or a topic was clicked: the topic; or the ground: an empty name.
+    topic_pressed = Signal(str)
     #: A box was double-clicked: its group.
     box_pressed = Signal(object)
     #: The Delete key was pressed.
@@ -80,6 +96,7 @@ class GraphView(QGraphicsView):
         self._band: Optional[QGraphicsPathItem] = None
         self._target: Target = None
         self._ground: Optional[QPoint] = None
+        self._pressed = QPoint()
         self._minimap = Minimap(self.scene(), report, self)
         self._minimap.place_wanted.connect(self._show_place)
         for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
@@ -177,6 +194,7 @@ class GraphView(QGraphicsView):
         """Start a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
+            self._pressed = event.pos()
             is_ground = self._item_at(event.pos()) is None
             self._ground = event.pos() if is_ground else None
             super().mousePressEvent(event)
@@ -192,9 +210,8 @@ class GraphView(QGraphicsView):
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         if self._from is None or self._band is None:
-            far = QApplication.startDragDistance()
             if self._ground is not None and event.buttons() & Qt.LeftButton:
-                moved = (event.pos() - self._ground).manhattanLength() >= far
+                moved = (event.pos() - self._ground).manhattanLength() >= _far()
                 self.is_chosen = self.is_chosen or moved  # a click leaves the view as it is
             super().mouseMoveEvent(event)
             return
@@ -212,11 +229,14 @@ class GraphView(QGraphicsView):
         if start is None:
             super().mouseReleaseEvent(event)
             self.viewport().setCursor(Qt.ArrowCursor)
+            is_still = (event.pos() - self._pressed).manhattanLength() < _far()
+            if is_still and event.button() == Qt.LeftButton and not event.modifiers():
+                self.topic_pressed.emit(topic_of(self._item_at(event.pos())))
             return
         self._end_drag()
         target = self._target_at(event.pos())
         way = event.pos() - self.mapFromScene(start.scenePos())
-        is_click = way.manhattanLength() < QApplication.startDragDistance()
+        is_click = way.manhattanLength() < _far()
         if target != start.ref and not is_click:
             self.dropped.emit(start.ref, target)
 
@@ -269,6 +289,11 @@ class GraphView(QGraphicsView):
         key = event.key()
         if key == Qt.Key_Escape and self._from is not None:
             self._end_drag()
+        elif key == Qt.Key_Escape:
+            self.topic_pressed.emit("")
+        elif key in (Qt.Key_Return, Qt.Key_Enter):
+            chosen = self.scene().selectedItems()
+            self.topic_pressed.emit(topic_of(chosen[0]) if len(chosen) == 1 else "")
         elif key == Qt.Key_Delete:
             self.delete_pressed.emit()
         elif key in (Qt.Key_Plus, Qt.Key_Equal):

@@ -227,6 +227,24 @@ class WindowTest(Window, ManagerCase):
 
         self.does(release, lambda: not panel.table.names(), "the stream is released")
 
+    def test_the_last_message_of_a_topic_is_shown_while_its_card_is_open(self) -> None:
+        manager = self.started()
+        manager.client.spawn("counter", "/count", {"out": "/numbers"})
+        card, view = self.open().graph.card, self.window.graph.view
+        until(lambda: "t_/numbers" in self.scene.vertices, "it is drawn")
+        until(lambda: not self.scene.slices.is_wanted(self.scene._draw), "all of it")
+        place = view.mapFromScene(self.scene.vertices["t_/numbers"].pos())
+        QTest.mouseClick(view.viewport(), Qt.LeftButton, Qt.NoModifier, place)
+        until(lambda: len(card.curve.points) > 3, "numbers come")
+        values = [value for _, value in card.curve.points]
+        self.assertEqual(values, sorted(set(values)))
+        until(lambda: re.search(r"Hz · .*B/s · \d+ B each", card.facts.text()), "and how much")
+        master, node = Master("/test"), self.monitor.snapshot.nodelet("/count").node
+        uri = master.node(node)
+        self.assertEqual(len(master.connections(uri, "/numbers", 2.0)), 1)
+        QTest.keyClick(view, Qt.Key_Escape)
+        until(lambda: not master.connections(uri, "/numbers", 2.0), "it is heard no more")
+
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
         self.started()
         process = self.run_process("rosrun", "dyknow", "dyknow_rqt")

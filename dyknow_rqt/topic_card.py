@@ -1,0 +1,385 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The last message of a topic, over the graph; listened to only while it is shown."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections import deque
+from functools import partial
+from typing import Any, Callable, Deque, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+from python_qt_binding.QtCore import QPointF, QProcess, QRect, QSize, Qt, QTimer
+from python_qt_binding.QtGui import (
+    QFontMetrics,
+    QImage,
+    QPainter,
+    QPalette,
+    QPen,
+    QPixmap,
+    QPolygonF,
+)
+from python_qt_binding.QtWidgets import (
+    QComboBox,
+    QGraphicsView,
+    QLabel,
+    QMenu,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from dyknow.model.graph import PortRef, State
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.canvas.appearance import colours_of
+from dyknow_rqt.canvas.view import topic_of
+from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
+from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.widgets import row_of, text_of
+
+#: Seconds that a curve shows, and milliseconds from one look at the age to the next.
+_SPAN, _PERIOD = 20.0, 500
+#: Pixels: the distance from the edges of the view, and the widest card.
+_MARGIN, _WIDE = 8, 330
+#: The most lines of a message that are seen at a time.
+_LINES = 13
+
+
+class Viewer(NamedTuple):
+    """A program that shows a topic.
+
+    Attributes:
+        name: for people.
+        words: the command, in which ``{topic}`` and ``{field}`` are replaced.
+        is_image: whether it shows images, or everything else; None for both.
+    """
+
+    name: str
+    words: Tuple[str, ...]
+    is_image: Optional[bool] = None
+
+    def is_there(self) -> bool:
+        return all(
+            shutil.which(each) for each in self.words if each[0] not in "-{" and each != "echo"
+        )
+
+
+VIEWERS = (
+    Viewer("rqt_image_view", ("rqt_image_view", "{topic}"), True),
+    Viewer("rqt_plot", ("rqt_plot", "{topic}{field}"), False),
+    Viewer("rostopic echo", ("x-terminal-emulator", "-e", "rostopic", "echo", "{topic}")),
+)
+
+
+class Curve(QWidget):
+    """The last seconds of a number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFixedHeight(44)
+        self.setAccessibleName("Curve")
+        self.points: Deque[Tuple[float, float]] = deque()
+
+    @qt_slot
+    def clear(self) -> None:
+        self.points.clear()
+        self.update()
+
+    def add(self, moment: float, value: float) -> None:
+        self.points.append((moment, value))
+        while moment - self.points[0][0] > _SPAN:
+            self.points.popleft()
+        self.update()
+
+    @qt_slot
+    def paintEvent(self, event: Any) -> None:  # noqa: N802
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.Antialiasing)
+        if not self.points:
+            return
+        values = [value for _, value in self.points]
+        low, high = min(values), max(values)
+        metrics, end = QFontMetrics(self.font()), self.points[-1][0]
+        words = [f"{high:.4g}", f"{low:.4g}"]
+        margin = max(metrics.horizontalAdvance(word) for word in words) + 4
+        room = QRect(2, 4, self.width() - margin - 6, self.height() - 8)
+        painter.setPen(colours_of(self.palette()).muted)
+        for word, side in zip(words, (Qt.AlignTop, Qt.AlignBottom)):
+            painter.drawText(self.rect().adjusted(0, 0, -2, 0), Qt.AlignRight | side, word)
+        line = QPolygonF()
+        for moment, value in self.points:
+            share = (value - low) / (high - low) if high > low else 0.5
+            x = room.right() - (end - moment) / _SPAN * room.width()
+            line.append(QPointF(x, room.bottom() - share * room.height()))
+        painter.setPen(QPen(self.palette().highlight().color(), 1.6))
+        painter.drawPolyline(line)
+        painter.drawEllipse(line.last(), 1.5, 1.5)
+
+
+class TopicCard(QWidget):
+    """A card in a corner of the view; ``show_topic`` opens it, ``dismiss`` closes it."""
+
+    def __init__(
+        self, monitor: GraphMonitor, view: QGraphicsView, report: Callable[[str], None]
+    ) -> None:
+        super().__init__(view)
+        self.report = report
+        self.topic = ""
+        self._monitor, self._view = monitor, view
+        self._calls = BackgroundCalls(1)
+        #: The node that is listened to, and what ends that.
+        self._node = ""
+        self._end: Callable[[], None] = lambda: None
+        self._number = 0
+        self._refs: Sequence[PortRef] = ()
+        self._traffic: Mapping[PortRef, PortRate] = {}
+        self._sample: Optional[Sample] = None
+        self._came, self._why = 0.0, ""
+        self._title, self.facts, self.image = QLabel(), QLabel(), QLabel()
+        self.text = text_of("Last message")
+        self.curve, self.field = Curve(), QComboBox()
+        self.open_in = QToolButton()
+        self._arrange()
+        self._ageing = QTimer(self)
+        self._ageing.setInterval(_PERIOD)
+        self._ageing.timeout.connect(self._tell)
+        self.field.currentTextChanged.connect(self.curve.clear)
+        monitor.measured.connect(self._take_traffic)
+        monitor.changed.connect(self._follow)
+        self.hide()
+
+    def close_down(self) -> None:
+        self.show_topic("")
+        self._calls.close()
+
+    @qt_slot
+    def show_topic(self, topic: str) -> None:
+        """Show the last message of a topic from now on; an empty name closes the card."""
+        if topic == self.topic:
+            return
+        self.topic, self._sample = topic, None
+        self.setVisible(bool(topic))
+        self._title.setToolTip(topic)
+        self.field.clear()
+        self._listen_to("")
+        if topic:
+            self._ageing.start()
+            self._show_parts()
+            self._follow()
+            self.place()
+            self.raise_()
+        else:
+            self._ageing.stop()
+
+    def place(self) -> None:
+        """Stand in the corner of the view where there is the least to see, and not the topic."""
+        room = self._view.viewport().size()
+        width = min(_WIDE, room.width() - 2 * _MARGIN)
+        wide = max(40, width - 24)
+        name = self._title.fontMetrics().elidedText(self.topic, Qt.ElideMiddle, wide - 24)
+        self._title.setText(name)
+        height = min(self.sizeHint().height(), room.height() - 2 * _MARGIN)
+        right, bottom = room.width() - width - _MARGIN, room.height() - height - _MARGIN
+        areas = [QRect(x, y, width, height) for y in (_MARGIN, bottom) for x in (right, _MARGIN)]
+
+        def hidden(area: QRect) -> Tuple[bool, int]:
+            items = self._view.items(area)
+            return any(topic_of(item) == self.topic for item in items), len(items)
+
+        self.setGeometry(min(areas, key=hidden))
+
+    @qt_slot
+    def paintEvent(self, event: Any) -> None:  # noqa: N802
+        painter = QPainter(self)
+        painter.setPen(colours_of(self.palette()).box_line)
+        painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
+
+    # Listening
+
+    @qt_slot
+    def _follow(self) -> None:
+        """Listen to the node that publishes the topic now."""
+        if self.topic:
+            snapshot = self._monitor.snapshot
+            found = snapshot.topics().get(self.topic)
+            self._refs = found.sources if found is not None else ()
+            nodelets = (snapshot.nodelet(ref.nodelet) for ref in self._refs)
+            nodes = [each.node for each in nodelets if each and each.state is State.RUNNING]
+            nodes += [node.name for node in snapshot.nodes if self.topic in node.publishes]
+            self._listen_to(nodes[0] if nodes else "", found.datatype if found else "")
+            self._tell()
+
+    def _listen_to(self, node: str, datatype: str = "") -> None:
+        if node == self._node:
+            return
+        self._end()
+        self._node, self._end = node, lambda: None
+        self._number += 1
+        self._why = "no message yet"
+        number, topic = self._number, self.topic
+        is_over = threading.Event()
+        ends: List[Callable[[], None]] = []
+
+        def hear(sample: Sample) -> None:
+            self._calls.deliver(lambda: self._take(number, sample))
+
+        def begin() -> None:
+            ends.append(self._monitor.remote.follow(topic, datatype, node, hear))
+            if is_over.is_set():  # before it had begun
+                ends[0]()
+
+        def end() -> None:
+            is_over.set()
+            for each in ends:
+                each()
+
+        def fail(error: Exception) -> None:
+            if number == self._number:
+                self._why = str(error)
+                self._tell()
+
+        if node:
+            self._end = end
+            self._calls.run(begin, lambda done: None, fail)
+
+    def _take(self, number: int, sample: Sample) -> None:
+        if number != self._number:
+            return
+        is_first = self._sample is None
+        self._sample, self._came = sample, time.monotonic()
+        names = [self.field.itemText(number) for number in range(self.field.count())]
+        if list(sample.numbers) != names:
+            chosen = self.field.currentText()
+            self.field.clear()
+            self.field.addItems(list(sample.numbers))
+            if chosen in sample.numbers:
+                self.field.setCurrentText(chosen)
+        value = sample.numbers.get(self.field.currentText())
+        if value is not None:
+            self.curve.add(self._came, value)
+        if self.text.toPlainText() != sample.text:
+            place = self.text.verticalScrollBar().value()
+            self.text.setPlainText(sample.text)
+            self.text.verticalScrollBar().setValue(place)
+        if sample.image is not None:
+            self._show_image(sample.image)
+        if is_first:
+            lines = min(sample.text.count("\n") + 2, _LINES)
+            self.text.setFixedHeight(lines * self.text.fontMetrics().height() + 12)
+            self._show_parts()
+            self.place()
+        self._tell()
+
+    @qt_slot
+    def _take_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
+        self._traffic = traffic
+
+    # Showing
+
+    def _show_image(self, image: SmallImage) -> None:
+        if image.width:
+            line = 3 * image.width
+            picture = QImage(image.data, image.width, image.height, line, QImage.Format_RGB888)
+        else:
+            picture = QImage.fromData(image.data)
+        if picture.isNull():
+            self.image.setText(image.note)
+        else:
+            size = QSize(WIDEST, HIGHEST)
+            self.image.setPixmap(QPixmap.fromImage(picture).scaled(size, Qt.KeepAspectRatio))
+        self.image.setToolTip(image.note)
+
+    def _show_parts(self) -> None:
+        sample = self._sample
+        self.image.setVisible(sample is not None and sample.image is not None)
+        for part in (self.curve, self.field):
+            part.setVisible(sample is not None and bool(sample.numbers) and not sample.image)
+        self.text.setVisible(sample is not None)
+
+    @qt_slot
+    def _tell(self) -> None:
+        """Say how much comes, and how old the last message is."""
+        if not self._node:
+            self.facts.setText("nothing publishes it")
+            return
+        rates = [self._traffic[ref] for ref in self._refs if ref in self._traffic]
+        facts = [f"{sum(each.rate for each in rates):.3g} Hz"] if rates else []
+        if self._sample is None:
+            facts.append(self._why)
+        else:
+            size = self._sample.size
+            if rates:
+                facts.append(f"{_bytes(size * sum(each.rate for each in rates))}/s")
+            facts += [f"{_bytes(size)} each", f"{time.monotonic() - self._came:.1f} s ago"]
+        self.facts.setText(" · ".join(facts))
+        self.facts.setToolTip(f"from {self._node}")
+
+    def _arrange(self) -> None:
+        self.setAutoFillBackground(True)
+        self.setBackgroundRole(QPalette.Window)
+        self.setAccessibleName("Last message of a topic")
+        font = self._title.font()
+        font.setBold(True)
+        self._title.setFont(font)
+        close = QToolButton()
+        close.setText("×")
+        close.setAutoRaise(True)
+        close.setToolTip("Close (Esc)")
+        close.setAccessibleName("Close")
+        close.clicked.connect(lambda: self.show_topic(""))
+        self.facts.setWordWrap(True)
+        self.field.setToolTip("The number whose curve is shown")
+        self.field.setAccessibleName("Number")
+        self.field.setSizeAdjustPolicy(QComboBox.AdjustToContents)
+        self.image.setAlignment(Qt.AlignCenter)
+        self.text.setLineWrapMode(self.text.NoWrap)
+        self.open_in.setText("Open in")
+        self.open_in.setPopupMode(QToolButton.InstantPopup)
+        menu = QMenu(self.open_in)
+        menu.aboutToShow.connect(lambda: self._fill(menu))
+        self.open_in.setMenu(menu)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(8, 4, 4, 6)
+        column.setSpacing(4)
+        title = row_of(self._title, close)
+        title.setStretch(0, 1)
+        row = row_of(self.field, self.open_in)
+        row.insertStretch(1)
+        column.addLayout(title)
+        column.addWidget(self.facts)
+        column.addWidget(self.image)
+        column.addWidget(self.curve)
+        column.addWidget(self.text, 1)
+        column.addLayout(row)
+
+    def _fill(self, menu: QMenu) -> None:
+        menu.clear()
+        is_image = self._sample is not None and self._sample.image is not None
+        add_programs(menu, self.topic, is_image, self.field.currentText())
+
+
+def add_programs(menu: QMenu, topic: str, is_image: bool, field: str = "") -> None:
+    """Add the programs that show a topic; those that are not installed are greyed."""
+    for program in VIEWERS:
+        if program.is_image is None or program.is_image is is_image:
+            action = menu.addAction(program.name)
+            action.setEnabled(program.is_there())
+            action.triggered.connect(partial(_start, program, topic, field))
+
+
+def _start(program: Viewer, topic: str, field: str, checked: bool = False) -> None:
+    """Start a program, which outlives the window."""
+    field = "/" + field.replace(".", "/") if field else ""
+    words = [word.format(topic=topic, field=field) for word in program.words]
+    QProcess.startDetached(words[0], words[1:])
+
+
+def _bytes(count: float) -> str:
+    units = ["B", "kB", "MB", "GB"]
+    while count >= 1000 and len(units) > 1:
+        count, units = count / 1000, units[1:]
+    return f"{count:.3g} {units[0]}"

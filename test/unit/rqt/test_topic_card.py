@@ -1,0 +1,230 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The last message of a topic: what is shown of it; it is heard only while it is shown."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+
+import numpy
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped
+from python_qt_binding.QtCore import Qt
+from sensor_msgs.msg import CompressedImage, Image, JointState
+from unit.rqt.hands import centre_of, click, until
+
+from dyknow.model.graph import State
+from dyknow_rqt.graph.samples import HIGHEST, MOST_LINES, WIDEST, sample_of
+
+BALL, YUV = "/field/ball", "/nao1/bottom_camera/yuv"
+
+
+def size_of(message):
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return len(buffer.getvalue())
+
+
+def sampled(message):
+    return sample_of(message, size_of(message))
+
+
+def point(x):
+    message = PointStamped()
+    message.header.frame_id, message.point.x = "field", x
+    return sampled(message)
+
+
+def image(encoding, pixels):
+    """An image of an array, rows first."""
+    rows = numpy.ascontiguousarray(pixels)
+    height, width = rows.shape[:2]
+    step = rows.strides[0]
+    return Image(height=height, width=width, encoding=encoding, step=step, data=rows.tobytes())
+
+
+def place_on(view, topic, head):
+    edge = next(e for e in view.scene().edges if (e.topic, e.head) == (topic, head))
+    return view.mapFromScene(view.scene().edges[edge].path.pointAtPercent(0.5))
+
+
+# What is shown of a message
+
+
+def test_a_message_is_written_as_echo_does():
+    sample = point(0.25)
+    assert sample.text.splitlines() == [
+        *("header:", "  seq: 0", "  stamp: 0.000000", "  frame_id: field"),
+        *("point:", "  x: 0.25", "  y: 0", "  z: 0"),
+    ]
+    assert sample.numbers == {"point.x": 0.25, "point.y": 0.0, "point.z": 0.0}
+    assert sample.size == 45 and sample.image is None
+
+
+def test_long_parts_are_cut():
+    joints = JointState(name=["j" * 500] * 1000, position=[0.5] * 1000)
+    sample = sampled(joints)
+    assert "(1000)" in sample.text and len(sample.numbers) == 12
+    assert len(sample.text) < 3000
+    values = [KeyValue(key="fan", value="on")] * 9
+    status = DiagnosticArray(status=[DiagnosticStatus(values=values)] * 20)
+    lines = sampled(status).text.splitlines()
+    assert len(lines) == MOST_LINES + 1 and lines[-1] == "…" and "status: 20 of them" in lines
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixel", "seen"),
+    [
+        ("rgb8", [10, 20, 30], [10, 20, 30]),
+        ("bgr8", [10, 20, 30], [30, 20, 10]),
+        ("bgra8", [10, 20, 30, 0], [30, 20, 10]),
+        ("8UC3", [10, 20, 30], [30, 20, 10]),
+        ("mono8", [10], [10, 10, 10]),
+        ("yuv422", [128, 77], [77, 77, 77]),
+        ("bayer_rggb8", [9], [9, 9, 9]),
+    ],
+)
+def test_an_image_is_reduced_and_keeps_its_colours(encoding, pixel, seen):
+    pixels = numpy.empty((480, 640, len(pixel)), numpy.uint8)
+    pixels[:] = pixel
+    found = sampled(image(encoding, pixels)).image
+    assert found.note == f"640 × 480 {encoding}"
+    assert found.width <= WIDEST and found.height <= HIGHEST
+    assert len(found.data) == 3 * found.width * found.height
+    assert list(found.data[:3]) == list(found.data[-3:]) == seen
+
+
+@pytest.mark.parametrize("kind", [numpy.uint16, numpy.float32])
+def test_distances_are_spread_over_all_greys(kind):
+    distances = numpy.linspace(500, 3000, 300).astype(kind)[None, :].repeat(200, 0)
+    if kind is numpy.float32:
+        distances[0] = numpy.nan
+    message = image("16UC1" if kind is numpy.uint16 else "32FC1", distances)
+    found = sampled(message).image
+    greys = numpy.frombuffer(found.data, numpy.uint8).reshape(found.height, found.width, 3)[
+        1, :, 0
+    ]
+    assert greys[0] == 0 and greys[-1] > 250 and (numpy.diff(greys.astype(int)) >= 0).all()
+
+
+def test_an_image_that_cannot_be_read_says_so():
+    pixels = numpy.zeros((4, 4, 3), numpy.uint8)
+    for message in (image("rgb8", pixels), image("rgb8", pixels)):
+        message.data = message.data[:7]
+        assert sampled(message).image.note.endswith("cannot be shown")
+    assert sampled(Image()).image is None
+    assert sampled(CompressedImage(format="jpeg", data=b"no")).image.data == b"no"
+
+
+# The card
+
+
+def test_a_click_on_an_arrow_shows_its_last_message(qtbot, window, remote):
+    view, card = window.graph.view, window.graph.card
+    qtbot.mouseClick(view.viewport(), Qt.LeftButton, pos=place_on(view, BALL, "n_/field/tracker"))
+    assert card.isVisible() and card.topic == BALL and "no message yet" in card.facts.text()
+    until(qtbot, lambda: remote.listeners.get(BALL))
+    for number in range(5):
+        remote.send(BALL, point(number))
+    until(qtbot, lambda: "x: 4" in card.text.toPlainText())
+    assert [value for _, value in card.curve.points] == [0, 1, 2, 3, 4]
+    card.field.setCurrentText("point.y")
+    remote.send(BALL, point(7))
+    until(qtbot, lambda: "x: 7" in card.text.toPlainText())
+    assert [value for _, value in card.curve.points] == [0]
+    until(qtbot, lambda: "Hz" in card.facts.text() and "B/s" in card.facts.text())
+    assert "45 B each" in card.facts.text() and " s ago" in card.facts.text()
+    assert view.viewport().rect().contains(card.geometry())
+
+
+def test_it_listens_only_while_it_is_shown(qtbot, window, remote):
+    view, card = window.graph.view, window.graph.card
+    for close in (
+        lambda: qtbot.keyClick(view, Qt.Key_Escape),
+        lambda: view.topic_pressed.emit(""),
+        lambda: window.shut_down(),
+    ):
+        qtbot.mouseClick(view.viewport(), Qt.LeftButton, pos=centre_of(view, f"t_{BALL}"))
+        until(qtbot, lambda: remote.listeners.get(BALL))
+        close()
+        assert not card.isVisible()
+        until(qtbot, lambda: not any(remote.listeners.values()))
+
+
+def test_one_that_is_closed_before_it_listens_does_not_begin(window, remote, qtbot):
+    card, begin, begun = window.graph.card, remote.follow, threading.Event()
+    go_on = threading.Event()
+
+    def follow(*given):
+        begun.set()
+        go_on.wait(60.0)
+        return begin(*given)
+
+    remote.follow = follow
+    card.show_topic(BALL)
+    assert begun.wait(60.0)
+    window.shut_down()
+    go_on.set()
+    until(qtbot, lambda: remote.listeners.get(BALL) == [])
+
+
+def test_another_click_shows_another_topic_and_an_image_as_one(qtbot, window, remote):
+    view, card = window.graph.view, window.graph.card
+    qtbot.mouseClick(view.viewport(), Qt.LeftButton, pos=centre_of(view, f"t_{BALL}"))
+    until(qtbot, lambda: remote.listeners.get(BALL))
+    view.select(view.scene().vertices[f"t_{YUV}"])
+    qtbot.keyClick(view, Qt.Key_Return)
+    until(qtbot, lambda: remote.listeners.get(YUV))
+    until(qtbot, lambda: not remote.listeners[BALL])
+    assert card.topic == YUV
+    pixels = numpy.zeros((480, 640, 3), numpy.uint8)
+    remote.send(YUV, sampled(image("bgr8", pixels)))
+    until(qtbot, card.image.isVisible)
+    assert not card.curve.isVisible() and card.image.pixmap().width() <= WIDEST
+    remote.send(YUV, sample_of(CompressedImage(format="jpeg", data=b"no"), 2))
+    until(qtbot, lambda: card.image.text() == "jpeg")
+
+
+def test_a_drag_is_no_click(qtbot, window):
+    view = window.graph.view
+    port, start = view.viewport(), centre_of(view, f"t_{BALL}")
+    qtbot.mousePress(port, Qt.LeftButton, pos=start)
+    qtbot.mouseMove(port, start * 0.8)
+    qtbot.mouseRelease(port, Qt.LeftButton, pos=start * 0.8)
+    assert not window.graph.card.isVisible()
+
+
+def test_it_follows_the_node_that_publishes(qtbot, window, remote):
+    window.graph.card.show_topic(BALL)
+    until(qtbot, lambda: remote.listeners.get(BALL))
+    remote.client.alter("/nao1/localization", state=State.LOST, detail="gone")
+    until(qtbot, lambda: not remote.listeners[BALL])
+    assert window.graph.card.facts.text() == "nothing publishes it"
+    remote.client.alter("/nao1/localization", state=State.RUNNING, detail="")
+    until(qtbot, lambda: remote.listeners[BALL])
+
+
+def test_programs_that_are_there_open_the_topic(qtbot, window, remote, tmp_path, monkeypatch):
+    program, said = tmp_path / "rqt_plot", tmp_path / "said"
+    program.write_text(f'#!/bin/sh\necho "$@" > {said}.new; mv {said}.new {said}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}/usr/bin{os.pathsep}/bin")
+    card = window.graph.card
+    card.show_topic(BALL)
+    until(qtbot, lambda: remote.listeners.get(BALL))
+    remote.send(BALL, point(1))
+    until(qtbot, lambda: card.field.count() == 3)
+    menu = card.open_in.menu()
+    menu.aboutToShow.emit()
+    entries = {action.text(): action for action in menu.actions()}
+    assert list(entries) == ["rqt_plot", "rostopic echo"]
+    assert entries["rqt_plot"].isEnabled()
+    entries["rqt_plot"].trigger()
+    until(qtbot, said.exists)
+    assert said.read_text() == f"{BALL}/point/x\n"
+    click(qtbot, next(b for b in card.findChildren(type(card.open_in)) if b.text() == "×"))
+    assert not card.isVisible()
