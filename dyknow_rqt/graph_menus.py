@@ -17,13 +17,13 @@ from dyknow.model.graph import PortRef
 from dyknow.model.hosts import pins
 from dyknow.wiring.wiring import read_wiring, wiring_of
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import edge_refs
 from dyknow_rqt.graph.changes import load_wiring, protection
-from dyknow_rqt.graph.figure import Edge, VertexKind
+from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.viewers import LOG_VIEWERS, VIEWERS, add_viewers
 
 _FILES = "Wirings (*.xml);;All files (*)"
 
@@ -90,8 +90,16 @@ class GraphActions(QObject):
     destroy_wanted = Signal(object)
     #: Disconnect ports; a tuple of ``PortRef``.
     disconnect_wanted = Signal(object)
+    #: Make nodelets again in processes of their own, or not; their names.
+    isolate_wanted = Signal(object, bool)
+    #: Show the parameters of a nodelet.
+    parameters_wanted = Signal(str)
     #: Protect nodelets, or release them; their names.
     protect_wanted = Signal(object, bool)
+    #: Restart nodelets; their names.
+    restart_wanted = Signal(object)
+    #: Show the last message of a topic.
+    topic_wanted = Signal(str)
 
 
 def menu_of(
@@ -111,12 +119,26 @@ def menu_of(
         text = "&Disconnect all ports" if count == 1 else f"&Disconnect {_count(refs, 'port')}"
         action = _add(menu, text, partial(actions.disconnect_wanted.emit, refs))
         action.setEnabled(bool(refs))
+    if count == 1 and (topics or edges):
+        topic = topics[0] if topics else edges[0].topic
+        _add(menu, "Show last &message", partial(actions.topic_wanted.emit, topic))
+        found_topic = snapshot.topics().get(topic)
+        datatype = found_topic.datatype if found_topic is not None else ""
+        add_viewers(menu.addMenu("&Open in"), VIEWERS, datatype, topic=topic)
+    if count == 1 and nodelets:
+        _add(menu, "Para&meters …", partial(actions.parameters_wanted.emit, nodelets[0]))
+        add_viewers(menu.addMenu("&Log in"), LOG_VIEWERS, name=nodelets[0])
     if nodelets:
         what = "" if len(nodelets) == 1 else f" {_count(nodelets, 'nodelet')}"
         names, on = protection(nodelets, snapshot)
         text = f"&Protect{what}" if on else f"&Release{what} from protection"
         _add(menu, text, partial(actions.protect_wanted.emit, names, on))
-        found = (snapshot.nodelet(name) for name in nodelets)
+        _add(menu, f"Re&start{what}", partial(actions.restart_wanted.emit, nodelets))
+        found = [snapshot.nodelet(name) for name in nodelets]
+        on = not all(each is not None and each.isolated for each in found)
+        text = "its" if len(nodelets) == 1 else "their"
+        text = f"&Isolate{what} in {text} own process" if on else f"Share a process{what}"
+        _add(menu, text, partial(actions.isolate_wanted.emit, nodelets, on))
         _add(menu, f"D&estroy{what} …", partial(actions.destroy_wanted.emit, nodelets)).setEnabled(
             not any(each is not None and each.is_protected for each in found)
         )

@@ -5,27 +5,23 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterable, Optional, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, Iterable, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QMenu, QVBoxLayout, QWidget
 
-from dyknow.errors import InvalidName
-from dyknow.model.graph import PortRef
-from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
+from dyknow_rqt.canvas.appearance import gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.view import GraphView, Target
-from dyknow_rqt.graph.changes import Rewire
+from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.figure import Figure, Group, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.ghosts import fates_of, with_ghosts
 from dyknow_rqt.graph.layout import to_dot
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.ways import WayPart
-from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
+from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
@@ -37,8 +33,6 @@ from dyknow_rqt.widgets import Sign
 _TURNING = 200
 #: A view whose shape changes by this factor is filled anew.
 _RESHAPED = 1.3
-#: So many ports are named.
-_NAMED = 3
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
@@ -60,7 +54,7 @@ class GraphPanel(QWidget):
         self._is_following = False
         self.graph_actions = GraphActions(self)
         self._figure = Figure()
-        self._has_fitted = self._wants_tidy = False
+        self._has_fitted = self._wants_tidy = self._wants_move = False
         self._shape = 1.0
         self._plan: Sequence[WayPart] = ()
         self._is_figuring = self._is_outdated = False
@@ -71,6 +65,7 @@ class GraphPanel(QWidget):
         self._turning.timeout.connect(self._turn)
         self.bar = GraphBar()
         self.view = GraphView(self.report)
+        self.edits = GraphEdits(monitor, self.view, selection, self.graph_actions, self)
         self.layouter = Layouter()
         self.files = WiringFiles(monitor, self)
         self.sign = Sign(self.view)
@@ -119,14 +114,17 @@ class GraphPanel(QWidget):
         self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
         self.bar.topics.set_names(snapshot.topics())
         self.view.scene().set_snapshot(snapshot)
-        if figure != self._figure or self._wants_tidy:
+        self.edits.places.follow(each.name for each in snapshot.nodelets)
+        if figure != self._figure or self._wants_tidy or self._wants_move:
             self._figure = figure
             font = self.view.font()
             sizes = sizes_of(figure, font)
             room = self.view.viewport().size()
             self._shape = room.width() / max(room.height(), 1)
-            self.layouter.lay_out(figure, sizes, gap_of(font), self._wants_tidy, self._shape)
-            self._wants_tidy = False
+            places = self.edits.places.present
+            anew = self._wants_tidy
+            self.layouter.lay_out(figure, sizes, gap_of(font), anew, self._shape, places)
+            self._wants_tidy = self._wants_move = False
         self._show_sign()
         self._is_figuring = False
         if self._is_outdated:
@@ -151,12 +149,34 @@ class GraphPanel(QWidget):
         self.redraw()
 
     @qt_slot
+    def tidy_all(self) -> None:
+        """Make a new layout in which also what the user has moved has no place yet."""
+        self.edits.places.forget()
+        self.tidy()
+
+    @qt_slot
+    def _keep_places(self) -> None:
+        """Lay out again, with vertices where the user has put them."""
+        self._wants_move = True
+        self.redraw()
+
+    def state(self) -> Dict[str, str]:
+        """The settings to save, as texts."""
+        return {**self.bar.state(), "places": self.edits.places.to_text()}
+
+    def restore(self, state: Dict[str, Any]) -> None:
+        """Restore settings; missing or invalid ones are ignored."""
+        self.edits.places.read(str(state.get("places", "")))
+        self.bar.restore(state)
+
+    @qt_slot
     def _turn(self) -> None:
         """Fill a view that has another shape now, with streams along its longer side."""
         room = self.view.viewport().size()
         change = room.width() / max(room.height(), 1) / self._shape
         is_turned = self._figure.is_downwards != self.bar.is_downwards(room)
-        if is_turned or not (self.view.is_chosen or 1 / _RESHAPED < change < _RESHAPED):
+        is_left = self.view.is_chosen or bool(self.edits.places.present)
+        if is_turned or not (is_left or 1 / _RESHAPED < change < _RESHAPED):
             self.tidy()
 
     @qt_slot
@@ -199,59 +219,7 @@ class GraphPanel(QWidget):
         is_over_drawing = bool(monitor.snapshot.nodelets)
         self.sign.show_text(text, is_warning=is_over_drawing and not status.is_sound)
 
-    # Gestures
-
-    @qt_slot
-    def _drag_began(self, ref: PortRef) -> None:
-        self.view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
-
-    @qt_slot
-    def _dragged(self, start: PortRef, target: Target) -> None:
-        """Describe the type of the connection, and its effect if it ends here."""
-        port = self._monitor.snapshot.port(start)
-        datatype = port.datatype if port is not None else ""
-        lines = [datatype or "type not known yet"]
-        if target is not None:
-            try:
-                change = self._connection(start, target)
-            except (CannotConnect, InvalidName) as error:
-                lines = [str(error)]
-            else:
-                topics = sorted({topic for _, topic in change.topics if topic != target})
-                over = [f"over {topic}" for topic in topics]
-                if not change.topics:
-                    over = ["connected already"]
-                lines += [f"to {target}", *over, change.replaced]
-        self.view.say("\n".join(line for line in lines if line))
-
-    @qt_slot
-    def _dropped(self, start: PortRef, target: Target) -> None:
-        if target is not None:
-            self._monitor.do(self._connection(start, target))
-            return
-        names = [str(ref) for ref in partners(self._monitor.snapshot, start)]
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        fitting = f"a port that fits ({', '.join(names[:_NAMED])}{more}), or at " if names else ""
-        self.noted.emit(f"{start} is not connected: end the arrow at {fitting}a topic")
-
-    def _connection(self, start: PortRef, target: Target) -> Rewire:
-        snapshot = self._monitor.snapshot
-        if isinstance(target, PortRef):
-            return connect(snapshot, start, target)
-        return connect_topic(snapshot, start, target or "")
-
-    @qt_slot
-    def _delete(self) -> None:
-        """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
-        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in self._selection.edges))
-        if refs:
-            self._disconnect(refs)
-        elif self._selection.nodelets:
-            self.graph_actions.destroy_wanted.emit(self._selection.nodelets)
-
-    @qt_slot
-    def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
-        self._monitor.do(disconnect(self._monitor.snapshot, refs))
+    # Menus and selection
 
     @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
@@ -381,10 +349,8 @@ class GraphPanel(QWidget):
         self.layouter.ready.connect(view.scene().show_drawing)
         view.scene().shown.connect(self._follow_drawing)
         self.layouter.failed.connect(self.failed)
-        view.drag_began.connect(self._drag_began)
-        view.dragged.connect(self._dragged)
-        view.dropped.connect(self._dropped)
-        view.delete_pressed.connect(self._delete)
+        self.edits.noted.connect(self.noted)
+        self.edits.moved.connect(self._keep_places)
         view.box_pressed.connect(bar.toggle_box)
         view.topic_pressed.connect(self.card.show_topic)
         view.menu_wanted.connect(self._show_menu)
@@ -396,7 +362,7 @@ class GraphPanel(QWidget):
         bar.redo.triggered.connect(monitor.redo)
         bar.load.triggered.connect(self.files.ask_what_to_load)
         bar.fit.triggered.connect(view.fit)
-        bar.tidy.triggered.connect(self.tidy)
+        bar.tidy.triggered.connect(self.tidy_all)
         bar.find.triggered.connect(self.find)
         bar.find_next.triggered.connect(self._next_hit)
         bar.search.textChanged.connect(self._search)
@@ -405,7 +371,7 @@ class GraphPanel(QWidget):
             edit.refused.connect(self.failed)
             edit.mended.connect(self.mended)
         actions = self.graph_actions
-        actions.disconnect_wanted.connect(self._disconnect)
+        actions.topic_wanted.connect(self.card.show_topic)
 
     @qt_slot
     def _ask_transports(self, nodes: FrozenSet[str]) -> None:

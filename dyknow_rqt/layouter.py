@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.figure import Figure
-from dyknow_rqt.graph.geometry import Drawing, Layout, Size
+from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
 from dyknow_rqt.graph.layout import BadLayout, arranged, read_graphs, read_layout, to_dot
 from dyknow_rqt.graph.parts import MOST, Piece, divide
 
@@ -34,6 +35,7 @@ class _Order:
     gap: float
     shape: float
     anew: bool
+    places: Mapping[str, Point]
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ class Layouter(QObject):
         gap: float = 52.0,
         anew: bool = False,
         shape: float = 1.5,
+        places: Mapping[str, Point] = MappingProxyType({}),
     ) -> None:
         """Lay a figure out, then emit ``ready``, more than once if graphviz takes long.
 
@@ -94,10 +97,11 @@ class Layouter(QObject):
             gap: pixels between ranks.
             anew: without regard to the drawing before.
             shape: of the view, width by height.
+            places: where the user has put vertices.
         """
         undone = self._next or (self._plan.order if self._plan is not None else None)
         anew = anew or (undone is not None and undone.anew)
-        self._next = _Order(figure, sizes, gap, shape, anew)
+        self._next = _Order(figure, sizes, gap, shape, anew, dict(places))
         self._begin()
 
     def close(self) -> None:
@@ -196,11 +200,8 @@ class Layouter(QObject):
             self.ready.emit(drawing)
             self._go_on()
 
-        self._calls.run(
-            lambda: arranged(order.figure, order.sizes, plan.parts, layouts, order.shape, before),
-            take,
-            self._give_up,
-        )
+        given = order.figure, order.sizes, plan.parts, layouts, order.shape, before, order.places
+        self._calls.run(lambda: arranged(*given), take, self._give_up)
 
     def _give_up(self, error: Exception) -> None:
         """Go on after an error of the program."""

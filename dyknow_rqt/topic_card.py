@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from collections import deque
-from functools import partial
-from typing import Any, Callable, Deque, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Deque, List, Mapping, Optional, Sequence, Tuple
 
-from python_qt_binding.QtCore import QPointF, QProcess, QRect, QSize, Qt, QTimer
+from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
 from python_qt_binding.QtGui import (
     QFontMetrics,
     QImage,
@@ -39,6 +37,7 @@ from dyknow_rqt.canvas.view import topic_of
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
 from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.viewers import VIEWERS, add_viewers
 from dyknow_rqt.widgets import row_of, text_of
 
 #: Seconds that a curve shows, and milliseconds from one look at the age to the next.
@@ -47,32 +46,6 @@ _SPAN, _PERIOD = 20.0, 500
 _MARGIN, _WIDE = 8, 330
 #: The most lines of a message that are seen at a time.
 _LINES = 13
-
-
-class Viewer(NamedTuple):
-    """A program that shows a topic.
-
-    Attributes:
-        name: for people.
-        words: the command, in which ``{topic}`` and ``{field}`` are replaced.
-        is_image: whether it shows images, or everything else; None for both.
-    """
-
-    name: str
-    words: Tuple[str, ...]
-    is_image: Optional[bool] = None
-
-    def is_there(self) -> bool:
-        return all(
-            shutil.which(each) for each in self.words if each[0] not in "-{" and each != "echo"
-        )
-
-
-VIEWERS = (
-    Viewer("rqt_image_view", ("rqt_image_view", "{topic}"), True),
-    Viewer("rqt_plot", ("rqt_plot", "{topic}{field}"), False),
-    Viewer("rostopic echo", ("x-terminal-emulator", "-e", "rostopic", "echo", "{topic}")),
-)
 
 
 class Curve(QWidget):
@@ -132,7 +105,7 @@ class TopicCard(QWidget):
         self._monitor, self._view = monitor, view
         self._calls = BackgroundCalls(1)
         #: The node that is listened to, and what ends that.
-        self._node = ""
+        self._node = self._datatype = ""
         self._end: Callable[[], None] = lambda: None
         self._number = 0
         self._refs: Sequence[PortRef] = ()
@@ -210,17 +183,18 @@ class TopicCard(QWidget):
             nodelets = (snapshot.nodelet(ref.nodelet) for ref in self._refs)
             nodes = [each.node for each in nodelets if each and each.state is State.RUNNING]
             nodes += [node.name for node in snapshot.nodes if self.topic in node.publishes]
-            self._listen_to(nodes[0] if nodes else "", found.datatype if found else "")
+            self._datatype = found.datatype if found is not None else ""
+            self._listen_to(nodes[0] if nodes else "")
             self._tell()
 
-    def _listen_to(self, node: str, datatype: str = "") -> None:
+    def _listen_to(self, node: str) -> None:
         if node == self._node:
             return
         self._end()
         self._node, self._end = node, lambda: None
         self._number += 1
         self._why = "no message yet"
-        number, topic = self._number, self.topic
+        number, topic, datatype = self._number, self.topic, self._datatype
         is_over = threading.Event()
         ends: List[Callable[[], None]] = []
 
@@ -358,24 +332,7 @@ class TopicCard(QWidget):
 
     def _fill(self, menu: QMenu) -> None:
         menu.clear()
-        is_image = self._sample is not None and self._sample.image is not None
-        add_programs(menu, self.topic, is_image, self.field.currentText())
-
-
-def add_programs(menu: QMenu, topic: str, is_image: bool, field: str = "") -> None:
-    """Add the programs that show a topic; those that are not installed are greyed."""
-    for program in VIEWERS:
-        if program.is_image is None or program.is_image is is_image:
-            action = menu.addAction(program.name)
-            action.setEnabled(program.is_there())
-            action.triggered.connect(partial(_start, program, topic, field))
-
-
-def _start(program: Viewer, topic: str, field: str, checked: bool = False) -> None:
-    """Start a program, which outlives the window."""
-    field = "/" + field.replace(".", "/") if field else ""
-    words = [word.format(topic=topic, field=field) for word in program.words]
-    QProcess.startDetached(words[0], words[1:])
+        add_viewers(menu, VIEWERS, self._datatype, self.topic, self.field.currentText())
 
 
 def _bytes(count: float) -> str:

@@ -153,7 +153,7 @@ KEYS = (
     ("+, -, wheel", "zoom"),
     ("Delete", "disconnect, or destroy; in the tables: destroy, delete or release"),
     ("Return", "press the button that has the focus; in the graph show the last message"),
-    ("Esc", "decline what the line at the bottom asks, or dismiss it; end a connection, close a card"),
+    ("Esc", "decline what the line asks, or dismiss it; end a connection, close a card"),
     ("menu key", "the context menu of the selection"),
     ("Shift+?, F1", "this list"),
 )

@@ -132,7 +132,7 @@ class DyKnowWidget(QWidget):
         """The settings to save, as texts."""
         sizes = ",".join(str(size) for size in self.parts.sizes())
         return {
-            **self.graph.bar.state(),
+            **self.graph.state(),
             "tab": str(self.tabs.currentIndex()),
             "parts": sizes,
             "panel": str(int(self.graph.bar.panel.isChecked())) if self._is_chosen else "",
@@ -140,7 +140,7 @@ class DyKnowWidget(QWidget):
 
     def restore(self, state: Dict[str, Any]) -> None:
         """Restore settings; invalid ones are ignored."""
-        self.graph.bar.restore(state)
+        self.graph.restore(state)
         tab = str(state.get("tab", ""))
         if tab.isdigit() and int(tab) < self.tabs.count():
             self.tabs.setCurrentIndex(int(tab))

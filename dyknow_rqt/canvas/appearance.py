@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, FrozenSet, Mapping, NamedTuple, Optional, Sequence
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind, key_of
+from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind, key_of
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -242,13 +242,6 @@ def edge_verdict(
 ) -> Optional[PortVerdict]:
     """The last verdict that came along an arrow from an out-port; None if it carries none."""
     return next((verdicts[ref] for ref in refs if ref in verdicts), None)
-
-
-def edge_refs(edge: Edge) -> List[PortRef]:
-    """The ports at the ends of an arrow, the in-port first."""
-    nodelet = VertexKind.NODELET.value + "_"
-    ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
-    return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
 
 
 def _nodelet_tip(nodelet: NodeletStatus) -> str:

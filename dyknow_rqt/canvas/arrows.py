@@ -24,9 +24,9 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone, edge_refs
+from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of
-from dyknow_rqt.graph.figure import Edge
+from dyknow_rqt.graph.figure import Edge, edge_refs
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.verdicts import PortVerdict

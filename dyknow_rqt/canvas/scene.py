@@ -14,6 +14,7 @@ from typing import (
     List,
     Mapping,
     Optional,
+    Sequence,
     Set,
     Tuple,
     TypeVar,
@@ -45,7 +46,15 @@ from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
 from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind, key_of
-from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
+from dyknow_rqt.graph.geometry import (
+    Drawing,
+    Point,
+    Rectangle,
+    Size,
+    boxes_around,
+    curve_between,
+    place_labels,
+)
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot, Transports, connections_of
 from dyknow_rqt.graph.verdicts import PortVerdict
@@ -399,6 +408,30 @@ class GraphScene(QGraphicsScene):
         """The innermost open box at a place of the drawing; empty if there is none."""
         found = [group for group, box in self._boxes.items() if box.area.contains(place)]
         return max(found, key=len, default=())
+
+    def move(self, starts: Mapping[str, QPointF], by: QPointF) -> None:
+        """Move vertices from where they were, with their arrows and boxes."""
+        for key in starts.keys() & self.vertices.keys():
+            self.vertices[key].setPos(starts[key] + by)
+        for edge, arrow in self.edges.items():
+            if edge.tail in starts or edge.head in starts:
+                start = self.vertices[edge.tail].anchor(edge.tail_port, leaving=True)
+                end = self.vertices[edge.head].anchor(edge.head_port, leaving=False)
+                arrow.set_curve(self._curve(start, end), start, end)
+        items = self.vertices.items()
+        groups = {key: item.vertex.group for key, item in items}
+        centres = {key: Point(item.x(), item.y()) for key, item in items}
+        sizes = {key: item.size for key, item in items}
+        for group, area in boxes_around(groups, centres, sizes).items():
+            self._boxes[group].set_area(area)
+        self._area = None
+        self.look_again()
+
+    def _curve(self, start: QPointF, end: QPointF) -> Sequence[Point]:
+        is_turned, none = self.figure.is_downwards, Size(0, 0)
+        ends = [Point(p.y(), p.x()) if is_turned else Point(p.x(), p.y()) for p in (start, end)]
+        curve = curve_between(ends[0], none, ends[1], none)
+        return tuple(Point(y, x) for x, y in curve) if is_turned else curve
 
     # Drawing connections
 

@@ -84,6 +84,10 @@ class VertexItem(Item):
                     self.ports[name].set_far(self.is_far)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
+    @property
+    def size(self) -> Size:
+        return self._size
+
     def set_appearance(self, appearance: Appearance) -> None:
         if appearance != self.appearance:
             self.appearance = appearance

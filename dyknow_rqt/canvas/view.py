@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Iterable, List, Optional, Union
+from typing import Any, Callable, Dict, Iterable, List, Optional, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QPainterPath, QPalette, QPen, QTransform
@@ -25,10 +25,11 @@ from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.minimap import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Group, VertexKind
+from dyknow_rqt.graph.figure import Edge, Group, VertexKind
+from dyknow_rqt.graph.geometry import Point
 
-#: Where a connection may end: at a port, or at the topic of that name.
-Target = Union[None, str, PortRef]
+#: Where a connection may end: at a port, at the topic of that name, or in an arrow.
+Target = Union[None, str, PortRef, Edge]
 
 _STEP = 1.2
 #: The drawing is fitted again if it could be larger by this factor.
@@ -53,16 +54,13 @@ def topic_of(item: object) -> str:
     return ""
 
 
-def _far() -> int:
-    """Pixels from which on a movement is no click."""
-    return int(QApplication.startDragDistance())
-
-
 class GraphView(QGraphicsView):
     """The wheel zooms at the pointer, a drag on the background moves, one from a port connects."""
 
-    #: A connection was drawn from a port to another, to the topic of that name, or to the ground.
-    dropped = Signal(object, object)
+    #: A connection was drawn from a port to a target, or to the ground; its place in the drawing.
+    dropped = Signal(object, object, QPointF)
+    #: Vertices were moved: their new centres by their keys.
+    moved = Signal(object)
     #: A connection is being drawn from a port.
     drag_began = Signal(object)
     #: It is over another port now, the topic of that name, or None.
@@ -97,6 +95,9 @@ class GraphView(QGraphicsView):
         self._target: Target = None
         self._ground: Optional[QPoint] = None
         self._pressed = QPoint()
+        #: The vertices that the pointer holds, with their places before they moved.
+        self._starts: Dict[str, QPointF] = {}
+        self._is_moving = False
         self._minimap = Minimap(self.scene(), report, self)
         self._minimap.place_wanted.connect(self._show_place)
         for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
@@ -195,9 +196,16 @@ class GraphView(QGraphicsView):
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
             self._pressed = event.pos()
-            is_ground = self._item_at(event.pos()) is None
-            self._ground = event.pos() if is_ground else None
+            item = self._item_at(event.pos())
+            self._ground = event.pos() if item is None else None
+            if item is None and event.modifiers() & Qt.ShiftModifier:
+                self.setDragMode(QGraphicsView.RubberBandDrag)
             super().mousePressEvent(event)
+            if isinstance(item, VertexItem) and event.button() == Qt.LeftButton:
+                chosen = self.scene().selectedItems() if item.isSelected() else [item]
+                self._starts = {
+                    each.vertex.key: each.pos() for each in chosen if isinstance(each, VertexItem)
+                }
             return
         self._from = port
         self._band = QGraphicsPathItem()
@@ -209,10 +217,16 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
+        if self._starts and event.buttons() & Qt.LeftButton:
+            self._is_moving = self._is_moving or self._is_far_from_press(event.pos())
+            if self._is_moving:
+                way = self.mapToScene(event.pos()) - self.mapToScene(self._pressed)
+                self.scene().move(self._starts, way)
+            return
         if self._from is None or self._band is None:
-            if self._ground is not None and event.buttons() & Qt.LeftButton:
-                moved = (event.pos() - self._ground).manhattanLength() >= _far()
-                self.is_chosen = self.is_chosen or moved  # a click leaves the view as it is
+            pans = self._ground is not None and self.dragMode() == QGraphicsView.ScrollHandDrag
+            if pans and event.buttons() & Qt.LeftButton:  # a click leaves the view as it is
+                self.is_chosen = self.is_chosen or self._is_far_from_press(event.pos())
             super().mouseMoveEvent(event)
             return
         start, end = self._from.scenePos(), self.mapToScene(event.pos())
@@ -228,17 +242,17 @@ class GraphView(QGraphicsView):
         start = self._from
         if start is None:
             super().mouseReleaseEvent(event)
-            self.viewport().setCursor(Qt.ArrowCursor)
-            is_still = (event.pos() - self._pressed).manhattanLength() < _far()
+            self._end_band()
+            self._end_move()
+            is_still = not self._is_far_from_press(event.pos())
             if is_still and event.button() == Qt.LeftButton and not event.modifiers():
                 self.topic_pressed.emit(topic_of(self._item_at(event.pos())))
             return
         self._end_drag()
         target = self._target_at(event.pos())
         way = event.pos() - self.mapFromScene(start.scenePos())
-        is_click = way.manhattanLength() < _far()
-        if target != start.ref and not is_click:
-            self.dropped.emit(start.ref, target)
+        if target != start.ref and way.manhattanLength() >= QApplication.startDragDistance():
+            self.dropped.emit(start.ref, target, self.mapToScene(event.pos()))
 
     @qt_slot
     def leaveEvent(self, event: Any) -> None:  # noqa: N802
@@ -361,6 +375,29 @@ class GraphView(QGraphicsView):
         ):
             bar.setValue(bar.value() + int(amount * 60))
 
+    def _is_far_from_press(self, place: QPoint) -> bool:
+        """Whether the pointer has moved so far that it is no click."""
+        way: int = (place - self._pressed).manhattanLength()
+        return way >= int(QApplication.startDragDistance())
+
+    def _end_band(self) -> None:
+        """End a rubber band: of arrows and vertices only these are selected."""
+        if self.dragMode() == QGraphicsView.RubberBandDrag:
+            chosen = self.scene().selectedItems()
+            for item in chosen if any(isinstance(item, VertexItem) for item in chosen) else ():
+                if isinstance(item, EdgeItem):
+                    item.setSelected(False)
+            self.setDragMode(QGraphicsView.ScrollHandDrag)
+        self.viewport().setCursor(Qt.ArrowCursor)
+
+    def _end_move(self) -> None:
+        starts, was_moved = self._starts, self._is_moving
+        self._starts, self._is_moving = {}, False
+        if was_moved:
+            items = self.scene().vertices.items()
+            places = {key: item.pos() for key, item in items if key in starts}
+            self.moved.emit({key: Point(at.x(), at.y()) for key, at in places.items()})
+
     def _end_drag(self) -> None:
         if self._band is not None:
             self.scene().removeItem(self._band)
@@ -395,7 +432,7 @@ class GraphView(QGraphicsView):
             return port.ref
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
             return item.vertex.name
-        return None
+        return item.edge if isinstance(item, EdgeItem) else None
 
     def _port_at(self, place: QPoint) -> Optional[PortItem]:
         return next((item for item in self._items_at(place) if isinstance(item, PortItem)), None)

@@ -8,7 +8,7 @@ A change is applied, undone and redone through a manager's client, whose excepti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import (
     Callable,
@@ -27,7 +27,7 @@ from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_co
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.streams import StreamRequest
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Parameter, Transformation
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring
@@ -203,6 +203,71 @@ def destroy(name: str) -> Change:
         return partial(present.client.destroy, name), undo
 
     return _one_step(f"destroy {name}", make)
+
+
+def isolate(names: Sequence[str], on: bool) -> Change:
+    """Make nodelets again, with their wiring, in processes of their own, or in a shared one."""
+
+    def make(name: str, present: Present) -> List[ReversibleStep]:
+        nodelet = present.snapshot.nodelet(name)
+        if nodelet is None or nodelet.transformation not in present.library:
+            raise CannotUndo(f"the library does not have the transformation of {name}")
+        client, before = present.client, nodelet.request
+        after = replace(before, isolated=on, manager="")
+        return [
+            ReversibleStep(
+                f"end {name}",
+                name,
+                partial(client.destroy, name),
+                partial(client.spawn_nodelet, before),
+            ),
+            ReversibleStep(
+                f"make {name}",
+                name,
+                partial(client.spawn_nodelet, after),
+                partial(client.destroy, name),
+            ),
+        ]
+
+    what = names[0] if len(names) == 1 else f"{len(names)} nodelets"
+    return Steps(
+        f"isolate {what}" if on else f"let {what} share a process",
+        lambda present: [step for name in names for step in make(name, present)],
+    )
+
+
+def restart(names: Sequence[str]) -> Change:
+    """Restart nodelets; messages that come meanwhile are lost to them."""
+
+    def make(name: str, present: Present) -> ReversibleStep:
+        def do() -> None:
+            present.outcome.extend(filter(None, present.client.restart(name).remarks.split("\n")))
+
+        return ReversibleStep(f"restart {name}", name, do, _no_way(f"{name} was restarted"))
+
+    what = names[0] if len(names) == 1 else f"{len(names)} nodelets"
+    return Steps(f"restart {what}", lambda present: [make(name, present) for name in names])
+
+
+def set_parameters(
+    name: str, wanted: Sequence[Parameter], before: Mapping[str, Parameter]
+) -> Change:
+    """Set private parameters of a nodelet; those that had no value ``before`` keep the new one."""
+
+    def make(parameter: Parameter, present: Present) -> ReversibleStep:
+        def put(value: Parameter) -> None:
+            done = present.client.set_parameter(name, value)
+            if not done.is_read:
+                present.outcome.append(f"{value.name} is read at the next restart")
+
+        undo: Do = _no_way(f"{name} had no {parameter.name} before")
+        if parameter.name in before:
+            undo = partial(put, before[parameter.name])
+        text = f"set {parameter.name} of {name}"
+        return ReversibleStep(text, name, partial(put, parameter), undo)
+
+    what = ", ".join(f"{each.name}={each.text}" for each in wanted)
+    return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in wanted])
 
 
 def protect(name: str, on: bool) -> Change:

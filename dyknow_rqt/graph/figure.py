@@ -182,6 +182,13 @@ def key_of(kind: VertexKind, name: str) -> str:
     return f"{kind.value}_{name}"
 
 
+def edge_refs(edge: Edge) -> List[PortRef]:
+    """The ports at the ends of an arrow, the in-port first."""
+    nodelet = VertexKind.NODELET.value + "_"
+    ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
+    return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
+
+
 def unboxed_figure_of(snapshot: Snapshot, options: Options) -> Figure:
     """Make the figure of a snapshot, all but its boxes."""
     ends = _Ends(snapshot, options)

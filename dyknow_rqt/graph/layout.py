@@ -9,12 +9,14 @@ import contextlib
 import json
 import re
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.graphviz import quote
 from dyknow_rqt.graph.figure import Edge, Figure, Group, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
 from dyknow_rqt.graph.parts import MOST, Page, Piece, finished, spread
+from dyknow_rqt.graph.places import put_at
 
 
 def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
@@ -180,6 +182,7 @@ def arranged(
     layouts: Mapping[Piece, Layout],
     shape: float,
     before: Optional[Drawing] = None,
+    places: Mapping[str, Point] = MappingProxyType({}),
 ) -> Drawing:
     """Arrange the parts of a figure.
 
@@ -192,6 +195,7 @@ def arranged(
         layouts: those that graphviz has made; other parts are spread.
         shape: of the view, width by height.
         before: the drawing on the screen; None to make a drawing without regard to it.
+        places: where the user has put vertices.
     """
     is_turned = figure.is_downwards
     widths = _turned_sizes(sizes) if is_turned else sizes
@@ -209,7 +213,9 @@ def arranged(
         turned = before.layout.turned()
         old = replace(before, layout=turned, sizes=_turned_sizes(before.sizes))
     layout = Page(layout_of, widths, shape, is_turned).arrange(parts, old) if parts else Layout()
-    layout = finished(figure, layout, widths)
+    if is_turned:
+        places = {key: Point(y, x) for key, (x, y) in places.items()}
+    layout = finished(figure, put_at(layout, places), widths)
     vertices = tuple(without_crossings(figure, layout))
     if is_turned:
         layout = finished(figure, layout.turned(), sizes)

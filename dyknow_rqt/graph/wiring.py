@@ -5,15 +5,18 @@
 
 from __future__ import annotations
 
-from typing import Iterator, List, Tuple
+import re
+from dataclasses import replace
+from typing import Iterator, List, Mapping, Tuple
 
 from dyknow import names
 from dyknow.datatypes import types_fit
-from dyknow.model.graph import PortRef, PortState
-from dyknow.model.transformation import IN, OUT
+from dyknow.model.graph import PortRef, PortState, SpawnRequest
+from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow.wiring import ports
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.graph.changes import Rewire
+from dyknow_rqt.graph.changes import Change, Rewire, Steps, spawn
+from dyknow_rqt.graph.figure import Edge, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot
 
 
@@ -50,11 +53,15 @@ def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
     if out_port is None or in_port is None:
         raise CannotConnect(f"{source if out_port is None else sink} is gone")
     ports.check_ends(str(source), out_port, str(sink), in_port)
+    return _topic_for(snapshot, source.nodelet, out_port, in_port)
+
+
+def _topic_for(snapshot: Snapshot, nodelet: str, out: PortState, into: PortState) -> str:
     published = snapshot.taken.union(*(node.publishes for node in snapshot.nodes))
     known = [port for nodelet in snapshot.nodelets for port in nodelet.ports]
     published |= {port.topic for port in known if port.direction == OUT}
     taken = {port.topic for port in known}
-    return ports.choose_topic(source.nodelet, out_port, in_port, published, taken)
+    return ports.choose_topic(nodelet, out, into, published, taken)
 
 
 def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
@@ -98,3 +105,98 @@ def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: st
             wanted.append((ref, topic))
             now.append((ref, port.topic if port is not None else ""))
     return Rewire(tuple(wanted), text, tuple(now))
+
+
+def splice(snapshot: Snapshot, ref: PortRef, edge: Edge) -> Rewire:
+    """Lead an arrow through the nodelet of a port, or raise CannotConnect.
+
+    The nodelet receives what came along the arrow, and what it sends goes where the arrow led to.
+    Where it has no free port for its other side, only the port is connected to the arrow.
+    """
+    port, ends = snapshot.port(ref), {end.nodelet: end for end in edge_refs(edge)}
+    if port is None:
+        raise CannotConnect(f"{ref} is gone")
+    if ref.nodelet in ends:
+        raise CannotConnect(f"{ref.nodelet} is at an end of this arrow already")
+    sink = next((end for end in ends.values() if _side(snapshot, end) == IN), None)
+    topic = snapshot.topics().get(edge.topic)
+    here = PortState("", OUT if port.direction == IN else IN, topic.datatype if topic else "")
+    if not fit(port, here):
+        raise CannotConnect(
+            f"{ref} is of type {port.datatype}, but {edge.topic} carries {here.datatype}"
+        )
+    nodelet = snapshot.nodelet(ref.nodelet)
+    assert nodelet is not None
+    other = replace(here, direction=port.direction)
+    free = (p for p in nodelet.ports if not p.topic and p.name != ref.port and fit(p, other))
+    match = next(free, None)
+    if match is None:
+        if port.direction == OUT and sink is not None:
+            return connect(snapshot, ref, sink)
+        return connect_topic(snapshot, ref, edge.topic)
+    into, out = (port, match) if port.direction == IN else (match, port)
+    x_in, x_out = PortRef(ref.nodelet, into.name), PortRef(ref.nodelet, out.name)
+    if sink is not None:
+        new = _topic_for(snapshot, ref.nodelet, out, PortState("", IN))
+        moves = ((x_in, edge.topic), (x_out, new), (sink, new))
+    else:
+        (source,) = ends.values()
+        before = snapshot.port(source)
+        assert before is not None
+        new = _topic_for(snapshot, source.nodelet, replace(before, topic=""), PortState("", IN))
+        moves = ((source, new), (x_in, new), (x_out, edge.topic))
+    return rewire(snapshot, moves, f"splice {ref.nodelet} into {edge.topic}")
+
+
+def _side(snapshot: Snapshot, ref: PortRef) -> str:
+    port = snapshot.port(ref)
+    return port.direction if port is not None else ""
+
+
+def offers(
+    snapshot: Snapshot, library: Mapping[str, Transformation], ref: PortRef
+) -> List[Tuple[str, Port]]:
+    """Find what could be made for a port: labels with ports that fit, known types first."""
+    start = snapshot.port(ref)
+    if start is None:
+        return []
+    found = [
+        (label, port)
+        for label, each in library.items()
+        for port in each.ports
+        if not each.is_described and fit(start, _state(port))
+    ]
+    return sorted(found, key=lambda each: (each[1].datatype != start.datatype, each[0]))
+
+
+def _state(port: Port) -> PortState:
+    return PortState(port.name, port.direction, port.datatype)
+
+
+def spawn_at(snapshot: Snapshot, ref: PortRef, label: str, port: Port, name: str) -> Change:
+    """Make a nodelet whose port is connected with one that there is."""
+    start, made = snapshot.port(ref), _state(port)
+    if start is None:
+        raise CannotConnect(f"{ref} is gone")
+    if start.direction == OUT:
+        topic = _topic_for(snapshot, ref.nodelet, start, made)
+    else:
+        topic = _topic_for(snapshot, name, made, start)
+    maker = spawn(SpawnRequest(label, name, {port.name: topic}))
+    wire = rewire(snapshot, ((ref, topic),), f"connect {ref} to {topic}")
+    parts = [maker, wire] if wire.topics else [maker]
+    parts = parts if start.direction == IN else parts[::-1]
+    return Steps(
+        f"create {name} at {ref}",
+        lambda present: [step for part in parts for step in part.steps(present)],
+    )
+
+
+def free_name(snapshot: Snapshot, label: str, space: str = "/") -> str:
+    """A name after a label that is not taken: /camera for camera(nao1, top)."""
+    wish = re.sub(r"[^A-Za-z0-9_/]+", "_", label).strip("_/") or "nodelet"
+    wish = space.rstrip("/") + "/" + (wish if wish[0].isalpha() else f"n{wish}")
+    name, number = wish, 2
+    while snapshot.nodelet(name) is not None:
+        name, number = f"{wish}_{number}", number + 1
+    return name

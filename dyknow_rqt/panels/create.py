@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from typing import Dict, List, Mapping, Optional, Tuple
 
@@ -29,6 +28,7 @@ from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import spawn
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.wiring import free_name
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
@@ -164,7 +164,7 @@ class CreatePanel(Panel):
     def begin(self, label: str = "") -> None:
         if label:
             self.label.setCurrentText(label)
-            self.name.setText(self._proposal(label))
+            self.name.setText(free_name(self._monitor.snapshot, label))
             self.name.setFocus()
             self.name.selectAll()
         else:
@@ -225,12 +225,3 @@ class CreatePanel(Panel):
             self.manager.clear()
             self.manager.addItems([_ANY, *found])
             self.manager.setCurrentText(text)
-
-    def _proposal(self, label: str) -> str:
-        """A name after the label that is not taken: /camera for camera(nao1, top)."""
-        wish = re.sub(r"[^A-Za-z0-9_/]+", "_", label).strip("_/") or "nodelet"
-        wish = "/" + (wish if wish[0].isalpha() else f"n{wish}")
-        name, number = wish, 2
-        while self._monitor.snapshot.nodelet(name) is not None:
-            name, number = f"{wish}_{number}", number + 1
-        return name

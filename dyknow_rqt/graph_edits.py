@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Turns what hands do with the drawing into changes."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Mapping, Sequence, Tuple
+
+from python_qt_binding.QtCore import QObject, QPointF, Qt, Signal
+from python_qt_binding.QtWidgets import QMenu, QWidget
+
+from dyknow import names
+from dyknow.errors import InvalidName
+from dyknow.model.graph import PortRef
+from dyknow.model.transformation import Port
+from dyknow.wiring.ports import CannotConnect
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.view import GraphView, Target
+from dyknow_rqt.graph.changes import Rewire, isolate, restart
+from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
+from dyknow_rqt.graph.geometry import Point
+from dyknow_rqt.graph.places import Places
+from dyknow_rqt.graph.wiring import (
+    connect,
+    connect_topic,
+    disconnect,
+    free_name,
+    offers,
+    partners,
+    spawn_at,
+    splice,
+)
+from dyknow_rqt.graph_menus import GraphActions
+from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.parameters import ParametersDialog
+from dyknow_rqt.selection import Selection
+
+#: So many ports are named, and so many things to make are offered.
+_NAMED, _OFFERED = 3, 15
+
+
+class GraphEdits(QObject):
+    """Connections drawn by hand, moved vertices, and what menus and keys ask for.
+
+    Attributes:
+        places: where the user has put vertices.
+    """
+
+    #: Something to know, in words.
+    noted = Signal(str)
+    #: Vertices have other places.
+    moved = Signal()
+
+    def __init__(
+        self,
+        monitor: GraphMonitor,
+        view: GraphView,
+        selection: Selection,
+        actions: GraphActions,
+        window: QWidget,
+    ) -> None:
+        super().__init__(window)
+        self._monitor, self._view, self._selection = monitor, view, selection
+        self._actions, self._window = actions, window
+        self.report = monitor.report
+        self.places = Places()
+        view.drag_began.connect(self._drag_began)
+        view.dragged.connect(self._dragged)
+        view.dropped.connect(self._dropped)
+        view.delete_pressed.connect(self._delete)
+        view.moved.connect(self._keep)
+        actions.disconnect_wanted.connect(self._disconnect)
+        actions.restart_wanted.connect(self._restart)
+        actions.isolate_wanted.connect(self._isolate)
+        actions.parameters_wanted.connect(self._show_parameters)
+
+    # Connections
+
+    @qt_slot
+    def _drag_began(self, ref: PortRef) -> None:
+        self._view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
+
+    @qt_slot
+    def _dragged(self, start: PortRef, target: Target) -> None:
+        """Describe the type of the connection, and its effect if it ends here."""
+        port = self._monitor.snapshot.port(start)
+        datatype = port.datatype if port is not None else ""
+        lines = [datatype or "type not known yet"]
+        if target is not None:
+            try:
+                change = self._connection(start, target)
+            except (CannotConnect, InvalidName) as error:
+                lines = [str(error)]
+            else:
+                topics = sorted({topic for _, topic in change.topics if topic != target})
+                over = [f"over {topic}" for topic in topics]
+                if not change.topics:
+                    over = ["connected already"]
+                what = change.text if isinstance(target, Edge) else f"to {target}"
+                lines += [what, *over, change.replaced]
+        self._view.say("\n".join(line for line in lines if line))
+
+    @qt_slot
+    def _dropped(self, start: PortRef, target: Target, place: QPointF) -> None:
+        if target is not None:
+            self._monitor.do(self._connection(start, target))
+            return
+        refs = [str(ref) for ref in partners(self._monitor.snapshot, start)]
+        more = f" and {len(refs) - _NAMED} more" if len(refs) > _NAMED else ""
+        fitting = f"a port that fits ({', '.join(refs[:_NAMED])}{more}), or at " if refs else ""
+        self.noted.emit(f"{start} is not connected: end the arrow at {fitting}a topic")
+        self._offer(start, place)
+
+    def _connection(self, start: PortRef, target: Target) -> Rewire:
+        snapshot = self._monitor.snapshot
+        if isinstance(target, PortRef):
+            return connect(snapshot, start, target)
+        if isinstance(target, Edge):
+            return splice(snapshot, start, target)
+        return connect_topic(snapshot, start, target or "")
+
+    def _offer(self, start: PortRef, place: QPointF) -> None:
+        """Offer what could be made at a place of the drawing, connected with a port."""
+        found = offers(self._monitor.snapshot, self._monitor.library, start)
+        if not found:
+            return
+        menu = QMenu(self._window)
+        menu.setAttribute(Qt.WA_DeleteOnClose)
+        menu.addSection("Create and connect")
+        for label, port in found[:_OFFERED]:
+            action = menu.addAction(f"{label}: {port.name}".replace("&", "&&"))
+            action.setToolTip(port.datatype)
+            create = partial(self._create, start, label, port, place)
+            action.triggered.connect(lambda checked=False, create=create: create())
+        if found[_OFFERED:]:
+            action = menu.addAction(f"{len(found) - _OFFERED} more …")
+            action.triggered.connect(lambda: self._actions.create_wanted.emit(""))
+        view = self._view
+        menu.popup(view.viewport().mapToGlobal(view.mapFromScene(place)))
+
+    @qt_slot
+    def _create(self, start: PortRef, label: str, port: Port, place: QPointF) -> None:
+        snapshot = self._monitor.snapshot
+        name = free_name(snapshot, label, names.parent(start.nodelet))
+        change = spawn_at(snapshot, start, label, port, name)
+        self.places.put({key_of(VertexKind.NODELET, name): Point(place.x(), place.y())})
+        self._monitor.do(change)
+
+    # Places
+
+    @qt_slot
+    def _keep(self, places: Mapping[str, Point]) -> None:
+        self.places.put(places)
+        self.moved.emit()
+
+    # Menus and keys
+
+    @qt_slot
+    def _delete(self) -> None:
+        """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
+        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in self._selection.edges))
+        if refs:
+            self._disconnect(refs)
+        elif self._selection.nodelets:
+            self._actions.destroy_wanted.emit(self._selection.nodelets)
+
+    @qt_slot
+    def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
+        self._monitor.do(disconnect(self._monitor.snapshot, refs))
+
+    @qt_slot
+    def _restart(self, nodelets: Sequence[str]) -> None:
+        self._monitor.do(restart(tuple(nodelets)))
+
+    @qt_slot
+    def _isolate(self, nodelets: Sequence[str], on: bool) -> None:
+        self._monitor.do(isolate(tuple(nodelets), on))
+
+    @qt_slot
+    def _show_parameters(self, name: str) -> None:
+        nodelet = self._monitor.snapshot.nodelet(name)
+        if nodelet is not None:
+            transformation = self._monitor.library.get(nodelet.transformation)
+            ParametersDialog(self._monitor, nodelet, transformation, self._window).open()

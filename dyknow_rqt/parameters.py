@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A dialog with the parameters of a nodelet."""
+
+from __future__ import annotations
+
+from typing import Dict, Optional
+
+from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QVBoxLayout, QWidget
+
+from dyknow.model.graph import NodeletStatus
+from dyknow.model.transformation import Parameter, Transformation
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.graph.changes import set_parameters
+from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.widgets import form_in
+
+
+class ParametersDialog(QDialog):
+    """Edits what was given at the spawn, and what the transformation says."""
+
+    def __init__(
+        self,
+        monitor: GraphMonitor,
+        nodelet: NodeletStatus,
+        transformation: Optional[Transformation],
+        parent: QWidget,
+    ) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WA_DeleteOnClose)
+        self.setWindowTitle(f"Parameters of {nodelet.name}")
+        self.report = monitor.report
+        self._monitor, self._name = monitor, nodelet.name
+        written = transformation.parameters if transformation is not None else ()
+        self._before: Dict[str, Parameter] = {each.name: each for each in written}
+        self._before.update((each.name, each) for each in nodelet.parameters)
+        self.fields: Dict[str, QLineEdit] = {}
+        self.more = QLineEdit()
+        self.more.setPlaceholderText("rate=5")
+        self.more.setToolTip("A parameter that is not named here: NAME=VALUE")
+        form = form_in()
+        for name, parameter in self._before.items():
+            self.fields[name] = field = QLineEdit(parameter.text)
+            field.setReadOnly(name.startswith("?"))  # a variable is bound for life
+            field.setAccessibleName(name)
+            form.addRow(f"{name.replace('&', '&&')}:", field)
+        form.addRow("Another:", self.more)
+        self.buttons = QDialogButtonBox(QDialogButtonBox.Ok | QDialogButtonBox.Cancel)
+        self.buttons.accepted.connect(self._set)
+        self.buttons.rejected.connect(self.reject)
+        column = QVBoxLayout(self)
+        column.addLayout(form)
+        column.addWidget(self.buttons)
+
+    @qt_slot
+    def _set(self) -> None:
+        """Set what has another value now."""
+        texts = {name: field.text() for name, field in self.fields.items()}
+        wanted = [
+            Parameter(name, self._before[name].type, text)
+            for name, text in texts.items()
+            if text != self._before[name].text
+        ]
+        name, equals, text = self.more.text().partition("=")
+        if name.strip() and equals:
+            wanted.append(Parameter(name.strip(), "", text.strip()))
+        if wanted:
+            self._monitor.do(set_parameters(self._name, wanted, self._before))
+        self.accept()
