@@ -32,6 +32,8 @@ from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.verdicts import PortVerdict
 
 _ARROW = 8.0
+#: Zoom below which a rate could not be read.
+_LEAST = 0.4
 _DASHES = {Truth.TRUE: Qt.SolidLine, Truth.FALSE: Qt.DashLine, Truth.UNKNOWN: Qt.DotLine}
 _NUMBER = re.compile(r"[\d.]+")
 
@@ -152,7 +154,7 @@ class EdgeItem(Item):
         painter.setBrush(QBrush(stroke.color()))
         painter.setPen(Qt.NoPen)
         painter.drawPolygon(self._head)
-        if not self.label_area.isEmpty():
+        if not self.label_area.isEmpty() and painter.worldTransform().m11() > _LEAST:
             painter.setFont(self._font)
             painter.setPen(self.colours.alarm if self.is_dropping else self.colours.muted)
             painter.drawText(self.label_area, Qt.AlignCenter, self.label)

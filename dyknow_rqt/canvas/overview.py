@@ -97,7 +97,6 @@ class Overview:
     def paint(self, painter: QPainter) -> None:
         """Paint the last picture where it belongs, in the coordinates of the drawing."""
         painter.save()
-        painter.setRenderHint(QPainter.SmoothPixmapTransform)
         transform = painter.worldTransform()
         pixels = painter.device().devicePixelRatioF()
         if abs(transform.m11() * pixels - self.scale) < 1e-6:  # copied as it is, which is faster
@@ -114,13 +113,12 @@ class Overview:
 def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]) -> None:
     """Paint the things that stand out on top of a picture, in the coordinates of the drawing."""
     painter.setRenderHint(QPainter.Antialiasing)
+    painter.setBrush(Qt.NoBrush)
     for item in items:
-        if item.stands_out:
-            pen = item.stroke()
-            pen.setCosmetic(True)
-            painter.setPen(pen)
-            painter.setBrush(Qt.NoBrush)
-            painter.drawPath(item.outline())
+        pen = item.stroke()
+        pen.setCosmetic(True)
+        painter.setPen(pen)
+        painter.drawPath(item.outline())
 
 
 def paint_titles(

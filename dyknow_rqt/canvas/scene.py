@@ -103,6 +103,7 @@ class GraphScene(QGraphicsScene):
         self.overview = Overview()
         self._is_far = self._is_placing = self._wants_labels = False
         self._seen, self._scale = QRectF(), 1.0
+        self._marked: Optional[List[Union[EdgeItem, VertexItem]]] = None
         #: Whether a drawing has begun that is not shown yet.
         self.is_drawing = False
         self._drawing = Drawing()
@@ -136,7 +137,7 @@ class GraphScene(QGraphicsScene):
         self.slices.go_on()
 
     def _draw(self) -> Iterator[None]:
-        drawing, self.is_drawing = self._drawing, True
+        drawing, self.is_drawing, self._marked = self._drawing, True, None
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
         self._remove(self.vertices, {vertex.key for vertex in figure.vertices})
         self._remove(self.edges, set(figure.edges))
@@ -167,7 +168,7 @@ class GraphScene(QGraphicsScene):
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         drawn = self._highlighted in self.vertices or self._highlighted in self.edges
         self.highlight(self._highlighted if drawn else None)
-        self.is_drawing = False
+        self.is_drawing, self._marked = False, None
         self.look_again()
         self.shown.emit(drawing)
 
@@ -329,7 +330,10 @@ class GraphScene(QGraphicsScene):
 
     def paint_marked(self, painter: QPainter) -> None:
         """Paint what stands out on top of a picture."""
-        paint_marked(painter, (*self.edges.values(), *self.vertices.values()))
+        if self._marked is None:
+            items = (*self.edges.values(), *self.vertices.values())
+            self._marked = [item for item in items if item.stands_out]
+        paint_marked(painter, self._marked)
 
     @qt_slot
     def look_again(self) -> None:
@@ -345,6 +349,7 @@ class GraphScene(QGraphicsScene):
     @qt_slot
     def _mark(self) -> None:
         """Show what stands out now."""
+        self._marked = None
         if self._is_far:
             self.update()
         self.changed_marks.emit()

@@ -53,6 +53,9 @@ class VertexItem(Item):
         self.appearance = Appearance()
         self.ports: Dict[str, PortItem] = {}
         self._font = font
+        self._metrics = QFontMetricsF(font)
+        self._height = float(font.pixelSize() if font.pixelSize() > 0 else self._metrics.ascent())
+        self._cut_for, self._cut_text = ("", 0.0, 0.0), ""
         self._size = Size(0, 0)
         self._is_downwards = False
         self._label = ""
@@ -171,31 +174,35 @@ class VertexItem(Item):
         font.setStrikeOut(self.tone is Tone.DROPPED)
         painter.setFont(font)
         painter.setPen(self._text_colour())
-        badge, metrics = self._badge(), QFontMetricsF(self._font)
-        size = self._font.pixelSize() if self._font.pixelSize() > 0 else metrics.ascent()
-        larger = _LEAST / (size * painter.worldTransform().m11())
+        badge = self._badge()
+        larger = _LEAST / (self._height * painter.worldTransform().m11())
         area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
         if larger > 1.0:
-            self._paint_large(painter, area, larger, metrics)
+            self._paint_large(painter, area, larger)
         else:
             painter.drawText(area, Qt.AlignCenter, self._label)
         if badge and larger < _MOST:
             self._paint_badge(painter, badge)
 
-    def _paint_large(
-        self, painter: QPainter, area: QRectF, larger: float, metrics: QFontMetricsF
-    ) -> None:
+    def _paint_large(self, painter: QPainter, area: QRectF, larger: float) -> None:
         """Write the name so large that it can be read, as much of it as there is room for."""
         width, height = (area.width() + _BESIDE) / larger, area.height() / larger
-        lines = self._label.split("\n")
-        if metrics.height() * len(lines) > height + _OVER:
-            lines = ["".join(self._label.partition("\n")[::2])]
         painter.save()
         painter.translate(area.center())
         painter.scale(larger, larger)
-        text = "\n".join(metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines)
-        painter.drawText(QRectF(-width / 2, -height / 2, width, height), _CENTRE, text)
+        room = QRectF(-width / 2, -height / 2, width, height)
+        painter.drawText(room, _CENTRE, self._cut(width, height))
         painter.restore()
+
+    def _cut(self, width: float, height: float) -> str:
+        """As much of the name as there is room for; kept while that is as it was."""
+        if self._cut_for != (self._label, width, height):
+            lines, metrics = self._label.split("\n"), self._metrics
+            if metrics.height() * len(lines) > height + _OVER:
+                lines = ["".join(self._label.partition("\n")[::2])]
+            text = "\n".join(metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines)
+            self._cut_for, self._cut_text = (self._label, width, height), text
+        return self._cut_text
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802

@@ -151,9 +151,9 @@ def test_names_are_large_enough_to_be_read(qtbot, window, monkeypatch):
     view, sizes = window.graph.view, []
     write = VertexItem._paint_large
 
-    def note(item, painter, area, larger, metrics):
-        sizes.append(metrics.ascent() * larger * view.zoom)
-        write(item, painter, area, larger, metrics)
+    def note(item, painter, area, larger):
+        sizes.append(item._metrics.ascent() * larger * view.zoom)
+        write(item, painter, area, larger)
 
     monkeypatch.setattr(VertexItem, "_paint_large", note)
     for zoom in (0.31, 0.5, 1.0):
