@@ -104,6 +104,11 @@ class Layouter(QObject):
         self._next = _Order(figure, sizes, gap, shape, anew, dict(places))
         self._begin()
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether all that was asked for is laid out."""
+        return not (self._is_busy or self._plan or self._next)
+
     def close(self) -> None:
         self._next = self._plan = None
         self._calls.close()

@@ -23,9 +23,10 @@ import rostest
 from graph import Battery, Heard
 from manager_suite import LIBRARY, ManagerCase, MasterCase
 from processes import HELD_UP, eventually
-from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt
+from python_qt_binding.QtGui import QMouseEvent
 from python_qt_binding.QtTest import QTest
-from python_qt_binding.QtWidgets import QApplication
+from python_qt_binding.QtWidgets import QApplication, QMenu
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.streams import StreamStatus
@@ -244,6 +245,53 @@ class WindowTest(Window, ManagerCase):
         self.assertEqual(len(master.connections(uri, "/numbers", 2.0)), 1)
         QTest.keyClick(view, Qt.Key_Escape)
         until(lambda: not master.connections(uri, "/numbers", 2.0), "it is heard no more")
+
+    def test_wires_make_nodelets_splice_them_and_nodelets_stay_where_they_are_put(self) -> None:
+        manager = self.started()
+        manager.client.spawn("counter", "/count")
+        window, scene = self.open(), self.scene
+        view = window.graph.view
+
+        def topic(nodelet: str, port: str) -> object:
+            found = self.monitor.snapshot.port(PortRef(nodelet, port))
+            return None if found is None else found.topic
+
+        def at(ref: PortRef) -> QPoint:
+            until(lambda: view.place_of(ref) and window.graph.layouter.is_idle, "it is drawn")
+            view.fit()
+            return view.place_of(ref)
+
+        def drag(start: QPoint, end: QPoint) -> None:
+            """As a hand does."""
+            QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
+            for place in ((start + end) / 2, end):
+                move = QEvent.MouseMove, QPointF(place), Qt.NoButton, Qt.LeftButton, Qt.NoModifier
+                QApplication.sendEvent(view.viewport(), QMouseEvent(*move))
+            QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, end)
+
+        def choose(text: str) -> None:
+            menus = [menu for menu in window.graph.findChildren(QMenu) if menu.isVisible()]
+            (action,) = [each for menu in menus for each in menu.actions() if each.text() == text]
+            action.trigger()
+            menus[0].close()
+
+        until(lambda: "relay" in self.monitor.library, "the library is there")
+        drag(at(OUT), QPoint(view.viewport().width() - 90, view.viewport().height() - 90))
+        choose("relay: in")
+        until(lambda: topic("/relay", "in") == topic("/count", "out") == "/count/out", "made")
+        put = window.graph.edits.places.present["n_/relay"]
+        until(lambda: "n_/relay" in scene.vertices and window.graph.layouter.is_idle, "drawn")
+        place = scene.vertices["n_/relay"].pos()
+        self.assertEqual((place.x(), place.y()), tuple(put))
+        manager.client.spawn("relay", "/second")
+        end = at(PortRef("/second", "in"))
+        edge = next(each for each in scene.edges if each.head == "n_/relay")
+        drag(end, view.mapFromScene(scene.edges[edge].path.pointAtPercent(0.5)))
+        until(lambda: topic("/relay", "in") == topic("/second", "out") != "", "it is spliced in")
+        self.assertEqual(topic("/second", "in"), "/count/out")
+        heard = self.enter(Heard("/end"))
+        manager.client.set_config("/relay", {"out": "/end"})
+        until(lambda: len(heard) > 5, "messages flow through both")
 
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
         self.started()

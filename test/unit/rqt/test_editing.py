@@ -44,7 +44,7 @@ def is_drawn(window):
 
 def wait_for_drawing(qtbot, window):
     """Wait until what was asked for is drawn: a layout is emitted after each of these."""
-    until(qtbot, lambda: is_drawn(window) and not window.graph.layouter._is_busy)
+    until(qtbot, lambda: is_drawn(window) and window.graph.layouter.is_idle)
 
 
 def press_menu(window, text):
