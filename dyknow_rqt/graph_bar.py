@@ -87,6 +87,8 @@ class GraphBar(QWidget):
         self.save_menu = QMenu(self)
         self.save.setMenu(self.save_menu)
         self.load = self._add("Loa&d", "document-open", "Load a wiring: nodelets, connections")
+        self.timeline = self._add("Time", "view-history", "Show what changed when", "F7")
+        self.timeline.setCheckable(True)
         self.refresh = self._add("Refres&h", "view-refresh", "Read everything now", "F5", "Ctrl+R")
         #: Not in the bar: these have keys, and are in the menu of the background.
         self.find, self.find_next = QAction("&Find …", self), QAction("Find &next", self)

@@ -150,7 +150,8 @@ def menu_of(
 def menu_of_ground(actions: GraphActions, bar: GraphBar) -> QMenu:
     menu = QMenu(bar)
     _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
-    menu.addActions([bar.find, bar.fit, bar.tidy, bar.refresh, bar.next_ill, bar.keys])
+    rest = [bar.find, bar.fit, bar.tidy, bar.refresh, bar.timeline, bar.next_ill, bar.keys]
+    menu.addActions(rest)
     return menu
 
 

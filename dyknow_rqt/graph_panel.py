@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Iterable, Optional, Sequence
+from typing import Any, Dict, FrozenSet, Iterable, Mapping, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QMenu, QVBoxLayout, QWidget
 
+from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
@@ -18,6 +19,8 @@ from dyknow_rqt.graph.figure import Figure, Group, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.ghosts import fates_of, with_ghosts
 from dyknow_rqt.graph.layout import to_dot
+from dyknow_rqt.graph.moments import Difference, GraphMoment
+from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.ways import WayPart
 from dyknow_rqt.graph_bar import GraphBar
@@ -26,11 +29,14 @@ from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_g
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.timeline import TimelinePanel
 from dyknow_rqt.topic_card import TopicCard
 from dyknow_rqt.widgets import Sign
 
 #: Milliseconds that a view must keep its size before the graph follows.
 _TURNING = 200
+#: So many nodelets that come and go at once are marked, or half of all.
+_MARKED = 10
 #: A view whose shape changes by this factor is filled anew.
 _RESHAPED = 1.3
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
@@ -67,6 +73,7 @@ class GraphPanel(QWidget):
         self.view = GraphView(self.report)
         self.edits = GraphEdits(monitor, self.view, selection, self.graph_actions, self)
         self.layouter = Layouter()
+        self.timeline = TimelinePanel(monitor)
         self.files = WiringFiles(monitor, self)
         self.sign = Sign(self.view)
         self.card = TopicCard(monitor, self.view, self.report)
@@ -75,6 +82,7 @@ class GraphPanel(QWidget):
         column.setSpacing(0)
         column.addWidget(self.bar)
         column.addWidget(self.view, 1)
+        column.addWidget(self.timeline)
         self.view.installEventFilter(self)
         self._listen()
         self._fill_save_menu()
@@ -102,8 +110,11 @@ class GraphPanel(QWidget):
         self._is_outdated = True
         if not self._is_figuring:
             self._is_figuring, self._is_outdated = True, False
+            past, room = self.timeline.moment, self.view.viewport().size()
             snapshot, plan = self._monitor.snapshot, self._plan
-            options = self.bar.options(self.view.viewport().size())
+            if past is not None:
+                snapshot, plan = past.snapshot, ()
+            options = self.bar.options(room)
             self._calls.run(
                 lambda: with_ghosts(figure_of(snapshot, options), snapshot, plan),
                 lambda figure: self._take_figure(snapshot, figure),
@@ -114,7 +125,8 @@ class GraphPanel(QWidget):
         self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
         self.bar.topics.set_names(snapshot.topics())
         self.view.scene().set_snapshot(snapshot)
-        self.edits.places.follow(each.name for each in snapshot.nodelets)
+        if self.timeline.moment is None:
+            self.edits.places.follow(each.name for each in snapshot.nodelets)
         if figure != self._figure or self._wants_tidy or self._wants_move:
             self._figure = figure
             font = self.view.font()
@@ -153,6 +165,35 @@ class GraphPanel(QWidget):
         """Make a new layout in which also what the user has moved has no place yet."""
         self.edits.places.forget()
         self.tidy()
+
+    @qt_slot
+    def _show_moment(self, moment: Optional[GraphMoment], found: Difference) -> None:
+        """Show the graph as it was, without rates, or as it is."""
+        scene, is_past = self.view.scene(), moment is not None
+        scene.show_past(is_past)
+        self.view.is_editable = not is_past
+        scene.marks.clear()
+        scene.marks.show(found, is_lasting=is_past)
+        self._show_traffic({} if is_past else self._monitor.traffic)
+        self.redraw()
+
+    @qt_slot
+    def _show_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
+        self.view.scene().set_traffic({} if self.timeline.moment is not None else traffic)
+
+    @qt_slot
+    def _mark(self, found: Difference) -> None:
+        """Mark a change, unless it is that of everything."""
+        count = len(self._monitor.snapshot.nodelets)
+        if self.timeline.moment is None and len(found.came | found.went) <= max(
+            _MARKED, count / 2
+        ):
+            self.view.scene().marks.show(found)
+
+    @qt_slot
+    def show_timeline(self, on: bool) -> None:
+        self.timeline.setVisible(on)
+        (self.timeline.track if on else self.view).setFocus()
 
     @qt_slot
     def _keep_places(self) -> None:
@@ -225,6 +266,9 @@ class GraphPanel(QWidget):
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
         """Show the menu of a port, of the background, or of the selection with the item."""
         snapshot, actions = self._monitor.snapshot, self.graph_actions
+        if not self.view.is_editable:
+            self.noted.emit("this is the past; press End in the time-line to change the present")
+            return
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
         elif item is None:
@@ -337,7 +381,9 @@ class GraphPanel(QWidget):
     def _listen(self) -> None:
         monitor, view, bar = self._monitor, self.view, self.bar
         monitor.changed.connect(self._take_snapshot)
-        monitor.measured.connect(view.scene().set_traffic)
+        monitor.measured.connect(self._show_traffic)
+        self.timeline.changed.connect(self._mark)
+        self.timeline.wanted.connect(self._show_moment)
         monitor.decided.connect(view.scene().set_verdicts)
         view.scene().transports_wanted.connect(self._ask_transports)
         monitor.heart.told.connect(self._show_sign)
@@ -363,6 +409,7 @@ class GraphPanel(QWidget):
         bar.load.triggered.connect(self.files.ask_what_to_load)
         bar.fit.triggered.connect(view.fit)
         bar.tidy.triggered.connect(self.tidy_all)
+        bar.timeline.triggered.connect(self.show_timeline)
         bar.find.triggered.connect(self.find)
         bar.find_next.triggered.connect(self._next_hit)
         bar.search.textChanged.connect(self._search)

@@ -25,6 +25,7 @@ _LINES = {
     "edit-undo": "M8 4L3 9L8 14M3 9H14C22 9 22 20 14 20H11",
     "go-next": "M8 5L15 12L8 19",
     "view-filter": "M3 4H21L14 13V20L10 17V13Z",
+    "view-history": "M12 3C24 3 24 21 12 21C0 21 0 3 12 3M12 8V12L15.5 14",
     "view-refresh": "M20 4V9H15M20 9C17 2 4 3 4 12C4 21 17 22 20 15",
     "view-sidetree": "M3 4H21V20H3ZM9 4V20M5 8H7M5 12H7",
     "zoom-fit-best": "M3 8V3H8M16 3H21V8M21 16V21H16M8 21H3V16M8 8H16V16H8Z",

@@ -35,7 +35,7 @@ from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
-from dyknow_rqt.graph.rates import Meter
+from dyknow_rqt.graph.rates import Meter, PortRate
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
@@ -148,6 +148,11 @@ class GraphMonitor(QObject):
     @property
     def is_linked(self) -> bool:
         return self.heart.status.is_current
+
+    @property
+    def traffic(self) -> Dict[PortRef, PortRate]:
+        """The traffic of ports, as it was measured last."""
+        return dict(self._meter.traffic)
 
     @property
     def is_changing(self) -> bool:
@@ -374,7 +379,7 @@ class GraphMonitor(QObject):
 
     def _take_counts(self, counts: Sequence[NodeletCount], moment: float) -> None:
         self._meter.take(counts, moment)
-        self.measured.emit(dict(self._meter.traffic))
+        self.measured.emit(self.traffic)
 
     def _tell_rates(self) -> None:
         """Tell the rates of the nodelets that run, if the manager answers."""
@@ -383,7 +388,7 @@ class GraphMonitor(QObject):
         self._meter.keep(
             {PortRef(n.name, port.name): port.topic for n in running for port in n.ports}
         )
-        self.measured.emit(dict(self._meter.traffic))
+        self.measured.emit(self.traffic)
 
     def _follow_verdicts(self) -> None:
         sources = verdict_sources(self.snapshot.nodelets)

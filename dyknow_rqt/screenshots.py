@@ -12,7 +12,8 @@ import math
 import os
 import sys
 import time
-from typing import Callable, List, Optional, Sequence
+from functools import partial
+from typing import Callable, List, Optional, Sequence, Sized
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QMouseEvent, QPalette
@@ -20,6 +21,7 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
 from dyknow.model.graph import PortRef
+from dyknow.model.streams import StreamRequest
 from dyknow_rqt.example_graphs import soccer, tree
 from dyknow_rqt.graph.figure import Boxes
 from dyknow_rqt.graph.samples import Sample
@@ -84,6 +86,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("connect", light, _pose_connect),
         ("plan", light, _pose_plan),
         ("card", light, _pose_card),
+        ("timeline", light, _pose_timeline),
         ("gone", light, _pose_gone),
         ("dark", dark_palette(), _pose_dark),
     ):
@@ -224,7 +227,7 @@ def _pose_plan(widget: DyKnowWidget) -> None:
 
 
 def _pose_card(widget: DyKnowWidget) -> None:
-    """The ball rolls to and fro."""
+    """The ball rolls back and forth."""
     remote, card = widget.monitor.remote, widget.graph.card
     assert isinstance(remote, SimulatedRemote)
     card.show_topic("/field/ball")
@@ -241,6 +244,32 @@ def _pose_card(widget: DyKnowWidget) -> None:
         remote.send("/field/ball", Sample("\n".join(lines), numbers, None, 45))
         QTest.qWait(80)
     card.place()
+
+
+def _pose_timeline(widget: DyKnowWidget) -> None:
+    """The graph before some changes."""
+    remote, graph = widget.monitor.remote, widget.graph
+    assert isinstance(remote, SimulatedRemote)
+    client, every = remote.client, graph.timeline.moments.all
+    graph.bar.timeline.trigger()
+    for change in (
+        lambda: client.acquire_stream(StreamRequest("Track(ball)")),
+        lambda: client.spawn("tracker", "/field/tracker_2", {"position": "/field/ball"}),
+        lambda: client.set_config("/nao1/resize", {"image": "/nao1/bottom_camera/yuv"}),
+        lambda: client.destroy("/nao1/recorder"),
+    ):
+        count = len(every)
+        QTest.qWait(600)  # else it is the same moment
+        change()
+        wait(partial(_is_longer, every, count), 10.0, "the change is noted")
+    graph.timeline.track.choose(every[0])
+    drawn = graph.view.scene().vertices
+    wait(lambda: "n_/field/tracker_2" not in drawn, 10.0, "the past is drawn")
+    wait(lambda: graph.layouter.is_idle, 10.0, "all of it")
+
+
+def _is_longer(every: Sized, count: int) -> bool:
+    return len(every) > count
 
 
 def _pose_gone(widget: DyKnowWidget) -> None:

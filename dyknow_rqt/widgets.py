@@ -146,6 +146,7 @@ KEYS = (
     ("Ctrl+0", "fit everything into the view"),
     ("Ctrl+L", "tidy: make a new layout"),
     ("Ctrl+F, F3", "find; the next one"),
+    ("F7", "show or hide the time-line; there arrows, Home and End choose a moment"),
     ("F8", "the next thing that is not well"),
     ("F9", "show or hide the control panel"),
     ("Ctrl+Z", "undo; Ctrl+Shift+Z or Ctrl+Y redo"),

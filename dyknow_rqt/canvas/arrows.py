@@ -147,6 +147,7 @@ class EdgeItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        self.paint_mark(painter, self.path)
         stroke = self.stroke()
         painter.setPen(stroke)
         painter.setBrush(Qt.NoBrush)
@@ -164,6 +165,8 @@ class EdgeItem(Item):
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
             return QPen(self.colours.of(self.tone), 2.0)
+        if self.mark is not None and self.is_far:
+            return QPen(self.mark_colour, 2.5)
         return self.plain_stroke()
 
     def plain_stroke(self) -> QPen:

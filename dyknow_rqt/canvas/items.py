@@ -5,10 +5,19 @@
 
 from __future__ import annotations
 
+import enum
 from typing import Any, Optional, Tuple
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
-from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
+from python_qt_binding.QtGui import (
+    QBrush,
+    QColor,
+    QFont,
+    QFontMetricsF,
+    QPainter,
+    QPainterPath,
+    QPen,
+)
 from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
 
 from dyknow.formulas import Truth
@@ -20,6 +29,16 @@ from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.verdicts import PortVerdict
 
 PORT_RADIUS = 4.0
+#: Opacity of the halo around what is marked, of 255.
+_HALO = 150
+
+
+class Mark(enum.Enum):
+    """What has become of an item."""
+
+    CAME = "came"
+    WENT = "went"
+    MOVED = "moved"
 
 
 def rectangle_of(area: Rectangle) -> QRectF:
@@ -37,6 +56,7 @@ class Item(QGraphicsRectItem):
         self.setPen(QPen(Qt.NoPen))  # else the rectangle is larger by its width
         self.colours = colours
         self.tone = Tone.NONE
+        self.mark: Optional[Mark] = None
 
     def report(self, text: str) -> None:
         if self.scene() is not None:
@@ -46,6 +66,26 @@ class Item(QGraphicsRectItem):
         if tone is not self.tone:
             self.tone = tone
             self.update()
+
+    def set_mark(self, mark: Optional[Mark]) -> None:
+        if mark is not self.mark:
+            self.mark = mark
+            self.update()
+
+    @property
+    def mark_colour(self) -> QColor:
+        if self.mark is Mark.WENT:
+            return self.colours.alarm
+        return self.colours.true if self.mark is Mark.CAME else self.colours.both
+
+    def paint_mark(self, painter: QPainter, outline: QPainterPath) -> None:
+        """Paint a halo around an outline."""
+        if self.mark is not None:
+            colour = QColor(self.mark_colour)
+            colour.setAlpha(_HALO)
+            painter.setBrush(Qt.NoBrush)
+            painter.setPen(QPen(colour, 9.0))
+            painter.drawPath(outline)
 
     def set_colours(self, colours: Colours) -> None:
         self.colours = colours
@@ -69,7 +109,7 @@ class Item(QGraphicsRectItem):
     @property
     def stands_out(self) -> bool:
         """Whether it is marked, for now, so that the overview paints it on top."""
-        return self.tone is not Tone.NONE or self.isSelected()
+        return self.tone is not Tone.NONE or self.mark is not None or self.isSelected()
 
 
 class BoxItem(Item):

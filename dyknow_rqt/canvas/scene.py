@@ -30,6 +30,7 @@ from dyknow.model.graph import PortRef, State
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import (
     Appearance,
+    Colours,
     Tone,
     appearance_of,
     colours_of,
@@ -42,6 +43,7 @@ from dyknow_rqt.canvas.appearance import (
 )
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
+from dyknow_rqt.canvas.marks import Marks
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
 from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
@@ -109,12 +111,13 @@ class GraphScene(QGraphicsScene):
         self._drawing = Drawing()
         self._calls = BackgroundCalls(1)
         self.slices = Slices(report, self)
+        self.marks = Marks(self)
         self._labelling = QTimer(self)
         self._labelling.setSingleShot(True)
         self._labelling.setInterval(0)
         self._labelling.timeout.connect(self._place_labels)
         self._area: Optional[QRectF] = None
-        self.selectionChanged.connect(self._mark)
+        self.selectionChanged.connect(self.mark)
         self.setBackgroundBrush(self._colours.paper)
 
     def close_down(self) -> None:
@@ -139,7 +142,11 @@ class GraphScene(QGraphicsScene):
     def _draw(self) -> Iterator[None]:
         drawing, self.is_drawing, self._marked = self._drawing, True, None
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
-        self._remove(self.vertices, {vertex.key for vertex in figure.vertices})
+        drawn = {vertex.key for vertex in figure.vertices}
+        for key in [key for key in self.vertices if key not in drawn]:
+            if self.marks.keep(self.vertices[key]):
+                del self.vertices[key]
+        self._remove(self.vertices, drawn)
         self._remove(self.edges, set(figure.edges))
         self._remove(self._boxes, set(figure.groups()))
         for vertex in figure.vertices:
@@ -166,8 +173,9 @@ class GraphScene(QGraphicsScene):
         self._labelling.start()
         yield
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
-        drawn = self._highlighted in self.vertices or self._highlighted in self.edges
-        self.highlight(self._highlighted if drawn else None)
+        is_drawn = self._highlighted in self.vertices or self._highlighted in self.edges
+        self.highlight(self._highlighted if is_drawn else None)
+        self.marks.apply()
         self.is_drawing, self._marked = False, None
         self.look_again()
         self.shown.emit(drawing)
@@ -347,7 +355,7 @@ class GraphScene(QGraphicsScene):
         yield
 
     @qt_slot
-    def _mark(self) -> None:
+    def mark(self) -> None:
         """Show what stands out now."""
         self._marked = None
         if self._is_far:
@@ -357,6 +365,14 @@ class GraphScene(QGraphicsScene):
     def event(self, event: QEvent) -> bool:
         """Handle an event; in Python, so that items are queried without waits."""
         return bool(super().event(event))
+
+    @property
+    def colours(self) -> Colours:
+        return self._colours
+
+    def show_past(self, is_past: bool) -> None:
+        """Draw on another ground while what is drawn is no more."""
+        self.setBackgroundBrush(self._colours.topic if is_past else self._colours.paper)
 
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
         """Use the colours of another palette, or its greys for stale contents."""
@@ -406,7 +422,7 @@ class GraphScene(QGraphicsScene):
             item.set_found(bool(wanted) and wanted in item.vertex.name.lower())
             if item.found:
                 hits.append(item)
-        self._mark()
+        self.mark()
         return sorted(hits, key=lambda item: (item.x(), item.y()))
 
     def box_at(self, place: QPointF) -> Group:
@@ -549,4 +565,4 @@ class GraphScene(QGraphicsScene):
     def _paint_tones(self, tones: Mapping[object, Tone]) -> None:
         for key, item in (*self.vertices.items(), *self.edges.items()):
             item.set_tone(tones.get(key, self._ghosts.get(key, Tone.NONE)))
-        self._mark()
+        self.mark()

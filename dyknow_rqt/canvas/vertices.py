@@ -24,7 +24,7 @@ from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import Appearance, Colours, Tone
-from dyknow_rqt.canvas.items import PORT_RADIUS, Item, PortItem
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 
@@ -158,6 +158,7 @@ class VertexItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        self.paint_mark(painter, self.shape())
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
         if self.vertex.kind.is_square:
@@ -183,6 +184,9 @@ class VertexItem(Item):
             painter.drawText(area, Qt.AlignCenter, self._label)
         if badge and larger < _MOST:
             self._paint_badge(painter, badge)
+        if self.mark is Mark.WENT:
+            painter.setPen(QPen(self.mark_colour, 2.0))
+            painter.drawLine(self.area.bottomLeft(), self.area.topRight())
 
     def _paint_large(self, painter: QPainter, area: QRectF, larger: float) -> None:
         """Write the name so large that it can be read, as much of it as there is room for."""
@@ -222,6 +226,8 @@ class VertexItem(Item):
 
     def stroke(self) -> QPen:
         pen = self.plain_stroke()
+        if self.mark is not None and self.is_far:
+            pen = QPen(self.mark_colour, 3.0)
         if self.tone is not Tone.NONE:
             pen = QPen(self.colours.of(self.tone), 2.2, pen.style())
         if self.isSelected() or self.found:

@@ -90,6 +90,8 @@ class GraphView(QGraphicsView):
         self.setAccessibleName("Computation graph")
         #: Whether the user has zoomed or moved the view.
         self.is_chosen = False
+        #: Whether hands may change the graph.
+        self.is_editable = True
         self._from: Optional[PortItem] = None
         self._band: Optional[QGraphicsPathItem] = None
         self._target: Target = None
@@ -193,7 +195,8 @@ class GraphView(QGraphicsView):
     @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         """Start a connection on a port; anything else as usual."""
-        port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
+        is_drag = event.button() == Qt.LeftButton and self.is_editable
+        port = self._port_at(event.pos()) if is_drag else None
         if port is None:
             self._pressed = event.pos()
             item = self._item_at(event.pos())
@@ -201,7 +204,7 @@ class GraphView(QGraphicsView):
             if item is None and event.modifiers() & Qt.ShiftModifier:
                 self.setDragMode(QGraphicsView.RubberBandDrag)
             super().mousePressEvent(event)
-            if isinstance(item, VertexItem) and event.button() == Qt.LeftButton:
+            if isinstance(item, VertexItem) and is_drag:
                 chosen = self.scene().selectedItems() if item.isSelected() else [item]
                 self._starts = {
                     each.vertex.key: each.pos() for each in chosen if isinstance(each, VertexItem)
@@ -308,7 +311,7 @@ class GraphView(QGraphicsView):
         elif key in (Qt.Key_Return, Qt.Key_Enter):
             chosen = self.scene().selectedItems()
             self.topic_pressed.emit(topic_of(chosen[0]) if len(chosen) == 1 else "")
-        elif key == Qt.Key_Delete:
+        elif key == Qt.Key_Delete and self.is_editable:
             self.delete_pressed.emit()
         elif key in (Qt.Key_Plus, Qt.Key_Equal):
             self._zoom_at_centre(_STEP)
@@ -443,9 +446,8 @@ class GraphView(QGraphicsView):
 
     def _items_at(self, place: QPoint) -> List[Any]:
         reach = 3
-        return list(
-            self.items(QRectF(place.x() - reach, place.y() - reach, 2 * reach, 2 * reach).toRect())
-        )
+        area = QRectF(place.x() - reach, place.y() - reach, 2 * reach, 2 * reach).toRect()
+        return [item for item in self.items(area) if item.isEnabled()]
 
     def place_of(self, ref: PortRef) -> Optional[QPoint]:
         port = self.scene().port_item(ref)

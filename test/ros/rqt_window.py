@@ -33,6 +33,7 @@ from dyknow.model.streams import StreamStatus
 from dyknow.ros.wire.master import Master
 from dyknow_rqt import screenshots
 from dyknow_rqt.graph.changes import Change, spawn
+from dyknow_rqt.graph.moments import difference
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
@@ -219,6 +220,13 @@ class WindowTest(Window, ManagerCase):
             "its stream has taken over",
         )
         self.assertEqual(asked().topic, stream.topic)
+
+        def mended() -> set[tuple[str, str]]:
+            every = window.graph.timeline.moments.all
+            pairs = [difference(*pair).mended for pair in zip(every, list(every)[1:])]
+            return {(was[:-2], now[:-2]) for found in pairs for was, now in found}
+
+        until(lambda: any("ceiling_camera" in now for _, now in mended()), "it says so")
         reason = "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE since"
         until(lambda: reason in panel.events.toPlainText(), "the event is shown")
 

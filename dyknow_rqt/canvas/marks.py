@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Marks what came, went, moved or was mended, for some seconds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Dict, List, Optional, Union
+
+from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
+from python_qt_binding.QtGui import QPainterPath, QPen
+from python_qt_binding.QtWidgets import (
+    QGraphicsItem,
+    QGraphicsPathItem,
+    QGraphicsSimpleTextItem,
+)
+
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.items import Mark
+from dyknow_rqt.canvas.vertices import VertexItem
+from dyknow_rqt.graph.figure import VertexKind, key_of
+from dyknow_rqt.graph.moments import Difference
+
+if TYPE_CHECKING:
+    from dyknow_rqt.canvas.scene import GraphScene
+
+#: Milliseconds until marks go.
+LASTING = 8000
+_FAINT = 0.35
+
+
+class Marks(QObject):
+    """The marks of a scene, also of things that are drawn after the difference is known.
+
+    A nodelet that went is drawn faintly where it was, and linked with the one that replaces it.
+    """
+
+    def __init__(self, scene: GraphScene) -> None:
+        super().__init__(scene)
+        self._scene = scene
+        self.report = scene.report
+        self._shown = Difference()
+        self.ghosts: Dict[str, VertexItem] = {}
+        self.links: List[QGraphicsItem] = []
+        self._ending = QTimer(self)
+        self._ending.setSingleShot(True)
+        self._ending.setInterval(LASTING)
+        self._ending.timeout.connect(self.clear)
+
+    def show(self, found: Difference, is_lasting: bool = False) -> None:
+        """Mark a difference besides what is marked; ``is_lasting`` until something else is."""
+        shown = self._shown
+        self._shown = Difference(
+            (shown.came | found.came) - found.went,
+            (shown.went | found.went) - found.came,
+            shown.moved | found.moved,
+            (*shown.mended, *found.mended),
+        )
+        self._ending.stop() if is_lasting else self._ending.start()
+        self.apply()
+
+    @qt_slot
+    def clear(self) -> None:
+        self._ending.stop()
+        self._shown = Difference()
+        self.apply()
+
+    def of(self, item: Union[EdgeItem, VertexItem]) -> Optional[Mark]:
+        shown = self._shown
+        if isinstance(item, EdgeItem):
+            return Mark.MOVED if any(ref in shown.moved for ref in item.refs) else None
+        if item.vertex.kind is not VertexKind.NODELET:
+            return None
+        name = item.vertex.name
+        return Mark.CAME if name in shown.came else Mark.WENT if name in shown.went else None
+
+    def keep(self, item: VertexItem) -> bool:
+        """Keep an item that is drawn no more as a ghost, if its nodelet went."""
+        if self.of(item) is not Mark.WENT:
+            return False
+        item.setOpacity(_FAINT)
+        item.setEnabled(False)
+        item.setSelected(False)
+        item.setZValue(5)
+        self.ghosts[item.vertex.name] = item
+        return True
+
+    def apply(self) -> None:
+        """Mark the items that are drawn now, and link what was mended."""
+        scene, shown = self._scene, self._shown
+        for item in (*scene.edges.values(), *scene.vertices.values(), *self.ghosts.values()):
+            item.set_mark(self.of(item))
+        for name in [name for name in self.ghosts if name not in shown.went]:
+            scene.removeItem(self.ghosts.pop(name))
+        for link in self.links:
+            scene.removeItem(link)
+        self.links = []
+        for before, after in shown.mended:
+            ends = [
+                self.ghosts.get(name) or scene.vertices.get(key_of(VertexKind.NODELET, name))
+                for name in (before, after)
+            ]
+            if ends[0] is not None and ends[1] is not None:
+                self._link(ends[0].pos(), ends[1].pos())
+        scene.mark()
+
+    def _link(self, start: QPointF, end: QPointF) -> None:
+        colour, path = self._scene.colours.true, QPainterPath(start)
+        middle = (start + end) / 2 - QPointF(0, 40)
+        path.quadTo(middle, end)
+        line = QGraphicsPathItem(path)
+        line.setPen(QPen(colour, 2.0, Qt.DashLine))
+        text = QGraphicsSimpleTextItem("mended")
+        text.setBrush(colour)
+        text.setPos(path.pointAtPercent(0.5) - QPointF(text.boundingRect().width() / 2, 18))
+        for item in (line, text):
+            item.setZValue(15)
+            item.setEnabled(False)
+            self._scene.addItem(item)
+            self.links.append(item)

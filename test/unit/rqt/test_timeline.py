@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Re-wiring to watch: marks on what came, went, moved or was mended, and the time-line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from python_qt_binding.QtCore import QPoint, Qt
+from unit.rqt.hands import TRACKER, centre_of, context_menu, drag, topic, until, vertex_keys
+from unit.rqt.test_graph import nodelet
+
+from dyknow.model.graph import PortRef, State
+from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
+from dyknow_rqt.canvas.items import Mark
+from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
+from dyknow_rqt.graph.snapshot import Snapshot
+
+BALL = "/field/ball"
+
+
+def moment(time, *nodelets, streams=()):
+    return GraphMoment(time, Snapshot(tuple(nodelets)), tuple(streams))
+
+
+def claim(*nodelets, state=ClaimState.ACTIVE):
+    return StreamStatus("c1", "me", "Ball(?x)", "/t", "", state, "", nodelets, 0.0, ("?x=nao",))
+
+
+def test_the_difference_of_two_moments_is_told():
+    same, cut = nodelet("/same", ">in=/a"), nodelet("/cut", ">in=/a", "out>=/b")
+    before = moment(1.0, same, cut, nodelet("/old", "out>=/a"), streams=[claim("/old", "/cut")])
+    after = moment(
+        2.0,
+        same,
+        replace(nodelet("/cut", ">in=/c", "out>=/b"), state=State.LOST),
+        nodelet("/new", "out>=/c"),
+        streams=[claim("/new", "/cut", state=ClaimState.DEGRADED)],
+    )
+    found = difference(before, after)
+    assert (found.came, found.went) == ({"/new"}, {"/old"})
+    assert found.moved == {PortRef("/cut", "in")} and found.mended == (("/old", "/new"),)
+    assert found.lines == (
+        "+ /new",
+        "− /old",
+        "/old → /new: mended",
+        "/cut:in: /a → /c",
+        "/cut: running → lost",
+        "Ball(?x) ?x=nao: active → degraded",
+    )
+    assert difference(after, after) == Difference()
+
+
+def test_of_several_parts_those_alike_are_paired():
+    def part(name, label):
+        return replace(nodelet(name, "out>"), transformation=label)
+
+    before = moment(1.0, part("/a", "cam"), part("/b", "ball"), streams=[claim("/a", "/b")])
+    after = moment(2.0, part("/c", "ball"), part("/d", "cam"), streams=[claim("/c", "/d")])
+    assert difference(before, after).mended == (("/a", "/d"), ("/b", "/c"))
+
+
+def test_moments_are_noted_when_something_differs_and_soon_together():
+    moments, one, two = Moments(), nodelet("/one"), nodelet("/two")
+    assert moments.note(moment(1.0, one)) and not moments.note(moment(2.0, nodelet("/one")))
+    assert moments.note(moment(3.0, one, two)) and moments.note(moment(3.1, two))
+    assert [len(each.snapshot.nodelets) for each in moments.all] == [1, 1]
+    assert [each.time for each in moments.all] == [1.0, 3.0]
+    talk = replace(claim("/two"), detail="no message yet")
+    assert moments.note(moment(5.0, two, streams=[claim("/two")]))
+    assert not moments.note(moment(6.0, two, streams=[talk]))
+    for number in range(1000):
+        moments.note(moment(10.0 + number, nodelet(f"/{number}")))
+    assert len(moments.all) == 300 and moments.all[-1].snapshot.nodelet("/999")
+
+
+# Marks
+
+
+@pytest.fixture
+def marks(window):
+    return window.graph.view.scene().marks
+
+
+def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remote, marks):
+    scene = window.graph.view.scene()
+    assert not any(item.mark for item in scene.vertices.values())
+    remote.client.spawn("tracker", "/field/another", {"position": BALL})
+    until(qtbot, lambda: scene.vertices.get("n_/field/another"))
+    assert scene.vertices["n_/field/another"].mark is Mark.CAME
+    plain = window.graph.view.grab().toImage()
+    remote.client.set_config("/nao1/resize", {"image": "/nao1/bottom_camera/yuv"})
+
+    def arrow():
+        return next((a for e, a in scene.edges.items() if e.head == "n_/nao1/resize"), None)
+
+    until(qtbot, lambda: arrow() and arrow().mark is Mark.MOVED)
+    remote.client.destroy("/nao1/recorder")
+    until(qtbot, lambda: "n_/nao1/recorder" not in scene.vertices)
+    ghost = marks.ghosts["/nao1/recorder"]
+    assert ghost.mark is Mark.WENT and ghost.scene() is scene and not ghost.isEnabled()
+    assert window.graph.view._item_at(window.graph.view.mapFromScene(ghost.pos())) is None
+    assert window.graph.view.grab().toImage() != plain
+    marks._ending.setInterval(0)
+    marks._ending.start()
+    until(qtbot, lambda: not marks.ghosts)
+    assert ghost.scene() is None and not any(item.mark for item in scene.edges.values())
+    assert not any(item.mark for item in scene.vertices.values())
+
+
+def test_what_replaces_another_is_linked_with_it(qtbot, window, remote, marks):
+    remote.client.destroy("/nao1/recorder")
+    until(qtbot, lambda: marks.ghosts)
+    marks.show(Difference(mended=(("/nao1/recorder", "/nao1/resize"), ("/gone", "/nao1/resize"))))
+    line, text = marks.links
+    ends = line.path().pointAtPercent(0.0), line.path().pointAtPercent(1.0)
+    assert ends[0] == marks.ghosts["/nao1/recorder"].pos() and text.text() == "mended"
+    assert ends[1] == window.graph.view.scene().vertices["n_/nao1/resize"].pos()
+    remote.client.spawn("tracker", "/nao1/recorder", {})
+    until(qtbot, lambda: not marks.ghosts and "n_/nao1/recorder" in vertex_keys(window))
+    marks.clear()
+    assert not marks.links
+
+
+# The time-line
+
+
+@pytest.fixture
+def track(qtbot, window, remote):
+    """The time-line of four moments, opened with its key."""
+    for change in (
+        lambda: remote.client.spawn("tracker", "/field/another", {"position": BALL}),
+        lambda: remote.client.acquire_stream(StreamRequest("Track(ball)")),
+        lambda: remote.client.destroy("/nao1/recorder"),
+    ):
+        count = len(window.graph.timeline.moments.all)
+        change()
+        until(qtbot, lambda count=count: len(window.graph.timeline.moments.all) > count)
+        qtbot.wait(600)  # a later change is another moment
+    window.graph.view.setFocus()
+    qtbot.keyClick(window.graph.view, Qt.Key_F7)
+    assert window.graph.timeline.isVisible()
+    return window.graph.timeline.track
+
+
+def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, track):
+    timeline, scene = window.graph.timeline, window.graph.view.scene()
+    paper = scene.backgroundBrush().color()
+    assert "(now); last change: − /nao1/recorder" in timeline.words.text()
+    qtbot.mouseClick(track, Qt.LeftButton, pos=QPoint(0, 5))
+    until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
+    until(qtbot, lambda: "n_/field/another" not in vertex_keys(window))
+    assert "as it was; to now: + /field/another, − /nao1/recorder" in timeline.words.text()
+    assert scene.vertices["n_/nao1/recorder"].mark is Mark.WENT
+    assert scene.backgroundBrush().color() != paper
+    until(qtbot, lambda: all(item.traffic is None for item in scene.edges.values()))
+    qtbot.keyClick(track, Qt.Key_Right)
+    until(qtbot, lambda: "n_/field/another" in vertex_keys(window))
+    qtbot.keyClick(track, Qt.Key_Left)
+    qtbot.keyClick(track, Qt.Key_End)
+    until(qtbot, lambda: "n_/nao1/recorder" not in vertex_keys(window))
+    assert timeline.moment is None and scene.backgroundBrush().color() == paper
+    until(qtbot, lambda: any(item.traffic for item in scene.edges.values()))
+
+
+def test_two_moments_of_the_past_are_compared(qtbot, window, track):
+    timeline = window.graph.timeline
+    qtbot.keyClick(track, Qt.Key_Home)
+    qtbot.keyClick(track, Qt.Key_Home, Qt.ShiftModifier)
+    qtbot.keyClick(track, Qt.Key_Right, Qt.ShiftModifier)
+    assert timeline.words.text().partition("to ")[2].partition(": ")[2] == "+ /field/another"
+    qtbot.keyClick(track, Qt.Key_End, Qt.ShiftModifier)
+    assert "to now: + /field/another" in timeline.words.text()
+
+
+def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track):
+    qtbot.keyClick(track, Qt.Key_Home)
+    until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
+    view = window.graph.view
+    drag(view, view.place_of(TRACKER), QPoint(300, 300))
+    before = view.scene().vertices["n_/nao1/resize"].pos()
+    drag(view, centre_of(view, "n_/nao1/resize"), QPoint(300, 300))
+    assert view.scene().vertices["n_/nao1/resize"].pos() == before
+    window.graph.view.menu_wanted.emit(None, QPoint(50, 50))
+    assert "this is the past" in window.line.text and topic(remote, TRACKER) == BALL
+    window.graph.bar.timeline.trigger()
+    until(qtbot, lambda: "n_/nao1/recorder" not in vertex_keys(window))
+    context_menu(qtbot, window, None)["Time"].trigger()
+    assert window.graph.timeline.isVisible()
+
+
+def test_states_of_claims_have_lanes(qtbot, window, track):
+    assert [tag for _, tag in track.lanes()] == ["Track(ball)"]
+    picture = track.grab().toImage()
+    lowest = {picture.pixelColor(x, track.height() - 4).name() for x in range(track.width())}
+    assert track._colour(ClaimState.ACTIVE).name() in lowest
