@@ -46,6 +46,13 @@ def until(qtbot, condition):
     qtbot.waitUntil(lambda: bool(condition()), timeout=120_000)
 
 
+def is_settled(window):
+    """Whether all that was asked for is laid out and drawn."""
+    graph, scene = window.graph, window.graph.view.scene()
+    is_drawn = not (graph._is_figuring or scene.slices.is_wanted(scene._draw))
+    return is_drawn and graph.layouter.is_idle
+
+
 def topic(remote, ref):
     nodelet = remote.graph().nodelet(ref.nodelet)
     return nodelet.port(ref.port).topic

@@ -16,6 +16,7 @@ from unit.rqt.hands import (
     click,
     context_menu,
     drag,
+    is_settled,
     move,
     topic,
     until,
@@ -37,14 +38,8 @@ def place_of(window, key):
     return Point(at.x(), at.y())
 
 
-def is_drawn(window):
-    slices = window.graph.view.scene().slices
-    return not (window.graph._is_figuring or slices.is_wanted(window.graph.view.scene()._draw))
-
-
 def wait_for_drawing(qtbot, window):
-    """Wait until what was asked for is drawn: a layout is emitted after each of these."""
-    until(qtbot, lambda: is_drawn(window) and window.graph.layouter.is_idle)
+    until(qtbot, lambda: is_settled(window))
 
 
 def press_menu(window, text):

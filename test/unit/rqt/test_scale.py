@@ -9,7 +9,15 @@ import pytest
 from python_qt_binding.QtCore import QObject, QPoint, Qt
 from python_qt_binding.QtGui import QImage, QPalette
 from python_qt_binding.QtWidgets import QToolButton
-from unit.rqt.hands import button_of, centre_of, click, until, vertex_keys, window_of
+from unit.rqt.hands import (
+    button_of,
+    centre_of,
+    click,
+    is_settled,
+    until,
+    vertex_keys,
+    window_of,
+)
 
 from dyknow.model.graph import State
 from dyknow_rqt.canvas.overview import FAR, Overview
@@ -29,7 +37,7 @@ def crowd():
 @pytest.fixture
 def window(qtbot, crowd):
     window = window_of(qtbot, crowd, (1366, 768))
-    until(qtbot, lambda: len(window.graph.drawn.vertices) == 2 * _COUNT)
+    until(qtbot, lambda: len(window.graph.drawn.vertices) == 2 * _COUNT and is_settled(window))
     return window
 
 
