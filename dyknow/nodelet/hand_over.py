@@ -30,7 +30,7 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import MOST_KEPT, Connection, Publication, Subscription
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.middleware import Closable, Receive
 from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Strand
 from dyknow.periodic import in_background
@@ -163,7 +163,7 @@ class HandOvers(Closable):
             if datatype is None:
                 raise CannotMove(name, f"{each.topic} carries {each.datatype}, unknown there")
             if each.direction == IN:
-                end = Subscription(datatype, MOST_KEPT, strand, _ignore, {}, name)
+                end = Subscription(datatype, MOST_KEPT, strand, _ignore, {}, name, _as_it_is)
                 links.append(ParkedConnection(end, each.topic, runtime.transport.digest))
             else:
                 refusal = functools.partial(runtime.node.closed, name)
@@ -242,6 +242,10 @@ class HandOvers(Closable):
 
 def _input(connection: Connection) -> HandedTopic:
     return HandedTopic(connection.topic, connection.subscription.datatype._type, IN)
+
+
+def _as_it_is(receive: Receive) -> Receive:
+    return receive
 
 
 def _ignore(error: BaseException) -> None:
