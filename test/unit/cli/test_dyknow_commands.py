@@ -127,6 +127,7 @@ def test_list_as_json(chain):
         "state": "running",
         "detail": "",
         "outdated": "",
+        "owner": "",
         "ports": [{**port, "datatype": "sensor_msgs/Image"}],
         "parameters": [],
     }

@@ -92,7 +92,7 @@ def test_it_is_neither_spawned_nor_destroyed_nor_kept_on_disk(robot: Robot) -> N
     with pytest.raises(NotSpawnable, match="'driver' is the existing node '/robot/camera'"):
         robot.manager.spawn(SpawnRequest("driver", "/mine"))
     robot.run_camera()
-    with pytest.raises(HostError, match="is a node in a process of its own"):
+    with pytest.raises(HostError, match="runs in a process of its own"):
         robot.manager.destroy("/robot/camera")
     with pytest.raises(HostError, match="was not spawned by this manager"):
         robot.manager.set_protection("/robot/camera", True)
