@@ -41,7 +41,8 @@ def test_a_stock_nodelet_manager_is_asked_for_its_list():
     with polled(error=UNKNOWN_TO_ROSCPP) as (client, process):
         answers = [client.ask(PATIENCE) for _ in range(2)]
     assert client.is_stock
-    assert [(each.changes.kind, each.nodelets) for each in answers] == [("cpp_nodelet", ["/a", "/b"])] * 2
+    found = [(each.changes.kind, each.nodelets) for each in answers]
+    assert found == [("cpp_nodelet", ["/a", "/b"])] * 2
     assert process.connections == 2, "the refused one, and the one that is kept"
 
 
