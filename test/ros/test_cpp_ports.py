@@ -283,11 +283,11 @@ class PortTest(CppCase):
 
     def test_a_nodelet_manager_with_ports_announces_itself_too(self):
         manager = self.enter(CppManager("/early"))
-        told = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
-        manager.load("Eager", "/eager")
-        told.has(lambda nodelets: "/eager" in nodelets)
-        connect(manager.name, **{"~early": "/earlier"})
-        told.has(lambda nodelets: nodelets == [manager.name])
+        with Heard(NODES_TOPIC, NodeletChanges, graph.named) as told:
+            manager.load("Eager", "/eager")
+            told.has(lambda nodelets: "/eager" in nodelets)
+            connect(manager.name, **{"~early": "/earlier"})
+            told.has(lambda nodelets: nodelets == [manager.name])
         with Heard(NODES_TOPIC, NodeletChanges, graph.named) as newcomer:
             newcomer.has(lambda nodelets: nodelets == ["/eager", manager.name])
 
