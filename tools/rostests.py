@@ -36,6 +36,7 @@ SLOW = (
     "demo",
     "debian_scripts",
     "dyknow_command",
+    "host_faults",
     "signed_streams",
     "manager",
     "bus",

@@ -64,7 +64,7 @@ class DoctorTest(ManagerCase):
             return (done[0].code, done[0].json["findings"]) == (0, [])
 
         eventually(is_healthy, 30.0, "nothing is found", lambda: done[0].out + done[0].err)
-        self.assertEqual(len(done[0].json["checks"]), 12)
+        self.assertEqual(len(done[0].json["checks"]), 13)
 
     def test_mistakes_in_the_library_and_in_parameters(self):
         manager = self.started(**self.parameters)

@@ -137,7 +137,7 @@ from unittest import mock
 real = time.time
 mock.patch("time.time", lambda: real() + 2.0).start()
 from dyknow.cli.nodelet import main
-sys.exit(main(sys.argv[1:]))
+sys.exit(main())
 """
 
     def test_the_hosts_and_their_clocks(self):

@@ -306,7 +306,8 @@ class Peer(ABC):
         self._guards = guards
         if not client.is_stock:
             self.lease.answered(answer.clock)
-            self._meter.add(began, answer.machine.stamp)
+            if answer.machine.cores:
+                self._meter.add(began, answer.machine.stamp)
         with self._state_lock:
             if client is self._client:
                 self.presence = _answered(self.presence, answer, self._meter.offset)

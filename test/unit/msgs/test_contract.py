@@ -36,12 +36,14 @@ CHECKSUMS = {
     "msg/Model": "a6674955af47d83032e8c9c16d3156d6",
     "msg/StreamStatus": "37a27e4a9e4def2f5d02a8f6b620408c",
     "msg/StreamEvent": "a516e6fd9112b91519932d980a85c920",
+    "msg/Machine": "30253d1065697a1d5ec07dde1abedebf",
+    "msg/HostStatus": "dcb418bd26dcf1767cd56b74fee09dd6",
     "msg/Verdict": "a85b746c8eec1aacfc72e2ec37792a5b",
     "srv/GetConfig": "c4f79754ec1a2cde67723ec0305318f8",
     "srv/SetConfig": "e12bebb6a7abf5ff9df9d7c23943a047",
     "srv/Connect": "991cf245e78188f1e46e5b6a5c13b61e",
     "srv/GetStatistics": "cbff6e580b0ddb2ad1bd16d63dfe3daf",
-    "srv/Poll": "5ae2d4b00d29c738cb11263c540a4787",
+    "srv/Poll": "cdf9ab6c1fb5e56690f2345889b749f4",
     "srv/HandOver": "2e2860ce5e6b78b44857004e4759f769",
     "srv/AddTransformation": "da1e77c6fbc632ebf1004dfba76f5918",
     "srv/RemoveTransformation": "d74f6627fb1a814ad4bd7b097c68231c",
@@ -56,6 +58,7 @@ CHECKSUMS = {
     "srv/ReleaseStream": "9db6d3aea8e74e927023159bf69059b8",
     "srv/ReplanStream": "8b99d152281ef33d934adbc7c8e19c5d",
     "srv/FindBindings": "86ae714e3f9217402fbc21a339b12dc9",
+    "srv/ListHosts": "037d37b88378554dfc7b4e8337ad19f5",
     "srv/ListStreams": "e70aded8668682e86b04b2c8847caa61",
 }
 
