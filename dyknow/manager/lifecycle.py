@@ -13,6 +13,7 @@ import collections
 import contextlib
 import logging
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Callable, Counter, Iterable, Mapping
 
 from dyknow import names
@@ -304,7 +305,7 @@ class Lifecycle:
             neighbours[each.manager] += not wanted.isdisjoint(used)
             neighbours[AT + each.host] += not wanted.isdisjoint(used)
             outside -= used
-        if outside and len({state.host for state in shared}) > 1:
+        if outside and len(set(map(attrgetter("host"), shared))) > 1:
             with contextlib.suppress(HostError):  # without the ROS master they are not known
                 neighbours.update(AT + host for host in self._host.publishing_hosts(outside))
 
