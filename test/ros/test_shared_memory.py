@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -23,6 +24,11 @@ from sensor_msgs.msg import Image
 MB = 1 << 20
 #: Bytes of one image that goes through shared memory, and of one that does not.
 LARGE, SMALL = MB, 1000
+#: What a container has of its own if it shares the network of its host.
+CONTAINER = (
+    *("unshare", "--mount", "--ipc", "--uts", "--pid", "--fork", "--kill-child", "--mount-proc"),
+    *("sh", "-c", 'mount -t tmpfs none /dev/shm && mount -t tmpfs none /run && exec "$@"', "sh"),
+)
 #: Processes that receive the same images.
 RECEIVERS = int(os.environ.get("DYKNOW_TEST_RECEIVERS", "4"))
 
@@ -118,6 +124,21 @@ class TransportTest(SharedMemoryCase):
         self.is_linked("SHMROS", topic="/c", node="/copier")
         call("/talker", "publish", 5, LARGE)
         self.received(range(5))
+
+    def test_a_container_with_the_network_of_its_host_shares_memory(self):
+        if subprocess.run([*CONTAINER, "true"], check=False).returncode:
+            self.skipTest("namespaces cannot be made here")
+        boxed = self.enter(Manager("/boxed", command=[*CONTAINER, *graph.NODELET, "manager"]))
+        boxed.load("PictureTalker", "/other", {"/out": "/b"})
+        self.listens(topic="/b")
+        self.talks()
+        self.listens("/inside", "/a", boxed)
+        self.is_linked("SHMROS", topic="/b", node="/boxed")
+        self.is_linked("SHMROS")
+        call("/other", "publish", 3, LARGE)
+        call("/talker", "publish", 3, LARGE)
+        self.received(range(3))
+        self.received(range(3), "/inside")
 
     def test_where_the_system_gives_no_memory_messages_come_all_the_same(self):
         code = (
