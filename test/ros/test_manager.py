@@ -88,8 +88,10 @@ class ServicesTest(ManagerCase):
             return {each.name: each.level for each in array.status}
 
         ok = DiagnosticStatus.OK
+        host = self.client.get_model().nodelet("/c").host
         with Heard("/diagnostics", DiagnosticArray, levels) as heard:
-            fine = {"dyknow_manager: manager": ok, "dyknow_manager: nodelet /c": ok}
+            subjects = ("manager", "nodelet /c", f"host {host}")
+            fine = {f"dyknow_manager: {subject}": ok for subject in subjects}
             heard.has(lambda each: each == fine)
             with self.manager.child_stopped():
                 heard.has(lambda each: each["dyknow_manager: nodelet /c"] > ok, 20.0)

@@ -296,7 +296,7 @@ class CommandTest(graph.TellingCase):
         rospy.wait_for_service(f"{name}/get_statistics", 5.0 * BUSY)  # its last
         self.assertEqual(topics_of_ports(name), {"words": "/here"})
         self.assertEqual(rospy.get_param(f"{name}/rate"), 100)
-        becomes(lambda: graph.poll(name, is_node=True).kind, "node")
+        becomes(lambda: graph.poll(name, is_node=True).changes.kind, "node")
         services = [
             "get_config",
             "get_loggers",
