@@ -74,12 +74,15 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     if arguments.namespace:
         inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
         nodelets = tuple(each for each in nodelets if each.name.startswith(inside))
-    shell.show(
-        {"nodelets": [nodelet_json(each) for each in nodelets]},
-        [*_long_list(nodelets), *_load_table(shell, nodelets)]
-        if arguments.long
-        else [each.name for each in nodelets],
-    )
+    value: Json = {"nodelets": [nodelet_json(each) for each in nodelets]}
+    if not arguments.long:
+        shell.show(value, [each.name for each in nodelets])
+        return
+    loads = shell.client.loads({each.node for each in nodelets})
+    value["processes"] = [
+        {"name": name, "cpu": cpu, "memory": memory} for name, (cpu, memory) in loads.items()
+    ]
+    shell.show(value, [*_long_list(nodelets), *_load_table(loads)])
 
 
 def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
@@ -102,9 +105,8 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
     return [*columns(rows, right=(3, 4)), *details]
 
 
-def _load_table(shell: Shell, nodelets: Sequence[NodeletStatus]) -> list[str]:
-    """Write the load of the processes of this machine that run nodelets."""
-    loads = shell.client.loads({each.node for each in nodelets})
+def _load_table(loads: dict[str, tuple[float, int]]) -> list[str]:
+    """Write the share of a core and the bytes of memory that each process takes."""
     rows: list[tuple[object, ...]] = [("PROCESS", "CPU %", "MEMORY MB")]
     rows += [(name, f"{cpu:.0%}"[:-1], memory // 10**6) for name, (cpu, memory) in loads.items()]
     return ["", *columns(rows, right=(1, 2))] if loads else []

@@ -131,6 +131,9 @@ def test_list_as_json(chain):
         "ports": [{**port, "datatype": "sensor_msgs/Image"}],
         "parameters": [],
     }
+    chain.loaded[camera["manager"]] = (0.25, 60_000_000)
+    (process,) = run(chain, "list -l --json").json["processes"]
+    assert process == {"name": "/fake_0", "cpu": 0.25, "memory": 60_000_000}
 
 
 def test_list_shows_details_below(chain):
