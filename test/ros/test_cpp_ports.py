@@ -282,12 +282,15 @@ class PortTest(CppCase):
         becomes(lambda: [each for each in graph.services_of(MANAGER) if "/source" in each], [])
 
     def test_a_nodelet_manager_with_ports_announces_itself_too(self):
+        def topics(changes: NodeletChanges) -> dict[str, list[str]]:
+            return {each.nodelet: [port.topic for port in each.ports] for each in changes.nodelets}
+
         manager = self.enter(CppManager("/early"))
-        with Heard(NODES_TOPIC, NodeletChanges, graph.named) as told:
+        with Heard(NODES_TOPIC, NodeletChanges, topics) as told:
             manager.load("Eager", "/eager")
-            told.has(lambda nodelets: "/eager" in nodelets)
+            told.has(lambda found: "/eager" in found)
             connect(manager.name, **{"~early": "/earlier"})
-            told.has(lambda nodelets: nodelets == [manager.name])
+            told.has(lambda found: "/earlier" in found.get(manager.name, ()))
         with Heard(NODES_TOPIC, NodeletChanges, graph.named) as newcomer:
             newcomer.has(lambda nodelets: nodelets == ["/eager", manager.name])
 
