@@ -10,14 +10,17 @@ traceback, and the thread goes on.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import logging
 import math
+import sys
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
+from types import FrameType
 from typing import (
     Callable,
     Generic,
@@ -62,6 +65,8 @@ class Clock:
 
 
 STEADY = Clock()
+#: So that two threads that disable the collector do not enable it for each other.
+_frames_lock = state_lock("frames of threads")
 
 
 def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> T | None:
@@ -73,6 +78,22 @@ def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> 
     except Exception:  # the boundary of the thread
         logger.exception("%s failed", what)
     return None
+
+
+def current_frames() -> dict[int, FrameType]:
+    """Return the frame at which each thread is, by the thread's identifier.
+
+    A collection of garbage within ``sys._current_frames`` can stop the process for ever, before
+    CPython 3.11.5 (gh-106883), so there is none.
+    """
+    with _frames_lock:
+        was_enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return sys._current_frames()
+        finally:
+            if was_enabled:
+                gc.enable()
 
 
 def in_background(

@@ -32,6 +32,7 @@ from typing import (
 
 from dyknow.locks import module_lock
 from dyknow.nodelet.module_files import forget_bytecode, is_standard, package_spec, stamps
+from dyknow.periodic import current_frames
 
 Module = types.ModuleType
 
@@ -282,7 +283,7 @@ class Importer:
 
 def _is_running(spaces: frozenset[int]) -> bool:
     """Whether a thread runs code with one of these global namespaces, by their identities."""
-    frames: list[types.FrameType | None] = list(sys._current_frames().values())
+    frames: list[types.FrameType | None] = list(current_frames().values())
     while frames:
         frame = frames.pop()
         if frame is not None:

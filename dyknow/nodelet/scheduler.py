@@ -24,6 +24,7 @@ from typing import Callable
 
 from dyknow.locks import flag_lock, reentrant_state_lock, state_condition
 from dyknow.nodelet.crash_record import CrashRecord, as_word
+from dyknow.periodic import current_frames
 
 Task = Callable[[], object]
 Clock = Callable[[], float]
@@ -428,7 +429,7 @@ class WorkerPool(Executor):
     @staticmethod
     def _report(worker: _Worker, strand: Strand, seconds: float) -> None:
         thread = worker.thread
-        frame = sys._current_frames().get(thread.ident or 0) if thread is not None else None
+        frame = current_frames().get(thread.ident or 0) if thread is not None else None
         _log.warning(
             "%s: a callback has not returned for %.0f s; its other callbacks wait\n%s",
             strand.name,

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 import threading
 from typing import Callable, Iterator, List, Optional
 
@@ -19,6 +21,7 @@ from dyknow.periodic import (
     PeriodicWorker,
     Workers,
     attempt,
+    current_frames,
     in_background,
 )
 
@@ -250,3 +253,19 @@ def test_work_that_fails_in_the_background_is_logged(caplog: pytest.LogCaptureFi
     assert "dividing failed" in caplog.text
     assert attempt("counting", lambda: 3) == 3
     assert attempt("dividing", lambda: 1 // 0) is None
+
+
+@pytest.mark.parametrize("is_enabled", [True, False])
+def test_nothing_is_collected_while_frames_are_looked_up(monkeypatch, is_enabled):
+    monkeypatch.setattr(sys, "_current_frames", lambda: {1: gc.isenabled()})
+    was_enabled = gc.isenabled()
+    try:
+        (gc.enable if is_enabled else gc.disable)()
+        assert current_frames() == {1: False}
+        assert gc.isenabled() is is_enabled
+    finally:
+        (gc.enable if was_enabled else gc.disable)()
+
+
+def test_the_frames_of_all_threads():
+    assert current_frames()[threading.get_ident()].f_code.co_name == "current_frames"

@@ -26,7 +26,7 @@ from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.periodic import attempt, in_background
+from dyknow.periodic import attempt, current_frames, in_background
 
 #: Seconds from the end of the hooks in which threads may end by themselves.
 _PATIENCE = 0.3
@@ -353,7 +353,7 @@ class Sandbox:
 
 def _place(thread: threading.Thread) -> tuple[str, int]:
     """The source file and the line that a thread is at."""
-    frame = sys._current_frames().get(thread.ident or 0)
+    frame = current_frames().get(thread.ident or 0)
     return ("?", 0) if frame is None else (frame.f_code.co_filename, frame.f_lineno)
 
 
