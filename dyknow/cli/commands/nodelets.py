@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import SEVERAL, argument, flag, graph_name
@@ -20,6 +20,7 @@ from dyknow.wiring.ports import CannotConnect
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
+    from dyknow.model.transformation import Transformation
 
 
 _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
@@ -86,11 +87,13 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     name = shell.resolve(arguments.name)
     config: dict[str, str] = {}
     peers: list[PortMove] = []
+    meets_ports = any(isinstance(end, PortRef) for _, end in arguments.connect)
+    library = shell.client.get_model().transformations if meets_ports else ()
     for port, end in arguments.connect:
         if port in config:
             raise DuplicatePort(port)
         if isinstance(end, PortRef):
-            own = _declared(shell, arguments.label, port)
+            own = _declared(library, arguments.label, port)
             peers.append(meeting_topic(shell.client, name, own, resolved(shell, end)))
             end = peers[-1].after
         config[port] = end
@@ -127,14 +130,9 @@ def _place(arguments: argparse.Namespace, shell: Shell) -> str:
     return shell.resolve(arguments.manager) if arguments.manager else ""
 
 
-def _declared(shell: Shell, label: str, name: str) -> PortState:
+def _declared(library: Sequence[Transformation], label: str, name: str) -> PortState:
     """Return the port that a transformation declares."""
-    ports = [
-        port
-        for each in shell.client.get_model().transformations
-        if each.label == label
-        for port in each.ports
-    ]
+    ports = [port for each in library if each.label == label for port in each.ports]
     for port in ports:
         if port.name == name:
             return PortState(port.name, port.direction, port.datatype)
