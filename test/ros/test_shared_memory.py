@@ -72,6 +72,19 @@ class SharedMemoryCase(TellingCase):
 
 
 class TransportTest(SharedMemoryCase):
+    def exchanges(self, third, kind):
+        """A third process sends to the sink, and receives from the source, by one transport."""
+        third.load("PictureTalker", "/other", {"/out": "/b"})
+        self.listens(topic="/b")
+        self.talks()
+        self.listens("/inside", "/a", third)
+        self.is_linked(kind, topic="/b", node=third.name)
+        self.is_linked(kind)
+        call("/other", "publish", 3, LARGE)
+        call("/talker", "publish", 3, LARGE)
+        self.received(range(3))
+        self.received(range(3), "/inside")
+
     def test_each_peer_has_the_transport_that_it_knows(self):
         self.talks()
         self.listens()
@@ -102,16 +115,7 @@ class TransportTest(SharedMemoryCase):
 
     def test_switched_off_there_is_none(self):
         plain = self.enter(Manager("/plain", "_shared_memory:=false"))
-        plain.load("PictureTalker", "/other", {"/out": "/b"})
-        self.listens(topic="/b")
-        self.talks()
-        self.listens("/unshared", "/a", plain)
-        self.is_linked("TCPROS", topic="/b", node="/plain")
-        self.is_linked("TCPROS")
-        call("/other", "publish", 3, LARGE)
-        call("/talker", "publish", 3, LARGE)
-        self.received(range(3))
-        self.received(range(3), "/unshared")
+        self.exchanges(plain, "TCPROS")
 
     def test_scripts_in_processes_of_their_own_share_memory(self):
         self.talks()
@@ -129,16 +133,7 @@ class TransportTest(SharedMemoryCase):
         if subprocess.run([*CONTAINER, "true"], check=False).returncode:
             self.skipTest("namespaces cannot be made here")
         boxed = self.enter(Manager("/boxed", command=[*CONTAINER, *graph.NODELET, "manager"]))
-        boxed.load("PictureTalker", "/other", {"/out": "/b"})
-        self.listens(topic="/b")
-        self.talks()
-        self.listens("/inside", "/a", boxed)
-        self.is_linked("SHMROS", topic="/b", node="/boxed")
-        self.is_linked("SHMROS")
-        call("/other", "publish", 3, LARGE)
-        call("/talker", "publish", 3, LARGE)
-        self.received(range(3))
-        self.received(range(3), "/inside")
+        self.exchanges(boxed, "SHMROS")
 
     def test_where_the_system_gives_no_memory_messages_come_all_the_same(self):
         code = (
