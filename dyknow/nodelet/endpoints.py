@@ -353,7 +353,7 @@ class Publication:
 
     @property
     def heard(self) -> bool:
-        """Whether a message published now reaches somebody, or is kept for later."""
+        """Whether a message published now reaches a subscriber, or is kept for later."""
         outside = self.outside
         return bool(self._route or (outside is not None and (self.latch or outside.heard)))
 

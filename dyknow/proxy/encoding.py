@@ -23,8 +23,8 @@ class _EncodedPeer:
 class EncodingPublication:
     """Stands for two publications where a handle expects one; ``port`` is the companion.
 
-    The publishing thread encodes a message, once, and only while somebody subscribes to the
-    encoded form or it is latched. A message that cannot be encoded is counted and logged as an
+    The publishing thread encodes a message, once, and only while the encoded form has a
+    subscriber or is latched. A message that cannot be encoded is counted and logged as an
     error of the nodelet; plainly it was sent.
     """
 
