@@ -26,6 +26,8 @@ if [ -f /opt/ros/noetic/setup.bash ]; then
   . /opt/ros/noetic/setup.bash
   set -u
 fi
+# Messages are generated for the languages that the package is written in.
+export ROS_LANG_DISABLE=geneus:genlisp:gennodejs
 cd "$workspace"
 log="$workspace/build.log"
 if ! catkin_make -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCMAKE_BUILD_TYPE=Release "${@:2}" >"$log" 2>&1; then

@@ -4,8 +4,8 @@
 """Runs the checks and tests of the repository, and sums up.
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
-there is to mend. The rostest suites wait for much of their time: the other checks and tests run
-beside them, one after the other.
+there is to mend. The build occupies one processor for a part of its time, and the rostest suites
+wait for much of theirs: the other checks and tests run beside them, one after the other.
 
 With ``--long`` it runs what takes too long for every change instead: the unit tests that are
 marked ``long``, those on Python 3.8, the others with random examples, the rostest suites in
@@ -19,6 +19,7 @@ import argparse
 import os
 import re
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -36,7 +37,7 @@ IN_WORKSPACE = ("bash", str(ROOT / "tools" / "in-workspace.sh"))
 ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 3000.0  # s
 LONG_TIMEOUT = 3600.0  # s, for a stage or suite of the long run
-IN_PARALLEL = ("-n", "2", "--dist", "worksteal")
+IN_PARALLEL = ("-n", "4", "--dist", "worksteal")  # some wait for processes or windows
 USES_LIBRARIES = ("dyknow_cpp_test_libraries", "dyknow_cpp_test_node")
 #: Lists the source files without SPDX lines; those to be copied or shown line by line need none.
 LACKING_SPDX = (
@@ -64,9 +65,13 @@ class Outcome:
 
 def run_command(*argv: str, timeout: float = STAGE_TIMEOUT, **environment: str) -> tuple[int, str]:
     """Runs a command; returns its exit code and all it printed."""
-    log = RESULTS / "stage.txt"
-    code = run_logged(argv, log, timeout, environment)
-    return code, log.read_text(errors="replace")
+    code = run_logged(argv, stage_log(), timeout, environment)
+    return code, stage_log().read_text(errors="replace")
+
+
+def stage_log() -> Path:
+    """The output of the last command of this thread's stage: stages run beside one another."""
+    return RESULTS / f"{threading.current_thread().name}.txt"
 
 
 def check(*argv: str) -> Callable[[], Outcome]:
@@ -160,8 +165,7 @@ def coverage() -> Outcome:
         HYPOTHESIS_PROFILE="slow",
         COVERAGE_FILE=str(RESULTS / "coverage"),
     )
-    log = (RESULTS / "stage.txt").read_text(errors="replace")
-    total = re.search(r"^TOTAL .* (\S+%)$", log, re.MULTILINE)
+    total = re.search(r"^TOTAL .* (\S+%)$", stage_log().read_text(errors="replace"), re.MULTILINE)
     return replace(outcome, note=f"{outcome.note}, {total.group(1)} covered" if total else "")
 
 
@@ -201,29 +205,32 @@ def ros_tests(long: bool = False) -> Outcome:
 
 Stage = Tuple[str, Callable[[], Outcome]]
 
-STAGES: tuple[Stage, ...] = (
-    ("build", check("make", "--no-print-directory", "build")),
-    ("check tools", check("make", "--no-print-directory", "venv")),
+BUILD: Stage = ("build", check("make", "--no-print-directory", "build"))
+TOOLS: Stage = ("check tools", check("make", "--no-print-directory", "venv"))
+ROS_TESTS: Stage = ("ROS tests", ros_tests)
+#: Run beside the build.
+CHECKS: tuple[Stage, ...] = (
+    TOOLS,
     ("SPDX lines", check("sh", "-c", f"! {LACKING_SPDX}")),
     ("ruff check", check(str(VENV / "ruff"), "check")),
     ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
     ("mypy", check(str(VENV / "mypy"))),
     ("lint-imports", check(str(VENV / "lint-imports"))),
+    ("codespell", check(str(VENV / "codespell"))),
+    ("docs", check("make", "--no-print-directory", "docs")),
+)
+#: Run beside the ROS tests.
+BUILT: tuple[Stage, ...] = (
     (
         "catkin_lint",
         check("catkin_lint", "-W2", "--strict", "--ignore", "subproject", "build/ws/src/dyknow"),
     ),
-    ("codespell", check(str(VENV / "codespell"))),
-    ("docs", check("make", "--no-print-directory", "docs")),
     ("unit tests", unit_tests),
 )
-#: Run beside these stages, from the third on.
-BESIDE: Stage = ("ROS tests", ros_tests)
-_FIRST = 2
 
 LONG_STAGES: tuple[Stage, ...] = (
-    ("build", check("make", "--no-print-directory", "build")),
-    ("check tools", check("make", "--no-print-directory", "venv")),
+    BUILD,
+    TOOLS,
     ("build what uses libraries", check("bash", "tools/build.sh", "ws", *USES_LIBRARIES)),
     ("build with the address sanitizer", sanitized("address")),
     ("build with the thread sanitizer", sanitized("thread")),
@@ -249,11 +256,12 @@ def main() -> int:
     if is_long:
         outcomes = [run_stage(*stage) for stage in LONG_STAGES]
     else:
-        outcomes = [run_stage(*stage) for stage in STAGES[:_FIRST]]
-        with ThreadPoolExecutor(1) as pool:
-            beside = pool.submit(run_stage, *BESIDE)
-            outcomes += [run_stage(*stage) for stage in STAGES[_FIRST:]]
-            outcomes.append(beside.result())
+        with ThreadPoolExecutor(1, "beside") as pool:
+            build, tests = [pool.submit(run_stage, *stage) for stage in (BUILD, ROS_TESTS)]
+            outcomes = [run_stage(*stage) for stage in CHECKS]
+            outcomes.append(build.result())
+            outcomes += [run_stage(*stage) for stage in BUILT]
+            outcomes.append(tests.result())
     print(f"\n{time.monotonic() - begin:.1f} s in all")
     bad = [(name, outcome) for name, outcome in outcomes if outcome.failed]
     if bad:

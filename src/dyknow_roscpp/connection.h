@@ -90,6 +90,7 @@ private:
   State state_;
   std::uint32_t queued_ = 0;  ///< messages that wait
   std::list<QueuedMessage> held_;
+  boost::weak_ptr<ros::MessageDeserializer> last_;  ///< of the message that came last
 
 public:
   const std::string topic;

@@ -40,7 +40,7 @@ public:
   /// The loader of the nodelet that this thread makes; else the manager that started the process.
   static std::string loader();
 
-  /// Reads `~rewirable`: whether the nodelets of this nodelet manager may be connected elsewhere.
+  /// Reads `~rewirable`: whether the ports of this process may be connected elsewhere.
   static void readRewirable();
 
   /// Takes the guards of a manager, in place of those that it handed over before.

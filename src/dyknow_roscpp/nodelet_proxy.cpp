@@ -22,10 +22,10 @@ namespace
 {
 
 /// How long a reconfiguration waits for peers outside.
-constexpr std::chrono::milliseconds PATIENCE(500);
+constexpr std::chrono::milliseconds PEERS_PATIENCE(500);
 /// How long it waits for another reconfiguration of the nodelet.
 constexpr std::chrono::milliseconds TURN_PATIENCE(2000);
-constexpr std::chrono::milliseconds STEP(1);
+constexpr std::chrono::milliseconds PEERS_STEP(1);
 
 /// Moves that are prepared, and cancelled unless they are committed.
 class Preparation
@@ -307,7 +307,7 @@ std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text, const st
     return nullptr;
   }
   const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
-  // Misspelt, `out` for `~out`: no load names that. Where the code watches who subscribes to `~image`, it may
+  // Misspelt, `out` for `~out`: no load names that. Code that watches the subscribers of `~image` may
   // subscribe to `image` then.
   const auto is_meant = [&](const auto& each)
   {
@@ -375,7 +375,7 @@ void NodeletProxy::setTopicsLocked(std::vector<Change>& changes)
 
 void NodeletProxy::apply(std::vector<Change> changes)
 {
-  const auto deadline = Clock::now() + PATIENCE;
+  const auto deadline = Clock::now() + PEERS_PATIENCE;
   Preparation preparation;
   std::vector<std::shared_ptr<End>> prepared;
   // Publications first: their subscribers connect meanwhile.
@@ -411,7 +411,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
   };
   while (Clock::now() < deadline && !std::all_of(prepared.begin(), prepared.end(), is_ready))
   {
-    std::this_thread::sleep_for(STEP);  // a poll: roscpp reports a subscriber, but not of all of them
+    std::this_thread::sleep_for(PEERS_STEP);  // a poll: roscpp reports a subscriber, but not of all of them
   }
   {
     std::lock_guard<std::mutex> lock(state_lock_);

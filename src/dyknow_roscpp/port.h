@@ -77,7 +77,7 @@ public:
   const PortName name;
   const Direction direction;
   const bool is_to_come;  ///< no handle has been made on it yet
-  std::atomic<bool> is_watched{false};  ///< an out-port whose code is told of its subscribers
+  std::atomic<bool> is_watched{false};  ///< an out-port whose code is notified of its subscribers
   /// An out-port keeps a message for subscribers that connect later.
   std::atomic<bool> latched{false};
 

@@ -17,7 +17,7 @@ namespace
 {
 
 /// Names of one owner that are kept at most.
-constexpr std::size_t MOST = 1000;
+constexpr std::size_t MOST_NAMES = 1000;
 
 std::mutex& tableLock()
 {
@@ -108,7 +108,7 @@ void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   const auto port = relativePort(owner, handle, asked);
   std::lock_guard<std::mutex> lock(tableLock());
   auto& noted = table()[owner.name];
-  if (noted.size() < MOST)
+  if (noted.size() < MOST_NAMES)
   {
     noted[resolved] = port.label;
   }

@@ -148,6 +148,10 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   if (is_latched_)
   {
     port_->latched = true;
+    if (prepared_ && message.buf && (!active_ || active_->topic != prepared_->topic))
+    {
+      prepared_->send(message);  // roscpp has pushed what was latched when they connected
+    }
   }
 }
 
@@ -273,6 +277,7 @@ bool PortPublication::isActive(const RegistrationPtr& registration) const
 void PortPublication::withdrawLater(const RegistrationPtr& old)
 {
   lingering_.push_back(old);
+  old->flush();  // roscpp drops what its thread has not passed on, and it must come before the next messages
   const auto due = Clock::now() + (old->isHeardOutside() ? LINGER : LINGER * 0);
   old->disconnectAll();
   later(

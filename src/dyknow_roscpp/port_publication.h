@@ -39,8 +39,14 @@ public:
   void publish(const boost::function<ros::SerializedMessage()>& serialise, ros::SerializedMessage& message);
   void incrementSequence();
 
+  /// Sends a serialised message to the subscribers that are connected, past roscpp's queue and numbers.
+  void send(const ros::SerializedMessage& message) const;
+
+  /// Delivers what roscpp's thread has not yet passed on.
+  void flush() const;
+
   /// Calls the node's disconnect callback for each link: roscpp does not when a publisher unadvertises, and a
-  /// lazy nodelet would go on working for no subscriber.
+  /// lazy nodelet would go on working for no subscriber. The node hears of no links that come later.
   void disconnectAll();
 
   /// Whether as many subscribers are connected as the master knew when it was advertised.
@@ -59,6 +65,7 @@ private:
   bool is_advertised_ = false;       ///< under the wiring lock
   std::size_t known_subscribers_ = 0;
   mutable std::mutex links_lock_;
+  bool is_withdrawn_ = false;
   std::vector<ros::SubscriberLinkPtr> links_;
 };
 

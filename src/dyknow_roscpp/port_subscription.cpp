@@ -18,9 +18,16 @@ namespace
 /// How long the old topic stays live while the new one, which has a publisher, is silent.
 constexpr std::chrono::milliseconds CONNECTED_PATIENCE(100);
 /// Same, while the new one has no publisher.
-constexpr std::chrono::milliseconds PATIENCE(500);
+constexpr std::chrono::milliseconds UNPUBLISHED_PATIENCE(500);
 /// How often it is looked whether a publisher has come.
-constexpr std::chrono::milliseconds STEP(5);
+constexpr std::chrono::milliseconds LOOK_STEP(5);
+
+/// The oldest message of a connection.
+std::list<QueuedMessage>::iterator firstOf(std::list<QueuedMessage>& messages, const Connection& connection)
+{
+  return std::find_if(messages.begin(), messages.end(),
+                      [&connection](const auto& each) { return each.connection.get() == &connection; });
+}
 
 }  // namespace
 
@@ -112,13 +119,17 @@ bool PortSubscription::take(QueuedMessage&& message)
     {
       return true;
     }
+    if (connection.last_.lock() == message.deserializer)
+    {
+      return false;  // see switchLocked
+    }
+    connection.last_ = message.deserializer;
     const bool is_held = connection.state_ == Connection::State::HELD;
     auto& messages = is_held ? connection.held_ : queue_;
     messages.push_back(std::move(message));
     if (connection.queue_size_ > 0 && connection.queued_ == connection.queue_size_)
     {
-      const auto oldest = std::find_if(messages.begin(), messages.end(), [&connection](const auto& each)
-                                       { return each.connection.get() == &connection; });
+      const auto oldest = firstOf(messages, connection);
       lost.splice(lost.end(), messages, oldest);
       traffic_.dropped();
       return true;
@@ -154,6 +165,12 @@ ros::CallbackInterface::CallResult PortSubscription::deliver(const Connection& l
     }
     taken.splice(taken.end(), queue_, queue_.begin());
     --taken.front().connection->queued_;
+    if (taken.front().connection.get() != &latest && latest.queued_ > 0)
+    {
+      // Another thread has put the callback of this message behind this one, which a later message needs: the
+      // other one will not deliver that, and take() adds none while the queue is full.
+      queueCallbacks(firstOf(queue_, latest)->connection, 1);
+    }
     running_.push_back(std::this_thread::get_id());
     traffic_.received(start);
   }
@@ -253,7 +270,7 @@ bool PortSubscription::commit(const Announcement& announce)
     waiting_ = next;
   }
   const auto now = Clock::now();
-  later([self = shared_from_this(), next, now] { self->switchIfDue(next, now); }, now + STEP);
+  later([self = shared_from_this(), next, now] { self->switchIfDue(next, now); }, now + LOOK_STEP);
   return true;
 }
 
@@ -344,6 +361,7 @@ void PortSubscription::switchLocked(ConnectionPtr next)
     {
       prepared_->held_.clear();  // a move back: both have taken these
       prepared_->queued_ = 0;
+      prepared_->last_ = active_->last_;  // which roscpp may be about to give to this one too
     }
     later([old = active_] { withdraw(old); });
   }
@@ -373,9 +391,9 @@ void PortSubscription::switchIfDue(const ConnectionPtr& next, Clock::time_point 
   const auto now = Clock::now();
   const bool is_connected = now - committed >= CONNECTED_PATIENCE && topics::publishers(next->topic) > 0 &&
                             !PortPublication::isAnyMovingTo(next->topic);
-  if (!is_connected && now - committed < PATIENCE)
+  if (!is_connected && now - committed < UNPUBLISHED_PATIENCE)
   {
-    later([self = shared_from_this(), next, committed] { self->switchIfDue(next, committed); }, now + STEP);
+    later([self = shared_from_this(), next, committed] { self->switchIfDue(next, committed); }, now + LOOK_STEP);
     return;
   }
   std::lock_guard<std::mutex> lock(state_lock_);

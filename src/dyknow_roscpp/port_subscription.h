@@ -31,7 +31,7 @@ namespace dyknow
 /// publisher, and 0.5 s if it has none.
 ///
 /// Locks: the wiring lock, then roscpp's, then `queueing_lock_`, then `state_lock_`. Under both of these only
-/// callback queues are called. The first is there for messages that come: who is woken up by their callback
+/// callback queues are called. The first is there for messages that come: a thread that their callback wakes
 /// needs the second at once.
 class PortSubscription final : public End, public std::enable_shared_from_this<PortSubscription>
 {

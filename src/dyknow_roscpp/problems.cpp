@@ -12,7 +12,7 @@ namespace dyknow
 namespace
 {
 
-constexpr std::size_t MOST = 3;
+constexpr std::size_t MOST_SUGGESTIONS = 3;
 constexpr double CUTOFF = 0.6;
 
 /// Characters that two texts share: the longest common block, and those left and right of it.
@@ -100,7 +100,7 @@ std::string didYouMean(const std::string& name, const std::vector<std::string>& 
   }
   std::sort(similar.begin(), similar.end(), std::greater<>());
   std::string text;
-  for (std::size_t i = 0; i < std::min(MOST, similar.size()); ++i)
+  for (std::size_t i = 0; i < std::min(MOST_SUGGESTIONS, similar.size()); ++i)
   {
     text += (i == 0 ? "; did you mean " : " or ") + similar[i].second;
   }

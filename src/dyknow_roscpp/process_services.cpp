@@ -18,6 +18,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <ctime>
 #include <fstream>
 #include <limits>
 #include <map>
@@ -165,10 +166,23 @@ dyknow_msgs::NodeletCounts countsOf(const NodeletProxy& proxy)
     port.messages = counts.messages;
     port.dropped = counts.dropped;
     port.latched = each.port->latched;
-    port.age = std::numeric_limits<double>::quiet_NaN();  // not measured here
+    port.age = std::numeric_limits<double>::quiet_NaN();  // neither this nor the size is measured here
     nodelet.ports.push_back(port);
+    nodelet.busy += std::chrono::duration<double>(counts.busy).count();
   }
   return nodelet;
+}
+
+/// Adds what this process takes to the counts of its only nodelet.
+void addProcess(dyknow_msgs::NodeletCounts& counts)
+{
+  counts.cpu = static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
+  std::ifstream file("/proc/self/statm");
+  std::uint64_t size = 0, resident = 0;
+  if (file >> size >> resident)
+  {
+    counts.memory = resident * static_cast<std::uint64_t>(sysconf(_SC_PAGESIZE));
+  }
 }
 
 /// Share of the memory that is in use; NaN if it is not known.
@@ -304,6 +318,11 @@ private:
 
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
   {
+    const bool is_node = proxy->name == ros::this_node::getName();
+    if (is_node)
+    {
+      Guards::readRewirable();  // a nodelet manager's was read before
+    }
     offerProcessInTurn();
     advertise<GetConfigEvent>(proxy->name + "/get_config",
                               [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); });
@@ -311,9 +330,9 @@ private:
                               [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
     advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
                                   { return getStatistics(*proxy, event); });
-    if (proxy->name == ros::this_node::getName())
+    if (is_node)
     {
-      advertiseChanges();  // last: managers poll what they hear of
+      advertiseChanges();  // last: managers poll it at once
     }
   }
 
@@ -355,6 +374,10 @@ private:
       {
         answer.counts.push_back(countsOf(*proxy));
       }
+    }
+    if (answer.nodelets.size() == 1 && !answer.counts.empty())
+    {
+      addProcess(answer.counts.front());
     }
     answer.machine = machine();
     answer.clock = Leases::clock();

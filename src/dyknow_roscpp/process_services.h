@@ -23,7 +23,7 @@ void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 /// Withdraws them, and announces it.
 void withdrawServices(NodeletProxy& proxy);
 
-/// Offers what a nodelet manager offers of its own: `~poll` and the announcement of changes.
+/// Offers a nodelet manager's own services: `~poll` and the announcement of changes.
 void offerManagerServices();
 
 /// Offers again what `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after

@@ -108,8 +108,12 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
   };
   const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
   is_advertised_ = topics::advertise(lock, options, callbacks, &known_subscribers_);
-  publication_ = topics::publication(topic);
-  if (!is_advertised_ || !publication_)  // there is none any more when ROS shuts down
+  const auto publication = topics::publication(topic);
+  {
+    std::lock_guard<std::mutex> links_lock(links_lock_);
+    publication_ = publication;
+  }
+  if (!is_advertised_ || !publication)  // there is none any more when ROS shuts down
   {
     throw Refusal("cannot advertise '" + topic + "'");
   }
@@ -135,11 +139,35 @@ void Registration::incrementSequence()
   publication_->incrementSequence();
 }
 
+void Registration::send(const ros::SerializedMessage& message) const
+{
+  std::vector<ros::SubscriberLinkPtr> links;
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    links = links_;
+  }
+  topics::send(links, message);
+}
+
+void Registration::flush() const
+{
+  ros::PublicationPtr publication;
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    publication = publication_;
+  }
+  if (publication)
+  {
+    topics::flush(*publication);
+  }
+}
+
 void Registration::disconnectAll()
 {
   std::vector<ros::SubscriberLinkPtr> left;
   {
     std::lock_guard<std::mutex> lock(links_lock_);
+    is_withdrawn_ = true;
     left.swap(links_);
   }
   for (const auto& link : left)
@@ -163,6 +191,10 @@ void Registration::connected(const ros::SubscriberLinkPtr& link)
 {
   {
     std::lock_guard<std::mutex> lock(links_lock_);
+    if (is_withdrawn_)
+    {
+      return;  // the node would not hear of its end
+    }
     links_.push_back(link);
   }
   if (t_joining && node_->push_latched_message_)

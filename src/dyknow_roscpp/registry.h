@@ -94,7 +94,7 @@ public:
 
   static const ros::CallbackQueueInterface* current();
 
-  /// What a thread is at.
+  /// The work of a thread.
   struct Work
   {
     std::atomic<const ros::CallbackQueueInterface*> queue{nullptr};

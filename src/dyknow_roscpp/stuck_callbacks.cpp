@@ -22,7 +22,7 @@ constexpr double STUCK_AFTER = 10.0;  // s
 /// Looks in that time: a callback is as old as the first look that saw it.
 constexpr int LOOKS = 4;
 
-/// By nodelet, what is wrong with it.
+/// The faults of nodelets, by nodelet.
 struct Details
 {
   std::mutex state_lock;

@@ -6,8 +6,10 @@
 #include <ros/console.h>
 #include <ros/poll_manager.h>
 #include <ros/publication.h>
+#include <ros/subscriber_link.h>
 #include <ros/topic_manager.h>
 
+#include <algorithm>
 #include <atomic>
 #include <vector>
 
@@ -230,6 +232,27 @@ void publish(ros::Publication& publication, const boost::function<ros::Serialize
   {
     ros::PollManager::instance()->getPollSet().signal();  // roscpp's thread sends the queued messages
   }
+}
+
+void send(const std::vector<ros::SubscriberLinkPtr>& links, const ros::SerializedMessage& message)
+{
+  // Bytes of their own: roscpp's thread writes the sequence number into those that it publishes.
+  const boost::shared_array<std::uint8_t> bytes(new std::uint8_t[message.num_bytes]);
+  std::copy_n(message.buf.get(), message.num_bytes, bytes.get());
+  ros::SerializedMessage copy(bytes, message.num_bytes);
+  copy.message_start = bytes.get() + (message.message_start - message.buf.get());
+  // As roscpp's thread holds it: a subscriber may publish statistics.
+  const boost::unique_lock<boost::recursive_mutex> lock(manager()->*pointerTo(PublishingLock()));
+  for (const auto& link : links)
+  {
+    link->enqueueMessage(copy, true, true);
+  }
+}
+
+void flush(ros::Publication& publication)
+{
+  const boost::unique_lock<boost::recursive_mutex> lock(manager()->*pointerTo(PublishingLock()));
+  publication.processPublishQueue();
 }
 
 std::size_t subscribers(const std::string& topic)

@@ -16,6 +16,7 @@
 #include <functional>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "traffic.h"
 
@@ -97,6 +98,13 @@ void publish(const std::string& topic, const boost::function<ros::SerializedMess
 /// Same, without roscpp's search: it compares the name with those of all topics of the process.
 void publish(ros::Publication& publication, const boost::function<ros::SerializedMessage()>& serialise,
              ros::SerializedMessage& message);
+
+/// Sends a serialised message to some of a publication's subscribers.
+void send(const std::vector<ros::SubscriberLinkPtr>& links, const ros::SerializedMessage& message);
+
+/// Passes the messages of a publication on that wait for roscpp's thread.
+void flush(ros::Publication& publication);
+
 std::size_t subscribers(const std::string& topic);
 std::size_t publishers(const std::string& topic);
 void incrementSequence(const std::string& topic);

@@ -33,7 +33,18 @@ private:
   void onInit() override
   {
     auto& private_nh = getPrivateNodeHandle();
-    out_ = getNodeHandle().advertise<std_msgs::Header>("out", 1000, private_nh.param("latch", false));
+    is_by_value_ = private_nh.param("by_value", false);
+    const bool is_latched = private_nh.param("latch", false);
+    if (private_nh.param("watched", false))
+    {
+      out_ = getNodeHandle().advertise<std_msgs::Header>(
+          "out", 1000, [this](const ros::SingleSubscriberPublisher&) { ++watchers_; },
+          [this](const ros::SingleSubscriberPublisher&) { --watchers_; }, ros::VoidConstPtr(), is_latched);
+    }
+    else
+    {
+      out_ = getNodeHandle().advertise<std_msgs::Header>("out", 1000, is_latched);
+    }
     start_ = private_nh.advertiseService("start", &Source::onStart, this);
     report_ = private_nh.advertiseService("report", &Source::onReport, this);
   }
@@ -54,7 +65,8 @@ private:
   bool onReport(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
   {
     answer.message = "{\"sent\": " + std::to_string(sent_) +
-                     ", \"listeners\": " + std::to_string(out_.getNumSubscribers()) + "}";
+                     ", \"listeners\": " + std::to_string(out_.getNumSubscribers()) +
+                     ", \"watchers\": " + std::to_string(watchers_) + "}";
     answer.success = true;
     return true;
   }
@@ -72,13 +84,22 @@ private:
       message->seq = sent_;
       message->frame_id = signature.str();
       ++sent_;
-      out_.publish(message);
+      if (is_by_value_)
+      {
+        out_.publish(*message);
+      }
+      else
+      {
+        out_.publish(message);
+      }
     }
   }
 
   ros::Publisher out_;
   ros::ServiceServer start_;
   ros::ServiceServer report_;
+  bool is_by_value_ = false;  // its messages are serialised within the process too
+  std::atomic<int> watchers_{0};  // connect callbacks less disconnect callbacks
   std::atomic<int> sent_{0};
   std::atomic<bool> stopped_{false};
   std::thread sender_;

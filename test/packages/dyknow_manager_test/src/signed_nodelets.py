@@ -44,11 +44,11 @@ class Signed(dyknow.Nodelet):
         demands = []
         for name, direction, tag in json.loads(self.nh.get_param("~ports")):
             if direction == "out":
-                self.outputs.append((self.nh.Publisher(name, Header, queue_size=10), tag))
+                self.outputs.append((self.nh.Publisher(name, Header, queue_size=1000), tag))
                 continue
             receive = functools.partial(self.receive, name, tag, not demands)
             demands.append(tag)
-            self.nh.Subscriber(name, Header, receive, queue_size=10)
+            self.nh.Subscriber(name, Header, receive, queue_size=1000)
         if not demands:
             self.timer = self.nh.Timer(
                 self.nh.Duration(1.0 / self.rate), lambda event: self.publish()

@@ -29,10 +29,6 @@ elif what == "processes":
     from multiprocessing import Pool
 
     Pool(2)
-elif what == "image":
-    import cv2
-
-    cv2.imshow("window", None)
 elif what in ("display", "show"):
     import threading
 

@@ -27,7 +27,7 @@ logged = threading.Event()
 
 
 def on_log(log):
-    if log.msg == "look":
+    if log.msg == "look" and not logged.is_set():  # the next one may have been sent already
         print("log", log.name, sorted(log.topics))
         logged.set()
 

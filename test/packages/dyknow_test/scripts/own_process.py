@@ -75,12 +75,6 @@ def interrupt_soon():
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
 
 
-def waits():
-    rospy.init_node("own_process", anonymous=True)
-    interrupt_soon()
-    rospy.wait_for_service("no_such_service")
-
-
 def catches():
     rospy.init_node("own_process", anonymous=True)
     interrupt_soon()
