@@ -1,10 +1,15 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Pauses between attempts, which double from failure to failure."""
+"""Pauses between attempts, which double from failure to failure.
+
+A pause keeps what fails at once from failing all the time. What has served for a while before it
+failed is not held back for long: it is away for a small part of that time at most.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Callable
 
@@ -14,6 +19,8 @@ from dyknow.locks import state_lock
 LONGEST = 30.0
 #: Seconds of good service after which earlier failures are forgiven.
 FORGIVEN_AFTER = 10.0
+#: A pause is no longer than this part of the good service before it, if that took so many seconds.
+SHARE, _SERVICE = 0.1, 1.0
 #: Seconds after which a failure is forgotten in any case.
 MEMORY = 3600.0
 
@@ -22,11 +29,12 @@ _MOST_DOUBLINGS = 16
 
 @dataclass(frozen=True)
 class _Failures:
-    """Failures in a row, when the last one was counted, and how long its pause is at most."""
+    """Failures in a row; of the last one when it was counted, its longest pause, and its cause."""
 
     count: int
     last: float
     longest: float
+    cause: str
 
 
 class Backoff:
@@ -57,20 +65,22 @@ class Backoff:
         self._state_lock = state_lock("failures")
         self._failures: dict[str, _Failures] = {}
 
-    def failed(self, name: str, after: float = 0.0) -> None:
+    def failed(self, name: str, after: float = 0.0, cause: str = "") -> None:
         """Count a failure, or an attempt that is one unless good service follows it.
 
         Args:
             name: what failed.
-            after: seconds of good service that it ended. If these are no fewer than the first
-                pause, the next pause is no longer than they were.
+            after: seconds of good service that it ended; they bound the pause.
+            cause: the event behind it, if several failures may come of one: they count once.
         """
         now = self._clock()
-        longest = min(after, self._longest) if after >= self._first else self._longest
+        longest = min(SHARE * after, self._longest) if after >= _SERVICE else self._longest
         with self._state_lock:
             kept = {key: each for key, each in self._failures.items() if now - each.last <= MEMORY}
-            count = kept[name].count if name in kept else 0
-            self._failures = {**kept, name: _Failures(count + 1, now, longest)}
+            known = kept.get(name)
+            if known is None or not cause or known.cause != cause:
+                count = known.count if known is not None else 0
+                self._failures = {**kept, name: _Failures(count + 1, now, longest, cause)}
 
     def served(self, name: str, seconds: float) -> None:
         """Note good service that has ended; the failures before it are forgiven if it was long."""
@@ -94,6 +104,13 @@ class Backoff:
         """Names whose pause is not over."""
         with self._state_lock:
             return frozenset(name for name in self._failures if self._remaining(name) > 0.0)
+
+    @property
+    def soonest(self) -> float:
+        """Seconds until the next pause is over; infinite if there is none."""
+        with self._state_lock:
+            left = map(self._remaining, self._failures)
+            return min((each for each in left if each > 0.0), default=math.inf)
 
     def _remaining(self, name: str) -> float:
         failures = self._failures.get(name)

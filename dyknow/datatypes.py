@@ -5,7 +5,7 @@
 
 ``tf/tfMessage`` and ``tf2_msgs/TFMessage`` are such a pair. Names are for people; roscpp and rospy
 connect by checksum. It is read from the Python module that is generated for every message, without
-executing it: a name that comes from outside must not choose what is imported.
+executing it: a name from outside must not choose an import.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _CHECKSUM = re.compile(r'^\s*_md5sum = "([0-9a-f]{32})"', re.MULTILINE)
 
 @functools.lru_cache(maxsize=10_000)
 def canonical(datatype: str) -> str:
-    """Return what types with equal checksums have in common: the checksum.
+    """Return the same text for types with equal checksums: the checksum.
 
     Where none can be had, because the type is not installed or stands for any, the name stands
     for itself.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Demands for streams as text: written where a plan fails, read back by the client it is told to.
+"""Demands for streams as text: written where a plan fails, read back by the client that gets it.
 
 The answer of ``acquire_stream`` names the tags that nothing supplies in its message only.
 """
@@ -52,5 +52,5 @@ def read_missing(text: str) -> tuple[str, ...]:
 
 
 def _quoted(tag: str) -> str:
-    """Quote a tag that could not be told from the words around it."""
+    """Quote a tag that would blend into the words around it."""
     return tag if re.fullmatch(_PLAIN, tag) else json.dumps(tag, ensure_ascii=False)

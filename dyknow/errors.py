@@ -3,8 +3,8 @@
 
 """Every way in which DyKnow refuses: one exception for each cause.
 
-Each exception carries the facts that explain it. Its text names the fault and says what was
-expected. ``dyknow.ros`` alone turns exceptions into answers of services.
+Each exception carries the facts that explain it. Its text names the fault and the
+expected value. ``dyknow.ros`` alone turns exceptions into answers of services.
 
 ::
 
@@ -70,11 +70,11 @@ class TypeMismatch(DyKnowError):
         self.topic = topic
         self.wanted = wanted
         self.present = present
-        super().__init__(f"topic '{topic}' carries {present}, but {wanted} was asked for")
+        super().__init__(f"topic '{topic}' carries {present}, but {wanted} was requested")
 
 
 class NoMessageClass(DyKnowError, ValueError):
-    """What was given as the type of a topic is no message class; rospy raises ValueError too."""
+    """The given type of a topic is not a message class; rospy raises ValueError too."""
 
     def __init__(self, name: str, given: object) -> None:
         self.name = name
@@ -378,7 +378,7 @@ class Busy(NodeletError):
     """Another operation works on the nodelet now."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, f"nodelet '{name}' is being changed by somebody else; try again")
+        super().__init__(name, f"nodelet '{name}' is being changed by another client; try again")
 
 
 class Protected(NodeletError):
@@ -458,7 +458,7 @@ class UnknownTransformation(TransformationError):
 
 
 class NotSpawnable(TransformationError):
-    """A transformation describes what others run."""
+    """A transformation describes an external node or topic."""
 
     def __init__(self, label: str, what: str) -> None:
         self.label = label
@@ -482,7 +482,7 @@ class StreamError(DyKnowError):
 
 
 def waiting(claim_id: str) -> str:
-    """What the refusal of a stream says at its end if the claim is kept all the same."""
+    """End of the text of a refused stream; empty unless its claim is kept."""
     return f"; claim {claim_id} waits until it can be made" if claim_id else ""
 
 
@@ -516,11 +516,11 @@ class StreamTypeMismatch(StreamError):
 
     def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
         self.label = label
-        super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
+        super().__init__(f"the stream {tag} carries {found}, but {wanted} was requested")
 
 
 class WrongStream(StreamError):
-    """A connection was not made, since somebody would receive what it does not demand."""
+    """A connection was not made, since a consumer would receive an unsuitable stream."""
 
     def __init__(self, topic: str, sender: str, listener: str) -> None:
         self.topic = topic
@@ -576,8 +576,8 @@ class Problem(NamedTuple):
 
     Attributes:
         file: The file, as it was named to the parser.
-        line: The line in that file, counted from 1; 0 when there is no one line to blame.
-        message: What was found and what was expected.
+        line: The line in that file, counted from 1; 0 if the fault is not in one line.
+        message: The fault, and the expected value.
     """
 
     file: str

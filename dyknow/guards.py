@@ -15,8 +15,8 @@ from typing import Iterable
 
 from dyknow.errors import Denied, LimitExceeded
 
-#: Why a nodelet manager refuses each set_config of its nodelets.
-NOT_REWIRABLE = "their nodelet manager is not to be re-wired (parameter ~rewirable)"
+#: Why a process refuses each set_config of its nodelets, and of itself if it is a node.
+NOT_REWIRABLE = "their process is not to be re-wired (parameter ~rewirable)"
 #: Topics of every process, which no allow list has to name.
 SYSTEM_TOPICS = frozenset(("/rosout", "/rosout_agg", "/clock"))
 
@@ -54,7 +54,12 @@ class Guards:
             raise Denied(what, "DyKnow runs read-only (parameter read_only)")
 
     def check_topic(self, topic: str) -> None:
-        """Refuse a topic of the deny list, and one that is not on an allow list."""
+        """Refuse a topic of the deny list, and one that is not on an allow list.
+
+        The empty one, of a port that is not connected, is allowed.
+        """
+        if not topic:
+            return
         for pattern in self.denied_topics:
             if fnmatch.fnmatchcase(topic, pattern):
                 raise Denied(

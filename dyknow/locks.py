@@ -3,7 +3,7 @@
 
 """Locks of two kinds, in one order, which a debug mode asserts.
 
-A *state lock* guards memory and is held for microseconds: nobody calls out or waits under it. A
+A *state lock* guards memory and is held for microseconds, never over a call or a wait. A
 *turn* is held over such calls, each of which has a time limit, so waiting for a turn ends too.
 A thread that holds locks takes only locks that come later in ``ORDER``. ``doc/locks.rst`` has the
 policy with its reasons.
@@ -94,7 +94,7 @@ def state_condition(name: str) -> threading.Condition:
 def module_lock() -> Any:
     """Make a reentrant lock that is held while modules are executed, as Python's own is.
 
-    What modules do is not ours to order, so it takes no part in the order.
+    Modules do as they like under it, so it takes no part in the order.
     """
     return threading.RLock()
 
@@ -157,7 +157,7 @@ class Checker:
 
 
 class CheckedLock:
-    """A lock of ``threading`` that tells its checker who holds it."""
+    """A lock of ``threading`` that reports its holder to a checker."""
 
     def __init__(self, checker: Checker, name: str, reentrant: bool = False) -> None:
         self.name = name

@@ -57,9 +57,9 @@ def complete(name: str, namespace: str, private: str) -> str:
 
 
 def disconnected(node: str, port: str) -> str:
-    """The topic that a port is remapped to so that it begins disconnected.
+    """The topic that a port is remapped to so that it starts disconnected.
 
-    Re-wirable nodes take it for none, and nobody else uses it.
+    Re-wirable nodes treat it as none, and nothing else uses it.
     """
     return join(node, "disconnected/" + port.lstrip("~/"))
 

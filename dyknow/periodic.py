@@ -43,6 +43,9 @@ _TICK = 0.1
 #: Seconds that count at most between two of its readings; longer gaps are pauses of the process.
 LONGEST_TICK = 0.3
 
+#: Raised by the start of a thread that the system refuses: at ``ulimit -u`` or ``pids.max``.
+NO_THREAD = (RuntimeError, MemoryError)
+
 T = TypeVar("T")
 Work = Callable[[], Optional[float]]
 Event = TypeVar("Event")
@@ -90,7 +93,7 @@ def current_frames() -> dict[int, FrameType]:
         was_enabled = gc.isenabled()
         gc.disable()
         try:
-            return sys._current_frames()
+            return sys._current_frames()  # noqa: TID251
         finally:
             if was_enabled:
                 gc.enable()
@@ -219,8 +222,8 @@ class ControlLoop:
         """Start the threads, unless they were started or the loop is closed."""
         with self._changed:
             if not self._started and not self._closed:
+                self._start_threads()
                 self._started = True
-                self._start_threads(self._workers + len(self._keys))
 
     def advance(self, until: float) -> Iterator[float]:
         """Run the rounds that are due by then in this thread; yields the time before each."""
@@ -254,11 +257,18 @@ class ControlLoop:
             if key.name not in self._keys:
                 self._keys[key.name] = key
                 self._changed.notify_all()
-                if self._started and key.is_standing:
-                    self._start_threads(1)
+                if self._started:
+                    try:
+                        self._start_threads()
+                    except NO_THREAD:  # the next key tries again
+                        if not self._threads:
+                            raise
 
-    def _start_threads(self, count: int) -> None:
-        self._threads += [in_background(self._name, self._run, self._logger) for _ in range(count)]
+    def _start_threads(self) -> None:
+        """Start the threads that are missing, also those that were refused before."""
+        standing = sum(each.is_standing for each in self._keys.values())
+        while len(self._threads) < self._workers + standing:
+            self._threads.append(in_background(self._name, self._run, self._logger))
 
     def _run(self) -> None:
         key = self._take()

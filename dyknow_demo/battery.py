@@ -34,6 +34,7 @@ class Battery:
 
     def close(self) -> None:
         self._timer.shutdown()
+        self._timer.join(1.0)  # it may be publishing; with simulated time it may sleep for ever
         self._publisher.unregister()
 
     def _publish(self, event: Any) -> None:

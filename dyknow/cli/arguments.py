@@ -9,8 +9,7 @@ import argparse
 import math
 import os
 import sys
-from dataclasses import dataclass
-from typing import Any, Callable, Dict, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, NoReturn, Optional, Tuple
 
 from dyknow import names
 from dyknow.cli import completion
@@ -99,15 +98,17 @@ def given_parameter(text: str) -> Parameter:
     return Parameter(name, "", value)
 
 
-def seconds(text: str) -> float:
-    return _above_zero(text, "seconds, such as 0.5")
+def assignment(text: str) -> tuple[str, str]:
+    """Read `PORT=VALUE`, or `VALUE` for the only port of a formula."""
+    port, equals, value = text.partition("=")
+    if not equals or "(" in port or "/" in port:
+        return "", text
+    if not port.isidentifier() or not value:
+        raise _expected(text, "PORT=..., such as battery=/battery")
+    return port, value
 
 
-def hertz(text: str) -> float:
-    return _above_zero(text, "Hz above 0, such as 10")
-
-
-def _above_zero(text: str, expected: str) -> float:
+def _above_zero(text: str, expected: str = "seconds, such as 0.5") -> float:
     try:
         value = float(text)
     except ValueError:
@@ -119,7 +120,7 @@ def _above_zero(text: str, expected: str) -> float:
 
 def seconds_or_none(text: str) -> float:
     """Read a duration of zero or more, in seconds."""
-    return 0.0 if text in ("0", "0.0") else seconds(text)
+    return 0.0 if text in ("0", "0.0") else _above_zero(text)
 
 
 def positive(text: str) -> int:
@@ -131,57 +132,55 @@ def positive(text: str) -> int:
 #: Options of an option that takes several values, and may be repeated.
 SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
 
+#: Options of an option that may be repeated.
+REPEATED: Any = {"action": "append", "default": []}
+
 #: How the values of a placeholder are read and completed, unless an argument says otherwise.
 KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "A:PORT": (port_reference, completion.ports),
     "FILE": (None, completion.files),
     "FORMULA": (None, completion.formulas),
+    "FROM": (port_or_topic, completion.stream_sources),
     "HOST": (None, completion.hosts),
-    "HZ": (hertz, None),
+    "HZ": (lambda text: _above_zero(text, "Hz above 0, such as 10"), None),
     "ID": (None, completion.claims),
     "LABEL": (None, completion.labels),
+    "M": (graph_name, completion.nodelet_managers),
     "N": (positive, None),
     "NAME": (graph_name, completion.nodelets),
     "NAME=VALUE": (given_parameter, completion.parameters_of_label),
     "NS": (namespace, completion.namespaces),
     "OWL": (None, completion.files),
+    "PARAM": (None, completion.parameters_of_nodelet),
     "PKG": (None, completion.packages),
     "PORT": (positive, None),
     "PORT:END": (port_and_end, completion.ports_of_label),
-    "S": (seconds, None),
-    "SECONDS": (seconds, None),
+    "PORT=TAG": (assignment, None),
+    "PORT=TOPIC": (assignment, completion.formula_topics),
+    "S": (_above_zero, None),
+    "SECONDS": (_above_zero, None),
     "T": (graph_name, completion.topics),
     "TAG": (None, completion.tags),
+    "TO": (port_or_topic, completion.stream_targets),
     "XML": (None, completion.files),
 }
 
 
-@dataclass(frozen=True)
-class Argument:
-    """An argument of a command: its name, or its options, separated by blanks."""
-
-    names: str
-    options: Dict[str, Any]  # as argparse takes them
-    completer: Optional[Completer]
-
-    def add_to(self, parser: Any) -> None:
-        parser.add_argument(*self.names.split(), **self.options).completer = self.completer
+#: Adds an argument, or a group of them, to a parser.
+Argument = Callable[[Any], None]
 
 
-@dataclass(frozen=True)
-class Group:
-    """Arguments with a title in the help; without a title, at most one of them may be given."""
+def group(*arguments: Argument, title: str = "") -> Argument:
+    """Give arguments a title in the help; without one, at most one of them may be given."""
 
-    arguments: Sequence[Argument]
-    title: str = ""
+    def add(parser: argparse.ArgumentParser) -> None:
+        inside: Any = (
+            parser.add_argument_group(title) if title else parser.add_mutually_exclusive_group()
+        )
+        for each in arguments:
+            each(inside)
 
-    def add_to(self, parser: argparse.ArgumentParser) -> None:
-        if self.title:
-            group: Any = parser.add_argument_group(self.title)
-        else:
-            group = parser.add_mutually_exclusive_group()
-        for each in self.arguments:
-            each.add_to(group)
+    return add
 
 
 def argument(names: str, metavar: Optional[str], help_text: str, **options: Any) -> Argument:
@@ -200,9 +199,13 @@ def argument(names: str, metavar: Optional[str], help_text: str, **options: Any)
         options.setdefault("type", read)
     if metavar is not None:
         options["metavar"] = metavar
-    return Argument(names, {**options, "help": help_text}, completer)
+
+    def add(parser: Any) -> None:
+        parser.add_argument(*names.split(), help=help_text, **options).completer = completer
+
+    return add
 
 
 def flag(names: str, help_text: str) -> Argument:
     """Declare an option without a value."""
-    return Argument(names, {"action": "store_true", "help": help_text}, None)
+    return argument(names, None, help_text, action="store_true")

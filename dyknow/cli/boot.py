@@ -21,7 +21,7 @@ from dyknow.wiring.wiring import read_wiring
 
 
 def check(data: bytes, file: str, most: int) -> None:
-    """Raise SpecificationError if a file is no wiring of at most so many nodelets."""
+    """Raise SpecificationError unless a file is a wiring of at most so many nodelets."""
     read_wiring(data, file, lambda: most)
 
 

@@ -18,13 +18,11 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 from dyknow import names
 from dyknow.datatypes import types_fit
 from dyknow.errors import CannotLaunch, DyKnowError
-from dyknow.model.graph import PortRef
-from dyknow.model.transformation import IN, OUT
+from dyknow.model.graph import NodeletStatus, PortRef
+from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.wiring.ports import topics_of
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
-    from dyknow.model.transformation import Transformation
     from dyknow.ros.shell.shell_client import ShellClient
 
 #: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
@@ -72,17 +70,18 @@ class _Cursor:
     def nodelets(self) -> Sequence[NodeletStatus]:
         return self.client.get_graph().nodelets
 
+    def nodelet(self, name: str) -> NodeletStatus | None:
+        return self.client.get_graph().nodelet(self.resolve(name))
+
     def topics(self) -> list[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
         own = {topic.name for topic in topics_of(self.nodelets())}
         return sorted(own | set(self.client.topics()))
 
-    def transformations(self) -> Sequence[Transformation]:
-        return self.client.get_model().transformations
-
-    def chosen_transformation(self) -> Sequence[Transformation]:
-        """The transformation that is to be spawned, if there is one of that label."""
-        return [each for each in self.transformations() if each.label == self.given("label")]
+    def transformations(self, label: str | None = None) -> Sequence[Transformation]:
+        """The transformations of the library, or the one of a label if there is one."""
+        found = self.client.get_model().transformations
+        return found if label is None else [each for each in found if each.label == label]
 
     def resolve(self, name: str) -> str:
         return name if name.startswith("/") else names.join(self.client.namespace, name)
@@ -94,6 +93,10 @@ class _Cursor:
         space = self.client.namespace.rstrip("/") + "/"
         return [name[len(space) :] for name in found if name.startswith(space)]
 
+    def not_named(self, found: Iterable[str]) -> list[str]:
+        """Leave out the names that the command line has already."""
+        return self.as_typed(set(found) - set(map(self.resolve, self.given("names") or ())))
+
     def ports(self, direction: str = "", datatype: str = "") -> list[str]:
         """List the ports of the nodelet that is typed, or else the nodelets with such ports.
 
@@ -102,27 +105,20 @@ class _Cursor:
             datatype: ROS type that the ports have to fit; empty for any.
         """
         name, colon, _ = self.prefix.rpartition(":")
-        found = []
-        for nodelet in self.nodelets():
-            ports = [
-                port.name
+        fitting = {
+            nodelet.name: [
+                f"{name}:{port.name}"
                 for port in nodelet.ports
                 if direction in ("", port.direction) and types_fit(datatype, port.datatype)
             ]
-            if not colon and ports:
-                found.extend(self.as_typed([nodelet.name + ":"]))
-            elif colon and nodelet.name == self.resolve(name):
-                found.extend(f"{name}:{port}" for port in ports)
-        return found
+            for nodelet in self.nodelets()
+        }
+        if colon:
+            return fitting.get(self.resolve(name), [])
+        return self.as_typed(f"{nodelet}:" for nodelet, ports in fitting.items() if ports)
 
     def topics_beside_ports(self) -> Iterable[str]:
         return () if ":" in self.prefix else self.as_typed(self.topics())
-
-    def type_of(self, reference: PortRef) -> str:
-        """ROS type of a port, empty if it is not known."""
-        nodelet = self.client.get_graph().nodelet(self.resolve(reference.nodelet))
-        port = nodelet.port(reference.port) if nodelet is not None else None
-        return port.datatype if port is not None else ""
 
 
 def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
@@ -140,36 +136,30 @@ def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
 
 topics = _completer(lambda cursor: cursor.as_typed(cursor.topics()))
 managers = _completer(lambda cursor: cursor.client.managers())
+nodelets = _completer(lambda cursor: cursor.not_named(each.name for each in cursor.nodelets()))
 nodelet_managers = _completer(lambda cursor: cursor.as_typed(cursor.client.nodelet_managers()))
+restartable = _completer(
+    lambda cursor: cursor.not_named(
+        [*(each.name for each in cursor.nodelets()), *cursor.client.nodelet_managers()]
+    )
+)
 hosts = _completer(lambda cursor: (each.name for each in cursor.client.list_hosts()))
 ports = _completer(lambda cursor: cursor.ports())
 stream_sources = _completer(lambda cursor: [*cursor.ports(OUT), *cursor.topics_beside_ports()])
-
-
-@_completer
-def nodelets(cursor: _Cursor) -> Iterable[str]:
-    """Nodelets that the command line does not name yet."""
-    named = {cursor.resolve(name) for name in cursor.given("names") or ()}
-    return cursor.as_typed(each.name for each in cursor.nodelets() if each.name not in named)
-
-
-@_completer
-def restartable(cursor: _Cursor) -> Iterable[str]:
-    """Nodelets and nodelet managers that the command line does not name yet."""
-    found = {*(each.name for each in cursor.nodelets()), *cursor.client.nodelet_managers()}
-    return cursor.as_typed(found - {cursor.resolve(name) for name in cursor.given("names") or ()})
+spawnable_labels = _completer(
+    lambda cursor: (each.label for each in cursor.transformations() if not each.is_described)
+)
 
 
 @_completer
 def parameters_of_nodelet(cursor: _Cursor) -> Iterable[str]:
     """Parameters that were given to a nodelet, or that its transformation declares."""
-    name = cursor.resolve(cursor.given("name") or "")
-    for nodelet in cursor.nodelets():
-        if nodelet.name == name:
-            declared = [e for e in cursor.transformations() if e.label == nodelet.transformation]
-            given = [nodelet.parameters, *(each.parameters for each in declared)]
-            return [each.name for each in itertools.chain(*given) if each.name[:1] != "?"]
-    return []
+    nodelet = cursor.nodelet(cursor.given("name") or "")
+    if nodelet is None:
+        return []
+    declared = [each.parameters for each in cursor.transformations(nodelet.transformation)]
+    given = itertools.chain(nodelet.parameters, *declared)
+    return [each.name for each in given if each.name[:1] != "?"]
 
 
 @_completer
@@ -182,11 +172,6 @@ def namespaces(cursor: _Cursor) -> Iterable[str]:
 def labels(cursor: _Cursor) -> Iterable[str]:
     """Labels of the library that the command line does not name yet."""
     return {each.label for each in cursor.transformations()} - set(cursor.given("labels") or ())
-
-
-@_completer
-def spawnable_labels(cursor: _Cursor) -> Iterable[str]:
-    return [each.label for each in cursor.transformations() if not each.is_described]
 
 
 @_completer
@@ -207,7 +192,9 @@ def tags(cursor: _Cursor) -> Iterable[str]:
 def ports_of_label(cursor: _Cursor) -> Iterable[str]:
     """Ports of the transformation that is to be spawned, and the ends behind them, `PORT:END`."""
     name, colon, _ = cursor.prefix.partition(":")
-    own = [port for each in cursor.chosen_transformation() for port in each.ports]
+    own = [
+        port for each in cursor.transformations(cursor.given("label") or "") for port in each.ports
+    ]
     if not colon:
         return (f"{port.name}:" for port in own)
     peers = [
@@ -226,7 +213,7 @@ def parameters_of_label(cursor: _Cursor) -> Iterable[str]:
 
     return (
         f"{name}="
-        for each in cursor.chosen_transformation()
+        for each in cursor.transformations(cursor.given("label") or "")
         for name in (*[parameter.name for parameter in each.parameters], *variables(each))
     )
 
@@ -235,9 +222,11 @@ def parameters_of_label(cursor: _Cursor) -> Iterable[str]:
 def stream_targets(cursor: _Cursor) -> Iterable[str]:
     """In-ports that fit the source, and topics if the source is a port."""
     source = cursor.given("source")
-    if isinstance(source, PortRef):
-        return [*cursor.ports(IN, cursor.type_of(source)), *cursor.topics_beside_ports()]
-    return cursor.ports(IN)
+    if not isinstance(source, PortRef):
+        return cursor.ports(IN)
+    nodelet = cursor.nodelet(source.nodelet)
+    port = nodelet.port(source.port) if nodelet is not None else None
+    return [*cursor.ports(IN, port.datatype if port else ""), *cursor.topics_beside_ports()]
 
 
 @_completer

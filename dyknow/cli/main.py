@@ -6,25 +6,25 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import logging
 import os
 import re
 import signal
 import sys
-from typing import TYPE_CHECKING, Any, Sequence
+import textwrap
+from typing import TYPE_CHECKING, Any, Container, Sequence
 
 from dyknow import __version__
 from dyknow.cli import completion
 from dyknow.cli.arguments import (
     DEFAULT_MANAGER,
-    Group,
     Parser,
     argument,
     default_manager,
+    group,
     manager_node,
 )
-from dyknow.cli.commands import GROUPS
+from dyknow.cli.commands import COMMANDS, GROUPS, find
 from dyknow.cli.shell import (
     BROKEN_PIPE,
     DONE,
@@ -57,36 +57,28 @@ Exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no manager or master.
 
 # Without defaults: those would override an option that stands before the command.
 _UNSET: Any = {"default": argparse.SUPPRESS}
-_COMMON = Group(
-    (
-        argument("--json", None, "print the result as JSON", action="store_true", **_UNSET),
-        argument(
-            "--manager-node",
-            "NAME",
-            f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
-            completer=completion.managers,
-            type=manager_node,
-            **_UNSET,
-        ),
-        argument(
-            "--timeout",
-            "SECONDS",
-            "how long each answer may take (default: 5, changes 60)",
-            **_UNSET,
-        ),
+_COMMON = group(
+    argument("--json", None, "print the result as JSON", action="store_true", **_UNSET),
+    argument(
+        "--manager-node",
+        "NAME",
+        f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
+        completer=completion.managers,
+        type=manager_node,
+        **_UNSET,
     ),
-    "options of every command",
+    argument(
+        "--timeout", "SECONDS", "how long each answer may take (default: 5, changes 60)", **_UNSET
+    ),
+    title="options of every command",
 )
 
 
-def all_commands() -> dict[str, Command]:
-    """Return every command by its name."""
-    return {command.name: command for _, commands in GROUPS for command in commands}
+def build_parser(used: Container[str] = COMMANDS) -> tuple[Parser, dict[str, Parser]]:
+    """Build the parser, and those of the commands that are used by their names.
 
-
-@functools.lru_cache(maxsize=None)
-def build_parser() -> tuple[Parser, dict[str, Parser]]:
-    """Build the parser, and those of the commands by their names."""
+    The modules of these commands are imported; others have no arguments.
+    """
     parser = Parser(
         prog="dyknow",
         usage="dyknow COMMAND [ARGUMENT ...]",
@@ -96,10 +88,15 @@ def build_parser() -> tuple[Parser, dict[str, Parser]]:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"dyknow {__version__}")
-    _COMMON.add_to(parser)
+    _COMMON(parser)
     chosen = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
     chosen.required = True
-    parsers = {name: _add(chosen, command) for name, command in all_commands().items()}
+    parsers: dict[str, Parser] = {}
+    for name in COMMANDS:
+        if name in used:
+            parsers[name] = _add(chosen, find(name))
+        else:
+            chosen.add_parser(name)
     return parser, parsers
 
 
@@ -109,19 +106,16 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     Raises:
         SystemExit: help was printed (0), or the usage is wrong (2).
     """
-    parser, parsers = build_parser()
+    # Where the shell asks for completions, its line has the words.
+    parser, _ = build_parser({*words, *os.environ.get("COMP_LINE", "").split()})
     completion.autocomplete(parser)
     words = _without_ros_words(parser, words)
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
-    if not words[0].startswith("-") and words[0] not in all_commands():
-        hint = did_you_mean(words[0], all_commands())
-        parser.error(f"there is no command '{words[0]}'{hint}")
+    if not words[0].startswith("-") and words[0] not in COMMANDS:
+        parser.error(f"there is no command '{words[0]}'{did_you_mean(words[0], COMMANDS)}")
     common = argparse.Namespace(json=False, timeout=None, manager_node=None)
     arguments = parser.parse_args(words, common)
-    problem = all_commands()[arguments.command].problem(arguments)
-    if problem:
-        parsers[arguments.command].error(problem)
     try:
         arguments.manager_node = arguments.manager_node or default_manager()
     except argparse.ArgumentTypeError as error:
@@ -135,7 +129,7 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
     Private parameters, `_x:=y`, become those of a spawn.
     """
     plain = [word for word in words if ":=" not in word]
-    command = next((word for word in plain if word in all_commands()), "")
+    command = next((word for word in plain if word in COMMANDS), "")
     if command in ("run", "probe"):
         return list(words)  # they are the node's
     if command == "launch":  # they are the launch file's, and may stand among the options
@@ -171,26 +165,26 @@ def _instead(command: str, word: str) -> str:
 
 
 def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser:
-    epilog = "Examples:\n" + "".join(f"  {line}\n" for line in command.examples.splitlines())
     parser = chosen.add_parser(
         command.name,
         prog=f"dyknow {command.name}",
         usage=command.usage,
-        description=command.description,
-        epilog=epilog,
+        description=textwrap.fill(command.description, 79),
+        epilog="Examples:\n" + textwrap.indent(command.examples, "  "),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    for each in (*command.arguments, _COMMON):
-        each.add_to(parser)
+    for add in (*command.arguments, _COMMON):
+        add(parser)
+    parser.set_defaults(run=command.run, refuse=parser.error)
     return parser
 
 
 def _epilog() -> str:
     lines: list[str] = []
-    for title, commands in GROUPS:
+    for title, commands in GROUPS.items():
         lines.append(f"{title}:")
-        lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
+        lines.extend(f"  {name:<12}{summary}" for name, (_, summary) in commands.items())
         lines.append("")
     lines.append("'dyknow COMMAND --help' shows the arguments of a command, with examples.")
     return "\n".join(lines) + "\n" + _CLOSING
@@ -208,6 +202,8 @@ def main(words: Sequence[str] | None = None) -> int:
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         return _run(sys.argv[1:] if words is None else words)
+    except SystemExit as end:  # argparse's
+        return end.code if isinstance(end.code, int) else FAILED
     except KeyboardInterrupt:
         if sys.stderr.isatty():
             sys.stderr.write("\n")  # behind the terminal's ^C
@@ -217,7 +213,7 @@ def main(words: Sequence[str] | None = None) -> int:
 def execute(arguments: argparse.Namespace, shell: Shell) -> int:
     """Run the parsed command and return its exit code; an error is printed as one line."""
     try:
-        code = all_commands()[arguments.command].run(arguments, shell)
+        code = arguments.run(arguments, shell)
     except ManagerUnreachable as error:
         shell.error(error)
         return UNREACHABLE
@@ -228,10 +224,7 @@ def execute(arguments: argparse.Namespace, shell: Shell) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    try:
-        arguments = parse(words)
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else FAILED
+    arguments = parse(words)
 
     def connect() -> ShellClient:
         from dyknow.ros.shell.shell_client import ShellClient
@@ -253,7 +246,3 @@ def _run(words: Sequence[str]) -> int:
     finally:
         logger.removeHandler(warnings)
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

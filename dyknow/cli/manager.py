@@ -8,7 +8,9 @@ from __future__ import annotations
 import sys
 from typing import Sequence
 
-from dyknow.cli.node_help import MANAGER, asks_for_help
+if __name__ == "__main__":
+    import dyknow.interruptible  # noqa: F401
+from dyknow.cli.node_help import HELP, MANAGER
 from dyknow.ros.process.signals import DONE, FAILED
 
 
@@ -20,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if argv is None else argv)
     words = [word for word in argv[1:] if ":=" not in word]
-    if asks_for_help(words):
+    if HELP.intersection(words):
         print(MANAGER, end="")
         return DONE
     if words:

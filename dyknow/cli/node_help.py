@@ -3,9 +3,8 @@
 
 """What `--help` prints for the nodes: what each is, its parameters, and its services."""
 
-from __future__ import annotations
-
-from typing import Sequence
+#: Words that ask for it.
+HELP = frozenset({"-h", "--help"})
 
 _ROS_ARGUMENTS = """\
 As everywhere in ROS, _PARAMETER:=VALUE sets a private parameter, __name:=NAME names the
@@ -16,7 +15,7 @@ MANAGER = f"""\
 usage: manager [_PARAMETER:=VALUE ...] [__name:=NAME] [__ns:=NAMESPACE]
 
 Run the DyKnow manager: it knows the transformations that can run, makes nodelets from
-them, connects these, keeps the streams that are asked for, and brings back what dies.
+them, connects these, keeps requested streams, and brings dead nodelets back.
 It starts a nodelet manager of its own.
 
 Private parameters (default):
@@ -70,10 +69,13 @@ Services:
   ~restart, ~set_parameter
   ~get_model                                       what runs, and the library
   ~acquire_stream, ~renew_stream, ~release_stream  streams on request
-  ~replan_stream, ~list_streams, ~find_bindings
+  ~replan_stream, ~plan_stream, ~list_streams, ~find_bindings
+  ~list_hosts                                      hosts, their load and clocks
 Topics:
-  ~model          what runs, latched, on every change
-  ~stream_events  every change of a claim, and why
+  ~model          the nodelets, latched, on every change
+  ~stream_events  every change of a claim, with its reason
+  ~counts         counts of messages and loads, while there are subscribers
+  /diagnostics    the manager, its nodelets, claims and hosts
 
 {_ROS_ARGUMENTS}
 Examples:
@@ -113,8 +115,3 @@ Examples:
   rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
   roslaunch dyknow nodelet_manager.launch name:=cameras
 """
-
-
-def asks_for_help(words: Sequence[str]) -> bool:
-    """Whether the words of a command line ask for help."""
-    return any(word in ("-h", "--help") for word in words)

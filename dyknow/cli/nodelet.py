@@ -12,11 +12,12 @@ and everything behind them goes to the nodelet as its `my_argv`.
 from __future__ import annotations
 
 import re
-import signal
 import sys
 from typing import NamedTuple, Sequence, Tuple
 
-from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
+if __name__ == "__main__":
+    import dyknow.interruptible  # noqa: F401
+from dyknow.cli.node_help import HELP, NODELET_MANAGER
 from dyknow.errors import CannotRun
 from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED
 
@@ -90,7 +91,7 @@ def parse(arguments: Sequence[str]) -> NodeletCommand:
         UsageError: the command is unknown, or something is missing.
     """
     words = tuple(word for word in arguments if ":=" not in word)
-    if asks_for_help(words[:2]):
+    if HELP.intersection(words[:2]):
         return NodeletCommand("help")
     if not words:
         raise UsageError("a command is missing")
@@ -139,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def manager_main(argv: Sequence[str] | None = None) -> int:
     """Run `nodelet_manager`, which is `nodelet manager`, and return its exit code."""
     argv = list(sys.argv if argv is None else argv)
-    if asks_for_help(argv[1:]):
+    if HELP.intersection(argv[1:]):
         print(NODELET_MANAGER, end="")
         return DONE
     return main([argv[0], "manager", *argv[1:]])
@@ -151,7 +152,15 @@ def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
         print(USAGE, end="")
         return DONE
     if command.action == "standalone_script":
-        return _become_script(command, argv)
+        from dyknow.cli.rewirable import become_script
+        from dyknow.ros.process.programs import find_script
+
+        remappings = [word for word in argv if ":=" in word]
+        try:
+            become_script([find_script(command.type), *command.my_argv, *remappings])
+        except CannotRun as error:
+            print(f"nodelet: {error}", file=sys.stderr)
+            return FAILED
     if command.action in ("load", "unload"):
         from dyknow.ros.nodelets import nodelet_client
 
@@ -160,28 +169,12 @@ def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
         return nodelet_client.run_load(
             command.name, command.type, command.manager, command.my_argv, command.bond, argv
         )
-    # SIGINT ends the process until the node handles it: a KeyboardInterrupt may get lost in an
-    # import.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     from dyknow.ros.nodelets import nodelet_manager
 
     if command.action == "manager":
         return nodelet_manager.run_manager(argv)
     print(f"type is {command.type}", flush=True)
     return nodelet_manager.run_standalone(command.type, command.my_argv, argv)
-
-
-def _become_script(command: NodeletCommand, argv: Sequence[str]) -> int:
-    """Become a script; return the exit code only if that fails."""
-    from dyknow.cli.rewirable import become_script
-    from dyknow.ros.process.programs import find_script
-
-    remappings = [word for word in argv if ":=" in word]
-    try:
-        become_script([find_script(command.type), *command.my_argv, *remappings])
-    except CannotRun as error:
-        print(f"nodelet: {error}", file=sys.stderr)
-        return FAILED
 
 
 if __name__ == "__main__":

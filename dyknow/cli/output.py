@@ -8,25 +8,24 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import enum
-import json
+import math
 import os
 import shutil
-import tempfile
+import sys
 import time
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Sequence
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, List, Sequence
 
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError
+from dyknow.model.graph import Model, NodeletStatus
+from dyknow.model.hosts import HostStatus
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
-    from dyknow.model.statistics import NodeletStatistics, PortStatistics
-    from dyknow.model.streams import StreamEvent, StreamStatus
-
 
 Json = Dict[str, Any]
 
@@ -105,6 +104,19 @@ def event_json(event: StreamEvent) -> Json:
     }
 
 
+def host_json(host: HostStatus) -> Json:
+    """A host; times in s, load and memory as shares, null where they are not known."""
+    named = "name address own=is_own away=is_away lasts managers nodelets pinned cores pause"
+    numbers = {
+        "load": host.load,
+        "memory": host.memory,
+        "offset": host.offset,
+        "offset_error": host.error,
+    }
+    known = {key: None if math.isnan(value) else value for key, value in numbers.items()}
+    return {**picked(host, named), **known}
+
+
 def state_of(nodelet: NodeletStatus) -> str:
     return nodelet.state.name.lower()
 
@@ -136,6 +148,50 @@ def count(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
+def host_table(hosts: Sequence[HostStatus], now: float) -> Iterator[str]:
+    """Write a line for each host; a host is away since some time before ``now`` (s)."""
+    rows: list[tuple[object, ...]] = [
+        ("HOST", "ADDRESS", "STATE", "LOAD", "MEMORY", "CLOCK", "MANAGERS", "NODELETS")
+    ]
+    for each in hosts:
+        rows.append(
+            (
+                each.name,
+                each.address or None,
+                _presence(each, now),
+                _percent(each.load),
+                _percent(each.memory),
+                "own" if each.is_own else _clock(each),
+                ", ".join(each.managers) or None,
+                len(each.nodelets),
+            )
+        )
+    yield from columns(rows, right=(3, 4, 5, 7))
+    for each in hosts:
+        if each.pause:
+            yield (
+                f"{each.name}: it was away repeatedly; for {each.pause:.0f} s nothing new is "
+                "placed there if there is another host"
+            )
+
+
+def _presence(host: HostStatus, now: float) -> str:
+    if not host.is_away:
+        return "here"
+    return f"away since {time.strftime('%H:%M:%S', time.localtime(now - host.lasts))}"
+
+
+def _percent(share: float) -> str | None:
+    return None if math.isnan(share) else f"{share:.0%}"
+
+
+def _clock(host: HostStatus) -> str | None:
+    """Milliseconds by which the clock is ahead, and by which that may be wrong."""
+    if math.isnan(host.offset):
+        return None
+    return f"{host.offset * 1e3:+.1f} ms ± {host.error * 1e3:.1f}"
+
+
 _HOME = "\x1b[H"
 _CLEAR = "\x1b[2J"
 _CLEAR_LINE = "\x1b[K"
@@ -157,15 +213,12 @@ class Screen:
         self._shown = False
 
     def show(self, value: Any, lines: Sequence[str]) -> None:
-        out = self._shell.out
-        if self._shell.as_json:
-            out.write(json.dumps(value) + "\n")
-        elif self._in_place:
-            out.write(self._page(lines))
+        if self._in_place:
+            self._shell.out.write(self._page(lines))
+            self._shell.out.flush()
         else:
-            out.write(("\n" if self._shown else "") + "".join(line + "\n" for line in lines))
+            self._shell.show(value, ["", *lines] if self._shown else lines, indent=None)
         self._shown = True
-        out.flush()
 
     def wait(self, begin: float) -> None:
         """Wait until a period has passed since `begin`, a time of the steady clock."""
@@ -182,43 +235,33 @@ class Screen:
         return text + _CLEAR_BELOW
 
 
-class CannotWrite(DyKnowError):
-    """A file cannot be written."""
+#: The name of standard input, or output, among files.
+STDIO = "-"
+
+
+def read_file(path: str) -> bytes:
+    """Read a file, or standard input."""
+    try:
+        return sys.stdin.buffer.read() if path == STDIO else Path(path).read_bytes()
+    except OSError as error:
+        raise DyKnowError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def write_file(path: str, data: bytes) -> None:
-    """Write a file; an existing one is replaced once the new one is complete.
-
-    Raises:
-        CannotWrite: with the reason.
-    """
+    """Write a file; an existing one is replaced once the new one is complete."""
+    whole = Path(os.path.realpath(path))
+    draft = whole.with_name(f".dyknow-{os.getpid()}")
     try:
         if os.path.exists(path) and not os.path.isfile(path):  # /dev/stdout, a pipe
-            with open(path, "wb") as special:
-                special.write(data)
+            Path(path).write_bytes(data)
             return
-        _replace(os.path.realpath(path), data)
+        try:
+            draft.write_bytes(data)
+            if whole.exists():
+                shutil.copymode(whole, draft)
+            draft.replace(whole)
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                draft.unlink()
     except OSError as error:
-        raise CannotWrite(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _replace(path: str, data: bytes) -> None:
-    handle, draft = tempfile.mkstemp(dir=os.path.dirname(path), prefix=".dyknow-")
-    try:
-        with open(handle, "wb") as file:
-            file.write(data)
-        os.chmod(draft, _mode_of(path))
-        os.replace(draft, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(draft)
-        raise
-
-
-def _mode_of(path: str) -> int:
-    try:
-        return os.stat(path).st_mode & 0o777
-    except FileNotFoundError:
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask
+        raise DyKnowError(f"{path}: cannot be written: {error.strerror}") from error

@@ -17,6 +17,8 @@ import shutil
 import sys
 from typing import NoReturn, Sequence
 
+if __name__ == "__main__":
+    import dyknow.interruptible  # noqa: F401
 from dyknow.errors import CannotRun
 from dyknow.ros.process.programs import ELF, first_line, interpreter
 

@@ -9,10 +9,10 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, Sequence, TextIO
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, Sequence, TextIO, Tuple
 
 from dyknow import names
-from dyknow.cli.arguments import Argument, Group
+from dyknow.cli.arguments import Argument
 from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ USAGE = 2
 UNREACHABLE = 3
 INTERRUPTED = 130
 BROKEN_PIPE = 141
+
+#: What was done with one of several subjects: values for JSON, and lines.
+Acted = Tuple[Sequence[Any], Sequence[str]]
 
 
 class Shell:
@@ -57,48 +60,45 @@ class Shell:
         """Make a name global: relative ones begin in the manager's namespace."""
         return name if name == "/" else names.resolve(name, self.client.namespace, "/")
 
-    def show(self, value: Any, lines: Iterable[str]) -> None:
-        """Print a result: the value as JSON, or else the lines."""
-        if self.as_json:
-            self.out.write(json.dumps(value, indent=2) + "\n")
-        else:
-            for line in lines:
-                self.out.write(line + "\n")
+    def show(self, value: Any, lines: Iterable[str], indent: int | None = 2) -> None:
+        """Print a result: the value as JSON, in one line without an indent, or else the lines."""
+        for line in [json.dumps(value, indent=indent)] if self.as_json else lines:
+            self.out.write(line + "\n")
         self.out.flush()  # the command may go on, and its reader be a pipe
 
     def for_each(
-        self,
-        kind: str,
-        done: str,
-        subjects: Iterable[str],
-        act: Callable[[str], str | None],
+        self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], Acted | None]
     ) -> int | None:
         """Act on every subject, also after one was refused; return the exit code.
 
         In JSON, ``done`` is the key of the subjects, or of what ``act`` returns for them, and
         ``kind`` that of each in a failure.
         """
-        acted: list[str] = []
+        acted: list[Any] = []
+        lines: list[str] = []
         failed: list[dict[str, str]] = []
         for subject in subjects:
             try:
-                result = act(subject)
+                values, said = act(subject) or ([subject], [f"{done} {subject}"])
             except ManagerUnreachable:
                 raise
             except DyKnowError as error:
-                self.error(error)
+                for line in str(error).splitlines():
+                    self.error(line)
                 failed.append({kind: subject, "message": str(error)})
             else:
-                acted.append(result or subject)
-        self.show({done: acted, "failed": failed}, [f"{done} {each}" for each in acted])
+                acted += values
+                lines += said
+        self.show({done: acted, "failed": failed}, lines)
         return FAILED if failed else None
 
     def error(self, message: object) -> None:
         self.out.flush()
         self.err.write(f"dyknow: {message}\n")
 
-    def warn(self, message: object) -> None:
-        self.error(f"warning: {message}")
+    def warn(self, messages: str) -> None:
+        for line in messages.splitlines():
+            self.error(f"warning: {line}")
 
 
 Run = Callable[[argparse.Namespace, Shell], Optional[int]]
@@ -106,21 +106,25 @@ Run = Callable[[argparse.Namespace, Shell], Optional[int]]
 
 @dataclass(frozen=True)
 class Command:
-    """One command; ``run`` returns the exit code, None for success, and raises DyKnowError."""
+    """One command, of the name of the function that runs it.
+
+    That returns the exit code, None for success, and raises DyKnowError; it may first call
+    ``arguments.refuse`` with what is wrong if they do not go together.
+    """
 
     run: Run
-    name: str
-    summary: str  # half a line for the list of commands
-    description: str  # a paragraph for its own help
+    description: str  # a paragraph for its help
     examples: str  # command lines, one a line
-    arguments: Sequence[Argument | Group]  # besides those of all commands
-    #: Explains why arguments do not go together; empty if they do.
-    problem: Callable[[argparse.Namespace], str] = lambda arguments: ""
+    arguments: Sequence[Argument]  # besides those of all commands
     usage: str | None = None  # the first line of its help, by default argparse's
+
+    @property
+    def name(self) -> str:
+        return self.run.__name__.strip("_")
 
 
 def command(
-    name: str, summary: str, description: str, examples: str, *arguments: Any, **more: Any
+    description: str, examples: str, *arguments: Argument, usage: str | None = None
 ) -> Callable[[Run], Command]:
     """Make a command of the function that runs it; the arguments are those of `Command`."""
-    return lambda run: Command(run, name, summary, description, examples, arguments, **more)
+    return lambda run: Command(run, description, examples, arguments, usage)

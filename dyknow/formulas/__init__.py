@@ -11,6 +11,7 @@
 """
 
 from dyknow.formulas.monitor import Formula, Monitor, Truth, Verdict, parse
+from dyknow.formulas.ranges import Range
 from dyknow.formulas.types import MessageType
 
-__all__ = ["Formula", "MessageType", "Monitor", "Truth", "Verdict", "parse"]
+__all__ = ["Formula", "MessageType", "Monitor", "Range", "Truth", "Verdict", "parse"]

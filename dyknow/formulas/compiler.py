@@ -281,11 +281,15 @@ class _Writer:
                 f"        {name} = {compared}",
                 f"    except ERRORS: {name} = rare{number}({given})",
             ]
-            # Times and durations, which cannot be compared with numbers, and missing ones.
-            left, right = (self._expression(each, "seconds") for each in operands(atom))
+            # Times and durations, which are compared with numbers in seconds, and missing ones: a
+            # difference is exact if it is of times, and some sums are of seconds alone.
+            in_seconds = [self._expression(each, "seconds") for each in operands(atom)]
+            compared = _AS_SECONDS.get(atom.operator, compared)
             self._rare += [
                 f"def rare{number}({given}):",
-                f"    try: x = {left}; y = {right}; return {compared}",
+                f"    try: x = seconds({left}); y = seconds({right}); return {compared}",
+                "    except ERRORS: pass",
+                f"    try: x = {in_seconds[0]}; y = {in_seconds[1]}; return {compared}",
                 "    except ERRORS: return 1",
             ]
         if self._notes:
@@ -349,12 +353,18 @@ class _Writer:
         return f"v{self._count}"
 
 
-#: A NaN is neither less nor greater than a number, nor equal to itself.
+#: A NaN is neither less nor greater than a number, nor equal to itself. A time is unequal to each
+#: number, but less or greater than none: that is an error, and they are compared in seconds.
 _COMPARISONS = {
     "<": "3 if x < y else 0 if x >= y else 1",
     "<=": "3 if x <= y else 0 if x > y else 1",
     ">": "3 if x > y else 0 if x <= y else 1",
     ">=": "3 if x >= y else 0 if x < y else 1",
+    "==": "3 if x == y else 0 if x < y or x > y else 1",
+    "!=": "0 if x == y else 3 if x < y or x > y else 1",
+}
+#: What has no order, as a text and a number, is unequal.
+_AS_SECONDS = {
     "==": "3 if x == y else 0 if x == x and y == y else 1",
     "!=": "0 if x == y else 3 if x == x and y == y else 1",
 }

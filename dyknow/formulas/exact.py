@@ -40,7 +40,7 @@ class _Diagrams:
         return len(self._nodes)
 
     def ask(self) -> _Diagram:
-        """Return a diagram of an atom that was not asked before; Kleene's truth if it is full."""
+        """Return a diagram of a new atom; Kleene's truth if it is full."""
         if len(self._nodes) >= self.limit:
             return UNKNOWN
         self._asked += 1

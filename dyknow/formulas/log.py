@@ -4,8 +4,8 @@
 """The reasons of verdicts: the atoms that decided them, with their values and times.
 
 A log of an atom has an entry for each change of its truth, as far back as a verdict can depend on
-it. From the logs the truth of any part of a formula can be computed again, so it is asked of each
-operator which part and which state decided.
+it. From the logs the truth of any part of a formula can be computed again, so each operator can
+name the part and the state that decided.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Log:
         atoms: Sequence[Atom],
         individuals: Callable[[Quantified, int], Iterable[Tuple[str, Log, int]]],
     ) -> None:
-        """Begin a log without entries.
+        """Make a log without entries.
 
         Args:
             formula: the formula to explain.

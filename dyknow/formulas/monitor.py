@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.errors import BadParameter, FormulaError
 from dyknow.formulas import syntax
 from dyknow.formulas.compiler import endless
+from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
-from dyknow.formulas.states import PortValues, States, StateSettings, clock, own_ports
+from dyknow.formulas.states import States, StateSettings, clock, own_ports
 from dyknow.formulas.tree import SECOND, Quantified, ports, temporals, walk
 from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
 
@@ -83,6 +84,16 @@ class Formula:
         """The variables of its quantifiers, in the order written."""
         found = [each.variable for each in walk(self.tree) if isinstance(each, Quantified)]
         return tuple(dict.fromkeys(found))
+
+    def ranges(self) -> Mapping[str, Range]:
+        """Return the individuals that each port of ``of_individuals`` has a stream for.
+
+        A variable has one concept: a quantifier without one takes that of another quantifier.
+
+        Raises:
+            FormulaError: a port has two variables, a variable two concepts, or no port.
+        """
+        return ranges(self.tree, self.text)
 
     def check(self, types: Mapping[str, Optional[MessageType]], lookup: Lookup) -> None:
         """Check ports, fields and constants against the types of messages.
@@ -158,17 +169,17 @@ class Monitor:
     )
 
     def __init__(self, formula: Formula, settings: StateSettings) -> None:
-        """Begin without states; see ``Formula.monitor``."""
+        """Make a monitor without states; see ``Formula.monitor``."""
         self.late = 0
         self._formula = formula
         self._settings = settings
         self._tree, self._verdicts = endless(formula.tree)
         self._checked: Tuple[Tuple[str, type], ...] = ()
         self._individuals: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
-        self._now = -1
         self._begin()
 
     def _begin(self) -> None:
+        self._now = -1
         self._states = States(self._tree, self._settings, 0)
         self._next: Optional[int] = None  # the state that closes next
         self._run: Optional[Verdict] = None
@@ -181,12 +192,16 @@ class Monitor:
         Args:
             port: the port that it came on.
             message: it is stamped by its header or, without one, when it was received.
-            received: when it was received; by default its stamp.
+            received: when it was received; by default its stamp, or the present time if that is
+                later: messages alone do not turn time back.
             individual: of a port below a quantifier: whose message it is.
         """
         stamp = _stamp(message)
-        now = stamp if received is None else nanoseconds(received)
-        if now is None:
+        if received is not None:
+            now = nanoseconds(received)
+        elif stamp is not None:
+            now = max(self._now, stamp)
+        else:
             raise BadParameter("received", received, "a time, for messages without a header")
         found = self.advance_to(now)
         self._check_class(port, message)
@@ -194,15 +209,24 @@ class Monitor:
         period = self._settings.period
         state = -(-stamp // period)
         if self._next is None:
-            self._start(max(state, -(-(now - self._settings.delay) // period)))
-        kept = self._port(port, individual)
-        if kept is None:
+            # A stamp that is far ahead of the clock delays no state.
+            first = max(state, -(-(now - self._settings.delay) // period))
+            self._start(min(first, -(-now // period)))
+        readers = self._readers(port, individual)
+        if not readers:
             return found
         if state < (self._next or 0):
             self.late += 1
             return found
-        kept.add(state, stamp, message)
-        passed = min(each.latest for each in self._states.all_ports())
+        farthest = now + self._settings.delay
+        for each in readers:
+            values = each.own[port]
+            # An individual sees in its first state what came for an earlier one.
+            values.add(max(state, each.first), stamp, message)
+            # A stamp far ahead of the clock passes no states that messages are still to come for.
+            if values.latest > farthest:
+                values.latest = farthest
+        passed = min([each.latest for each in self._states.all_ports()])
         self._close(min(-(-passed // period) - 1, now // period), found)
         return found
 
@@ -246,7 +270,7 @@ class Monitor:
         found: List[Verdict] = []
         if self._next is not None:
             last = max((each.latest for each in self._states.all_ports()), default=-1)
-            self._close(last // self._settings.period, found)
+            self._close(min(last, self._now) // self._settings.period, found)
             self._decide(self._states.end(), found)
         self._begin()
         return found
@@ -278,17 +302,14 @@ class Monitor:
                     self._run = Verdict(stamp, value, stamp, self._states.why(state))
                 found.append(self._run._replace(stamp=stamp))
 
-    def _port(self, port: str, individual: str) -> Optional[PortValues]:
-        """Return a port; None for one of an individual that is not there."""
+    def _readers(self, port: str, individual: str) -> Sequence[States]:
+        """Return the sequences of states that read a port; none for an individual not there."""
+        if port in self._states.own:
+            return (self._states,)
         if port not in self._formula.ports:
             raise BadParameter("port", port, f"one of {', '.join(self._formula.ports)}")
-        if port in self._states.own:
-            return self._states.own[port]
-        for each in self._states.quantifiers.values():
-            states = each.present.get(individual)
-            if states is not None and port in states.own:
-                return states.own[port]
-        return None
+        here = (e.present.get(individual) for e in self._states.quantifiers.values())
+        return [each for each in here if each is not None and port in each.own]
 
     def _check_class(self, port: str, message: Any) -> None:
         """Check the formula once against each type of message."""

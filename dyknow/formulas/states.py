@@ -132,7 +132,7 @@ class States:
         shared: Mapping[str, PortValues] | None = None,
         name: str = "",
     ) -> None:
-        """Begin a sequence.
+        """Start a sequence.
 
         Args:
             formula: to evaluate in each state.
@@ -203,12 +203,12 @@ class States:
         """Write the values that decided a truth, which was decided last."""
         return self.log.why(state - self.first)
 
-    def all_ports(self) -> Iterator[PortValues]:
-        """Yield the ports that have to pass a state before it closes."""
-        yield from self.own.values()
-        for each in self.quantifiers.values():
-            for states in each.present.values():
-                yield from states.own.values()
+    def all_ports(self) -> Iterable[PortValues]:
+        """Return the ports that have to pass a state before it closes."""
+        if not self.quantifiers:
+            return self.own.values()
+        below = [e for each in self.quantifiers.values() for e in each.present.values()]
+        return [port for states in (self, *below) for port in states.own.values()]
 
     def _value(self, wanted: Input, now: int) -> Any:
         """Return an input of the evaluator in the state that closes."""
@@ -277,7 +277,7 @@ class Individuals:
     def __init__(
         self, formula: Quantified, settings: StateSettings, shared: Mapping[str, PortValues]
     ) -> None:
-        """Begin without individuals; ``shared`` are the ports outside the quantifier."""
+        """Hold no individuals yet; ``shared`` are the ports outside the quantifier."""
         self._formula = formula
         self._settings = settings
         self._shared = shared
@@ -288,7 +288,7 @@ class Individuals:
         self._next: Optional[int] = None
 
     def set(self, names: Iterable[str], first: int) -> None:
-        """Have these individuals from a state on, and no others."""
+        """Have exactly these individuals from a state on."""
         wanted = set(names)
         gone = {name: self._leaving.get(name, first) for name in self.present.keys() - wanted}
         self._leaving = gone

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the store keeps of transformations; reads other stored values by their declared types."""
+"""Stored forms of transformations; reads other stored values by their declared types."""
 
 from __future__ import annotations
 

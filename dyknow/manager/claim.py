@@ -48,10 +48,17 @@ def check_request(request: StreamRequest) -> None:
         if not 0 <= value <= most or value == infinity:
             raise BadParameter(name, value, expected)
     if request.require:
-        ports = parse(request.require).ports
-        if [*ports] != [STREAM]:
+        formula = parse(request.require)
+        if [*formula.ports] != [STREAM]:
             raise BadParameter(
                 "require", request.require, f"a formula that reads '{STREAM}' alone"
+            )
+        if formula.variables:
+            raise BadParameter(
+                "require",
+                request.require,
+                f"a formula without 'every' and 'some': '{STREAM}' is one stream, and has no "
+                f"individuals {formula.variables[0]}",
             )
     both = sorted(set(request.prefer) & set(request.avoid))
     if both:
@@ -132,7 +139,7 @@ class Claim:
         )
 
     def body(self, now: Moment) -> str:
-        """Return what is stored of it, with the rest of its lease and the present time."""
+        """Return its stored form, with the rest of its lease and the present time."""
         body = asdict(self)
         body["state"] = int(self.state)
         body["left"] = None if self.deadline is None else self.deadline - now.steady

@@ -92,7 +92,7 @@ class Crash:
 
 @dataclass(frozen=True)
 class Reported:
-    """What a process reports of a nodelet with live ports.
+    """A process's report of a nodelet with live ports.
 
     Attributes:
         ports: in the order of their declaration, without tags.
@@ -195,7 +195,7 @@ class HeardVerdict:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process has used until some moment.
+    """The time that a process has used until some moment.
 
     Attributes:
         moment: by its own steady clock (s).
@@ -320,7 +320,7 @@ class Host(ABC):
 
     @abstractmethod
     def reported(self, manager: str, name: str) -> Reported | None:
-        """Return what a process has reported last of a nodelet; it is not asked.
+        """Return a process's last report of a nodelet, without a call.
 
         It contains every connection that `connect` made before. None for a nodelet that the
         process does not run, or whose ports it does not know.

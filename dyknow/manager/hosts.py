@@ -135,7 +135,7 @@ def _answers(state: ProcessState) -> bool:
 
 
 def _facts(states: list[ProcessState]) -> dict[str, Any]:
-    """Return what the processes of one host say of it; the surest clock counts."""
+    """Return the facts of a host that its processes state; the surest clock counts."""
     running = [each for each in states if each.alive]
     found: dict[str, Any] = {
         "managers": tuple(sorted(each.name for each in running if not each.kind.is_node))

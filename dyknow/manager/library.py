@@ -58,6 +58,8 @@ class Library:
         self._state_lock = state_lock("transformations")
         self._by_label: dict[str, Transformation] = store.read("transformations", _stored)
         self.revision = store.number("library_revision")
+        #: The transformations that require verdicts, by label; replaced as a whole by a change.
+        self.guarded: Mapping[str, Transformation] = _guarded(self._by_label)
         self._topics: list[Transformation] = []
         self._nodes: dict[str, Transformation] = {}
         self._described_at = -1
@@ -147,6 +149,7 @@ class Library:
             self._write({label: pack(each) for label, each in new.items()})
             with self._state_lock:
                 self._by_label.update(new)
+                self.guarded = _guarded({**self.guarded, **new})
                 self.revision += 1
         return specifications
 
@@ -157,6 +160,7 @@ class Library:
             self._write({label: None})
             with self._state_lock:
                 del self._by_label[label]
+                self.guarded = {key: each for key, each in self.guarded.items() if key != label}
                 self.revision += 1
         return found
 
@@ -203,6 +207,10 @@ class Library:
                 listed(shared),
             )
         self._store.write({("facts", "schema"): str(_SCHEMA)})
+
+
+def _guarded(by_label: Mapping[str, Transformation]) -> dict[str, Transformation]:
+    return {label: each for label, each in by_label.items() if each.requires}
 
 
 def _stored(label: str, body: str) -> Transformation:

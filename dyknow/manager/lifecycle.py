@@ -589,10 +589,10 @@ def _namesake(port: Port, ports: Iterable[PortState], transformation: Transforma
 def _remappings(record: Record, transformation: Transformation) -> dict[str, str]:
     """Return the remappings that connect a nodelet from its start.
 
-    What people spawn and was written for DyKnow is connected once it is up: the spawn returns when
-    the connections to its peers are made, too. Of a claim's stream the first message shows that.
+    A nodelet for DyKnow that people spawn is connected once it is up: the spawn returns when the
+    connections to its peers are made, too. Of a claim's stream the first message shows that.
 
-    What was not written for DyKnow would use the name of a port that is not remapped as its topic.
+    Code that was not written for DyKnow uses the name of a port that is not remapped as its topic.
     So a disconnected port is remapped to a topic below ``NODELET/disconnected``: a re-wirable
     nodelet manager takes it for disconnected, and in a stock one nothing else uses it.
     """

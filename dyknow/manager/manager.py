@@ -3,8 +3,8 @@
 
 """The DyKnow manager of the paper's figure 1: the five services of section IV.C, as methods.
 
-Built from: the library (what can run), the graph (what does run), the lifecycle (making and
-destroying), the observer (keeping the picture true and restoring dead nodelets). It reaches
+Built from: the library (transformations), the graph (nodelets), the lifecycle (making and
+destroying them), the observer (keeping the picture true and restoring dead nodelets). It reaches
 nodelets through the injected host only.
 """
 
@@ -149,6 +149,10 @@ class Manager:
         """Restart a nodelet, or a nodelet manager with all its nodelets."""
         name = self.resolve(name)
         self.guards.check_writable(f"restarting '{name}'")
+        return self.renew(name)
+
+    def renew(self, name: str) -> Restarted:
+        """Restart what the watchdog has found; also in read-only mode, which binds users."""
         return self._restarts.restart(name)
 
     def move(self, name: str, manager: str) -> None:

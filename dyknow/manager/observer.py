@@ -48,7 +48,7 @@ PERIOD = 0.5
 
 
 class Fate(enum.Enum):
-    """What a report of the host says of a nodelet.
+    """A nodelet's fate, by a report of the host.
 
     UNSEEN: until its host was looked for, it is as it was. UNLISTED: its process runs on without
     it. UNLOADED: its process crashed while it was unloaded on request.
@@ -211,7 +211,7 @@ class Observer:
         return f"{what} does not answer{f': {cure}' if cure else ''}"
 
     def _is_shown(self, record: Record) -> bool:
-        """Whether a record shows what the process has reported of its nodelet."""
+        """Whether a record has the process's last report of its nodelet."""
         reported = self._host.reported(record.manager, record.name)
         if reported is None:
             return _with_some_ports(record) == record
@@ -235,12 +235,12 @@ class Observer:
                 self._update(current, state)
             elif fate is Fate.UNSEEN:
                 return False
-            elif current.transformation is None or (
-                not current.is_spawned and fate in (Fate.DIED, Fate.UNLOADED)
-            ):
+            elif not current.is_spawned and fate in (Fate.DIED, Fate.UNLOADED):
                 self._graph.remove(record.name)
             elif current.unwanted:
-                return not (fate is Fate.SILENT and state is not None and state.away)
+                return fate is not Fate.SILENT
+            elif current.transformation is None:
+                self._graph.remove(record.name)
             elif fate is Fate.UNLISTED and self._is_unlisted(current):
                 if current.state is not State.RUNNING:
                     return True  # it failed, or the manager was killed while it brought it back
@@ -326,7 +326,8 @@ class Observer:
                 self._keeper.on_death(record)
                 self._lifecycle.forget(record)
                 return
-            self._backoff.failed(name)
+            has_served = record.state is State.LOST and not record.unwanted
+            self._backoff.failed(name, self._graph.lifetime(name) if has_served else 0.0)
             if record.unwanted:
                 self._lifecycle.finish_destroying(record)
             else:

@@ -108,7 +108,7 @@ class Record:
 
     @property
     def is_stored(self) -> bool:
-        """Whether it outlives the manager: an external node by what it has received alone."""
+        """Whether it outlives the manager: an external node only if it has received messages."""
         return self.is_spawned or bool(self.is_described and self.heard.ways)
 
     @property
@@ -142,7 +142,7 @@ class Record:
         )
 
     def body(self) -> str:
-        """Return what is stored of it, as JSON."""
+        """Return its stored form, as JSON."""
         body = {each.name: getattr(self, each.name) for each in fields(self)}
         for name in (
             "name",

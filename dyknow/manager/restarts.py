@@ -35,7 +35,7 @@ _RESTARTING = "it is being restarted"
 
 
 class Restarts:
-    """Restarts what this manager made."""
+    """Restarts nodelets and processes that this manager made."""
 
     def __init__(self, context: ManagerContext, lifecycle: Lifecycle) -> None:
         self._host = context.host
@@ -122,7 +122,8 @@ class Restarts:
 
     def _restart_process(self, state: ProcessState) -> Restarted:
         hosted = [each.name for each in self._graph.all() if each.manager == state.name]
-        with self._graph.restart(hosted) as records:
+        with self._graph.restart(hosted) as found:
+            records = [each for each in found if not each.unwanted]
             strangers = [each.name for each in records if not each.is_spawned]
             if strangers:
                 raise HostError(
@@ -132,6 +133,9 @@ class Restarts:
             renewed = [(each, self._renewed(each)) for each in records]
             self._graph.put(*[_starting(each) for each in records])
             self._host.renew(state.name)  # if that fails, the next look finds how they are
+            for record in found:
+                if record.unwanted:  # its destruction waited for this process
+                    self._lifecycle.forget(record)
             problems = []
             for record, fresh in renewed:
                 try:
@@ -186,7 +190,7 @@ class Restarts:
         raise RestartFailed(record.name, error, is_back) from error
 
     def _remarks(self, before: Record) -> Iterator[str]:
-        """Say what a restart has not kept, or not renewed."""
+        """List the parts that a restart has not kept, or not renewed."""
         after = self._graph.get(before.name)
         assert before.transformation is not None and after.transformation is not None
         present = {port.name for port in after.transformation.ports}

@@ -38,7 +38,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class _Load:
-    """What a process takes, in cores.
+    """The load of a process, in cores.
 
     Attributes:
         state: the process.

@@ -35,6 +35,8 @@ from dyknow.locks import turn_lock
 IN_MEMORY = ":memory:"
 #: Changes with the tables. Rows had no checksums in format 1, and there were no children before 3.
 FORMAT = 3
+#: The fact with the labels of each specification file, in JSON; all other facts are numbers.
+LABELS_OF_FILES = "labels_of_files"
 #: The columns of each table that hold keys and texts.
 TABLES = {
     "facts": ("name", "value"),
@@ -112,7 +114,7 @@ class Store:
         self._rows: Rows = {}
         self._pending: dict[tuple[str, str], str | None] = {}  # changes that are not on disk yet
         self._damage = ""  # of the file, until it is replaced
-        self._substitute = _SUBSTITUTE  # what takes its place then
+        self._substitute = _SUBSTITUTE  # the log's clause on that
         self._is_new = not os.path.exists(path + _BACKUPS[0])  # to the backups
         self._no_backup = ""  # why there is none of the latest changes
         self._retry_at = self._remind_at = float("-inf")
@@ -148,12 +150,16 @@ class Store:
 
     def number(self, name: str) -> int:
         """Read a number among the facts, 0 if it was never written."""
-        return self.read("facts", lambda key, text: int(text)).get(name, 0)
+        return int(self.read("facts", _fact).get(name, 0))
+
+    def labels_of_files(self) -> dict[str, list[str]]:
+        """Read what was written as the fact ``LABELS_OF_FILES``."""
+        return dict(json.loads(str(self.read("facts", _fact).get(LABELS_OF_FILES, "{}"))))
 
     def write(self, changes: Changes) -> None:
         """Write entries, all or none: to the disk or, as long as it does not take them, to memory.
 
-        What was written ``later`` is written with them.
+        Entries of ``later`` are written with them.
         """
         with self._turn:
             if self._change(changes) and self._clock() >= self._retry_at:
@@ -346,6 +352,10 @@ class Store:
         return f"{_TROUBLES[words]} ({error})" if words else str(error)
 
 
+def _fact(name: str, text: str) -> int | str:
+    return text if name == LABELS_OF_FILES else int(text)
+
+
 def _trouble(error: BaseException) -> str:
     """Return sqlite's words for a file that cannot be used now; empty for other errors."""
     if isinstance(error, sqlite3.OperationalError):
@@ -532,7 +542,7 @@ def _back_up(path: str) -> None:
 
 
 def _newest_backup(path: str) -> tuple[Rows, str]:
-    """Return the rows of the newest good backup, and what takes the place of the file."""
+    """Return the rows of the newest good backup, and the log's clause on it."""
     for ending in _BACKUPS:
         backup = path + ending
         with contextlib.suppress(OSError, *_FAULTS):

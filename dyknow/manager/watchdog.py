@@ -30,7 +30,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class WatchdogLimits:
-    """What a process may do before it is restarted; 0: whatever it likes.
+    """Limits of a process, beyond which it is restarted; 0: none.
 
     Attributes:
         hung: seconds without an answer.
@@ -59,7 +59,7 @@ class Watchdog:
         restart: restarts a process by name; may raise DyKnowError.
         limits: when a process is restarted.
         report: called with each restart in words.
-        now: time in s for which this process has run: a process that was stopped heard nobody.
+        now: time in s for which this process has run: a stopped process has received nothing.
     """
 
     def __init__(

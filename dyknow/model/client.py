@@ -161,6 +161,10 @@ class BaseManagerClient(ABC):
         """Switch to the cheapest plan of now, or with ``dry_run`` only describe it."""
 
     @abstractmethod
+    def plan_stream(self, claim_id: str, exclude: Sequence[str]) -> Replanned:
+        """Describe the cheapest plan for a claim without some transformations (labels)."""
+
+    @abstractmethod
     def list_streams(self) -> Tuple[StreamStatus, ...]:
         """Return all claims, and those that ended lately."""
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Hosts, as values: what runs there, how loaded they are, and how their clocks differ."""
+"""Hosts, as values: their nodelets, their load, and the offsets of their clocks."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Mapping, Optional, Tuple
+from typing import Mapping, NamedTuple, Optional, Tuple
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class PortStatistics:
         latched: an out-port that keeps a message for subscribers that connect later.
         age: seconds between the stamp and the publishing of the first message that an out-port
             sent after the last query; None where that is unknown.
+        size: bytes of that message as it would be serialised; 0 where that is unknown.
     """
 
     port: str
@@ -37,6 +38,7 @@ class PortStatistics:
     max_callback: Optional[float]
     latched: bool = False
     age: Optional[float] = None
+    size: int = 0
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,37 @@ class NodeletStatistics:
     recent_error: str = ""
 
 
+class NodeletLoad(NamedTuple):
+    """What a nodelet takes of its machine.
+
+    Attributes:
+        busy: share of the time that its callbacks take, waiting included; beyond 1 with several
+            threads.
+        cpu: share of one core; None if it is not known, as where nodelets share a process.
+        memory: bytes of resident memory; None as for ``cpu``.
+    """
+
+    busy: float
+    cpu: Optional[float]
+    memory: Optional[int]
+
+
+class PortCount(NamedTuple):
+    """Counts of a port since its nodelet was loaded, and what its messages are like.
+
+    Attributes:
+        messages: received or sent.
+        dropped: refused by a full queue, or published while disconnected.
+        age: seconds between the stamp and the publishing of a message; None where unknown.
+        size: bytes of a message; 0 where unknown.
+    """
+
+    messages: int
+    dropped: int
+    age: Optional[float] = None
+    size: int = 0
+
+
 @dataclass(frozen=True)
 class NodeletCount:
     """Counts of a nodelet at one moment.
@@ -66,10 +99,30 @@ class NodeletCount:
         nodelet: its name.
         uptime: the moment, in seconds since it was loaded, steady.
         reconfigurations: how often its ports had been connected elsewhere before.
-        ports: messages and dropped messages by port.
+        ports: by name.
+        callback_errors: callbacks that have raised.
+        recent_error: text of the last error of a callback, if that was lately; empty if not.
+        busy: seconds that its callbacks have taken, with those that run now and with waiting.
+        cpu: seconds of processor time of its process; None if other nodelets share it.
+        memory: bytes of resident memory of its process; None if other nodelets share it.
     """
 
     nodelet: str
     uptime: float
     reconfigurations: int
-    ports: Mapping[str, Tuple[int, int]]
+    ports: Mapping[str, PortCount]
+    callback_errors: int = 0
+    recent_error: str = ""
+    busy: float = 0.0
+    cpu: Optional[float] = None
+    memory: Optional[int] = None
+
+    def load_since(self, before: NodeletCount) -> Optional[NodeletLoad]:
+        """Return the load since an earlier moment; None if it was loaded again since."""
+        seconds = self.uptime - before.uptime
+        if seconds <= 0.0:
+            return None
+        cpu = None
+        if self.cpu is not None and before.cpu is not None:
+            cpu = max(0.0, self.cpu - before.cpu) / seconds
+        return NodeletLoad(max(0.0, self.busy - before.busy) / seconds, cpu, self.memory)

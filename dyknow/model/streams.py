@@ -30,7 +30,7 @@ class ClaimState(enum.IntEnum):
 NO_MESSAGE = "no message yet"
 """Detail of an active claim on whose topic nothing has come since its stream was changed last."""
 
-UNKNOWN_AGE = "not known how old messages are: they bear no stamp, or nobody tells"
+UNKNOWN_AGE = "not known how old messages are: they bear no stamp, or no process reports it"
 """Detail of an active claim with a ``max_age`` that cannot be judged."""
 
 

@@ -10,11 +10,12 @@ the lock of the bus, in memory only. Everything that talks to ROS happens before
 A switch (``rewire``) goes through four steps:
 
 1. make: new connections are linked, held. Where a topic has no other end in this process, its
-   registration is made now, and its peers outside are waited for;
+   registration is made now, and its peers outside are waited for. Where this process is registered
+   already, the registration is shared, without a wait;
 2. switch: publications get their new route in one store each, old connections close, the marker
    goes into the strand, new connections open;
-3. register: topics with other ends in this process have switched already; their registrations
-   are made now;
+3. register: topics with other ends in this process alone have switched already; their
+   registrations are made now. What is published until then is kept for the outside;
 4. break: the registrations of the old topics are drained and withdrawn.
 """
 
@@ -27,6 +28,7 @@ from typing import Any, Callable, Mapping, Sequence, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
+from dyknow.nodelet.awaited import AwaitedPublisher
 from dyknow.nodelet.endpoints import NOTHING, Connection, Fence, Publication, Subscription
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
 from dyknow.nodelet.parked import ParkedConnection
@@ -63,7 +65,9 @@ class _Part:
         topic: its new topic; empty for none.
         link: the new connection of a subscription.
         registration: on the new topic.
-        is_late: whether that is made after the switch.
+        is_live: whether the topic has other ends in this process.
+        is_late: whether the registration is made after the switch.
+        awaited: takes its place until then, for a publication that does not latch.
         drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
     """
@@ -72,7 +76,9 @@ class _Part:
     topic: str
     link: Connection | None = None
     registration: Any = None
+    is_live: bool = False
     is_late: bool = False
+    awaited: AwaitedPublisher | None = None
     drained: Connection | None = None
     old: Any = None
 
@@ -162,14 +168,14 @@ class Bus:
                 self._check_topic(part.topic)
         deadline = self._clock() + patience
         try:
-            self._make(parts, deadline)
+            self._make(parts, deadline, patience)
             self._drain(parts, patience)
             self._switch(parts, on_switch)
         except BaseException:
             self._undo(parts)
             raise
         try:
-            self._register_late(parts)
+            self._register_late(parts, patience)
         finally:
             self._break(parts, deadline)
 
@@ -201,7 +207,40 @@ class Bus:
             if registration is not None:
                 registration.close()
 
-    # What comes for a nodelet that is about to be loaded
+    # Nodelets that move to another process, or come from one
+
+    def detach(
+        self, connections: Sequence[Connection], staying: Sequence[tuple[Publication, str]]
+    ) -> list[OutsideSubscriber] | None:
+        """Disconnect subscriptions, all or none; their queued messages stay.
+
+        Args:
+            connections: their connections.
+            staying: publications of the same nodelet, with their topics.
+
+        Returns:
+            Registrations, which the caller withdraws; None if an end is connected elsewhere by
+            now, or is about to be.
+        """
+        with self._lock:
+            moving = [part.endpoint for part in self._making]
+            ends: list[Endpoint] = [each.subscription for each in connections]
+            ends += [publication for publication, _ in staying]
+            if (
+                any(end in moving for end in ends)
+                or any(each.subscription.connection is not each for each in connections)
+                or any(publication.topic != topic for publication, topic in staying)
+            ):
+                return None
+            for each in connections:
+                each.subscription.connection = None
+                self._unlink(each, discard=False)
+        return [each.outside for each in connections if each.outside is not None]
+
+    def renew(self, connections: Sequence[Connection]) -> None:
+        """Read on where connections were drained and not left."""
+        for each in connections:
+            self._subscribe_again(each)
 
     def park(
         self,
@@ -257,29 +296,33 @@ class Bus:
                 self._parked += parts
         return missing
 
-    def unpark(self, owner: str) -> None:
-        """Withdraw what is still parked for a nodelet."""
+    def unpark(self, ends: Sequence[Endpoint]) -> None:
+        """Withdraw those of parked subscriptions and publications that are not taken over."""
         with self._lock:
-            left = [part for part in self._parked if part.endpoint.owner == owner]
+            left = [part for part in self._parked if part.endpoint in ends]
             self._parked = [part for part in self._parked if part not in left]
         self._undo(left)
 
     # The steps of a switch.
 
-    def _make(self, parts: list[_Part], deadline: float) -> None:
+    def _make(self, parts: list[_Part], deadline: float, patience: float) -> None:
         with self._lock:
             for part in parts:
                 if not part.topic:
                     continue
                 topic = self._topic(part.topic, part.endpoint.datatype)
                 if part.is_publication:
-                    part.is_late = bool(topic.route)
+                    part.is_live = bool(topic.route)
+                    is_shared = any(map(_is_registered, topic.publications))
+                    part.is_late = part.is_live and not is_shared
                     continue
                 parked = self._claim(part)
                 if parked is not None:
                     part.link, part.registration = parked.link, parked.registration
                     continue
-                part.is_late = bool(topic.publications)
+                part.is_live = bool(topic.publications)
+                is_shared = any(each.outside is not None for each in topic.route)
+                part.is_late = part.is_live and not is_shared
                 part.link = Connection(part.endpoint, part.topic)
                 self._link(topic, part.link)
             self._making += parts
@@ -287,11 +330,12 @@ class Bus:
         for part in early:
             self._register(part)
             part.check_open()  # a concurrent release() may have missed this registration
-        for part in early:
-            seconds = max(0.0, deadline - self._clock())
-            if seconds:
-                arguments = () if part.link is None else (part.link.arrived,)
-                part.registration.wait(*arguments, seconds)
+        for part in early if patience else ():
+            seconds = 0.0 if part.is_live else max(0.0, deadline - self._clock())
+            if part.link is None:  # without a wait too: messages are kept for those to come
+                part.registration.wait(seconds)
+            elif seconds:
+                part.registration.wait(part.link.arrived, seconds)
 
     def _drain(self, parts: list[_Part], patience: float) -> None:
         """Receive what old publishers outside have sent by now: it goes before the new."""
@@ -323,33 +367,54 @@ class Bus:
                     part.link.open()
             self._making = [part for part in self._making if part not in parts]
 
-    def _register_late(self, parts: list[_Part]) -> None:
+    def _register_late(self, parts: list[_Part], patience: float) -> None:
         failures: list[BaseException] = []
         for part in parts:
             try:
                 if part.is_late:
                     self._register(part)
+                    if patience and part.is_publication:
+                        part.registration.wait(0.0)  # messages are kept for those to come
             except BaseException as error:  # further parts are switched too and need theirs
                 failures.append(error)
-            made, endpoint, owed = part.registration, part.endpoint, NOTHING
-            if made is None:
-                continue
-            with self._lock:
-                if part.link is not None:
-                    current = endpoint.connection is part.link
-                    part.link.outside = made
-                else:
-                    current = endpoint.topic == part.topic and not endpoint.closed
-                    if current:
-                        owed = endpoint.set_outside(made)
-            if not current:  # released or moved on meanwhile
-                made.close()
-            while owed is not NOTHING:
-                made.latch(owed)
-                # A message published meanwhile may have overtaken it: the last is to stay.
-                owed = NOTHING if endpoint.latched is owed else endpoint.latched
+            self._put_in_place(part)
         if failures:
             raise failures[0]
+
+    def _put_in_place(self, part: _Part) -> None:
+        """Give an endpoint the registration that was made after its switch."""
+        made, endpoint, awaited, owed = part.registration, part.endpoint, part.awaited, NOTHING
+        if awaited is not None:
+            self._pass_on(part, awaited)
+        if made is None and awaited is None:
+            return
+        with self._lock:
+            if part.link is not None:
+                current = endpoint.connection is part.link
+                part.link.outside = made
+            else:
+                current = endpoint.topic == part.topic and not endpoint.closed
+                if current:
+                    owed = endpoint.set_outside(made)
+        if made is None:
+            return
+        if not current and awaited is not None and awaited.drain(_RELEASE_DRAIN):
+            self._leave_later(endpoint, made)  # moved on meanwhile, or released
+        elif not current:
+            made.close()
+        while owed is not NOTHING:
+            made.latch(owed)
+            # A message published meanwhile may have overtaken it: the last is to stay.
+            owed = NOTHING if endpoint.latched is owed else endpoint.latched
+
+    def _pass_on(self, part: _Part, awaited: AwaitedPublisher) -> None:
+        """Send what was published since the switch, if that is still allowed, and outside."""
+        fence = self._fences.get(part.topic)
+        made = part.registration
+        if made is None or part.endpoint.closed or (fence and not fence(part.endpoint.owner)):
+            awaited.close()
+        if made is not None:
+            awaited.pass_to(made)
 
     def _break(self, parts: list[_Part], deadline: float) -> None:
         for part in parts:
@@ -363,7 +428,12 @@ class Bus:
         """Withdraw a registration once a slow network has taken all that was published on it."""
         leaving = (endpoint, registration)
         with self._lock:
-            self._leaving.append(leaving)
+            is_released = endpoint.closed
+            if not is_released:
+                self._leaving.append(leaving)
+        if is_released:
+            registration.close()
+            return
 
         def leave() -> None:
             registration.drain(_LONGEST_DRAIN)
@@ -392,12 +462,12 @@ class Bus:
         """Renew the registration of a connection that was drained, but is not left."""
         with self._lock:
             old = connection.outside
-            if connection.subscription.closed or old is None:
+            if connection.subscription.connection is not connection or old is None:
                 return
         old.close()
         registration = self._subscribe(connection)
         with self._lock:
-            current = not connection.subscription.closed
+            current = connection.subscription.connection is connection
             if current:
                 connection.outside = registration
         if not current:
@@ -489,4 +559,13 @@ class Bus:
             topic.publications.append(publication)
             route = topic.route
         fence = self._fences.get(part.topic)
-        publication.connect(part.topic, part.registration, route, fence)
+        if part.is_late and not publication.latch:
+            part.awaited = AwaitedPublisher(part.topic, publication.queue_size)
+        outside = part.registration or part.awaited
+        publication.connect(part.topic, outside, route, fence)
+
+
+def _is_registered(publication: Publication) -> bool:
+    """Whether a publication has its registration."""
+    outside = publication.outside
+    return outside is not None and not isinstance(outside, AwaitedPublisher)

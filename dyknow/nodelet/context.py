@@ -71,6 +71,11 @@ class Runtime:
         self.bus = Bus(self.transport, self.clock, check)
         self.timers = TimerQueue(middleware.ticker)
 
+    def catch_up(self) -> None:
+        """Start callbacks that wait for a thread which the system refused."""
+        for executor in {self.executor, self.blocking}:
+            executor.catch_up()
+
     def close(self) -> None:
         """End the threads."""
         self.timers.close()
@@ -99,6 +104,8 @@ class Context:
         self.callback_errors = 0
         self._last_error: tuple[float, str] | None = None
         self.closed = False
+        #: Whether it is being given to another process, so that nothing is to be connected here.
+        self.is_leaving = False
         self.closed_at = 0.0
         #: Threads of its own that have not ended at the unload.
         self.late_threads: list[threading.Thread] = []
@@ -118,6 +125,8 @@ class Context:
         self._strands = [self.strand]
         self._endpoints: list[Endpoint] = []
         self._timers: list[Timer] = []
+        #: Seconds in callbacks of timers, of services, and of subscriptions that have ended.
+        self._spent = 0.0
         self._closables: list[Closable] = []
 
     def start(self) -> None:
@@ -231,7 +240,7 @@ class Context:
         """Start a timer that this nodelet owns; the period is in seconds."""
         queue = self.runtime.timers
         failed = functools.partial(self.failed, "a timer")
-        timer = Timer(queue, period, callback, strand, oneshot, failed)
+        timer = Timer(queue, period, callback, strand, oneshot, failed, self.spend)
         queue.add(timer)
         with self._lock:
             ended = [each for each in self._timers if not each.is_alive()]
@@ -252,6 +261,7 @@ class Context:
     def release(self, *endpoints: Endpoint) -> None:
         """Take endpoints of this nodelet off the bus for good."""
         with self._lock:
+            self._spent += sum(each.traffic.busy for each in self._endpoints if each in endpoints)
             self._endpoints = [each for each in self._endpoints if each not in endpoints]
         self.runtime.bus.release(endpoints)
         for endpoint in endpoints:
@@ -299,12 +309,16 @@ class Context:
         with self._lock:
             return any(strand.busy for strand in self._strands)
 
-    def busy(self) -> float:
-        """Seconds that its present subscriptions and timers have spent in callbacks so far."""
+    def spend(self, seconds: float) -> None:
+        """Count the time that a callback of a timer or service took."""
         with self._lock:
-            ends = [each for each in self._endpoints if isinstance(each, Subscription)]
-            timers = list(self._timers)
-        return sum(each.traffic.busy for each in ends) + sum(each.busy for each in timers)
+            self._spent += seconds
+
+    def busy(self, with_running: bool = False) -> float:
+        """Seconds that its callbacks have taken so far; on request with those that still run."""
+        with self._lock:
+            ended = self._spent + sum(each.traffic.busy for each in self._endpoints)
+            return ended + (sum(each.age for each in self._strands) if with_running else 0.0)
 
     def callback_age(self) -> float:
         """Seconds for which the oldest running callback has been running; 0.0 if none runs."""

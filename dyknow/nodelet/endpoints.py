@@ -72,7 +72,7 @@ class Traffic:
         self.last = start
 
     def begin_stretch(self, number: int, now: float) -> None:
-        """Begin a stretch with this message, if it is due or follows a pause."""
+        """Start a stretch with this message, if it is due or follows a pause."""
         if number == 1 or self._is_pause(number - 1, now):
             self._before = self._begin = (number, now)
         elif number % _STRETCH == 1:
@@ -102,7 +102,7 @@ class Connection:
     """One subscription's link to one topic.
 
     Held, it collects messages; open, it delivers them on the strand; noted, it delivers them and
-    keeps what it was given; closed, it takes no more. It is itself the task that delivers its
+    keeps a copy; closed, it takes no more. It is itself the task that delivers its
     oldest message: nothing else is touched on the way.
     """
 
@@ -180,14 +180,14 @@ class Connection:
                     self._strand.post_locked(self)
 
     def note(self, is_noted: bool) -> None:
-        """Begin or cease to note what is given to an open connection."""
+        """Start or stop keeping the messages that an open connection receives."""
         with message_lock:
             if self._state in (_OPEN, _NOTED):
                 self._noted.clear()
                 self._state = _NOTED if is_noted else _OPEN
 
     def take(self) -> tuple[list[tuple[float, Any]], list[Any]]:
-        """Return what it was given since ``note``, and take what it has yet to deliver."""
+        """Return the messages since ``note``, and take those that are not delivered yet."""
         with message_lock:
             waiting = list(self._queue)
             self._queue.clear()
@@ -199,6 +199,7 @@ class Connection:
             self._state = _CLOSED
             if discard:
                 self._queue.clear()
+                self._noted.clear()
 
 
 class Subscription:
@@ -221,8 +222,8 @@ class Subscription:
     ) -> None:
         """Describe a subscription.
 
-        ``failed`` is called with the errors of its callbacks, and ``adapt`` makes of callbacks
-        what takes the messages of its topic.
+        ``failed`` is called with the errors of its callbacks, and ``adapt`` converts the messages
+        of its topic for callbacks.
         """
         self.datatype = datatype
         self.adapt = adapt
@@ -278,8 +279,8 @@ class Publication:
     """
 
     __slots__ = tuple(
-        """_age _age_of _build _fence _is_age_wanted _is_plain _route _watchers closed datatype
-        latch latched options outside owner queue_size refusal topic traffic""".split()
+        """_build _fence _is_plain _is_sample_wanted _route _sample _sample_of _watchers closed
+        datatype latch latched options outside owner queue_size refusal topic traffic""".split()
     )
 
     def __init__(
@@ -306,9 +307,9 @@ class Publication:
         self.outside: OutsidePublisher | None = None
         self.closed = False
         self._build = transport.build
-        self._age_of = transport.age_of
-        self._age: float | None = None
-        self._is_age_wanted = False
+        self._sample_of = transport.sample_of
+        self._sample: tuple[float | None, int] = (None, 0)
+        self._is_sample_wanted = False
         self._fence: Fence | None = None
         self._route: tuple[Connection, ...] | None = None
         #: Whether messages only pass: the one question that a publish asks of all the above.
@@ -382,18 +383,19 @@ class Publication:
             self._fence = fence
             self._note_plain()
 
-    def sample_age(self) -> float | None:
-        """Return how old a message was when it was published, and let the next one be measured.
+    def sample(self) -> tuple[float | None, int]:
+        """Return how old and large a message was, and let the next one be measured.
 
         Returns:
-            Seconds, of the first message after the previous call; None if that is not known.
+            Of the first message after the previous call, the seconds from its stamp to its
+            publication, None if that is not known, and its bytes, 0 if not known.
         """
         with message_lock:
-            self._is_age_wanted = True
+            self._is_sample_wanted = True
             self._note_plain()
-            return self._age
+            return self._sample
 
-    def set_outside(self, outside: OutsidePublisher) -> Any:
+    def set_outside(self, outside: OutsidePublisher | None) -> Any:
         """Publish through this registration too; returns the latched message that it is owed."""
         with message_lock:
             self._set_outside(outside)
@@ -456,7 +458,7 @@ class Publication:
     # Under the lock:
 
     def _admit(self, message: Any) -> bool:
-        """Latch a message, sample its age; returns whether it may be sent."""
+        """Latch a message, sample its age and size; returns whether it may be sent."""
         if self.closed:
             raise self.refusal()
         if self._route is None or (self._fence is not None and not self._fence(self.owner)):
@@ -466,10 +468,10 @@ class Publication:
             return False
         if self.latch:
             self.latched = message
-        if self._is_age_wanted:
-            self._is_age_wanted = False
+        if self._is_sample_wanted:
+            self._is_sample_wanted = False
             self._note_plain()
-            self._age = self._age_of(message)
+            self._sample = self._sample_of(message)
         return True
 
     def _note_plain(self) -> None:
@@ -477,7 +479,7 @@ class Publication:
             self._route is not None
             and self._fence is None
             and not self.latch
-            and not self._is_age_wanted
+            and not self._is_sample_wanted
         )
 
     def _set_outside(self, outside: OutsidePublisher | None) -> None:

@@ -3,16 +3,23 @@
 
 """Moves nodelets between processes of one host, so that no message is lost or received twice.
 
-1. The old process begins to note what the nodelet is given (``note``).
-2. The new one connects to the same topics and keeps what comes (``park``): from when all
+1. The old process starts to note the messages that the nodelet receives (``note``).
+2. The new one connects to the same topics and keeps their messages (``park``): once all
    publishers are connected no message passes by both. Subscribers connect to it, too.
-3. The old one receives what its sockets hold, disconnects the nodelet, waits until its callbacks
+3. The old one drains its sockets, disconnects the nodelet, waits until its callbacks
    have returned and all that it published is sent, and unloads it (``give``).
-4. The new one drops what the nodelet was given, and puts before the rest what waited for it in the
-   old one (``take``). The nodelet is loaded there as ever, and its subscriptions take over what
-   has come for them.
+4. The new one drops the messages that the nodelet has received, and puts those that waited for it
+   in the old one before the rest (``take``). The nodelet is loaded there as ever, and its
+   subscriptions take these messages over.
 
-Ownership: each process has one ``HandOvers``, which owns what is noted or parked until ``end``.
+A manager may die between any two steps, and the next one begin a move anew:
+
+* a move begins without the messages of an earlier one, which it ends;
+* parked messages are for the nodelet only once the old process has reported (``take``), and if
+  it is loaded soon: it may have run elsewhere in between;
+* ``give`` changes nothing, or unloads the nodelet, whose manager brings it back.
+
+Ownership: each process has one ``HandOvers``, which owns noted and parked messages until ``end``.
 """
 
 from __future__ import annotations
@@ -21,8 +28,9 @@ import functools
 import logging
 import threading
 import time
-from dataclasses import dataclass, replace
-from typing import Any, Callable, Sequence
+import weakref
+from dataclasses import dataclass, field, replace
+from typing import Any, Callable, Iterator, Sequence, TypeVar
 
 from dyknow.errors import CannotMove, UnknownNodelet
 from dyknow.locks import state_lock
@@ -30,18 +38,25 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import MOST_KEPT, Connection, Publication, Subscription
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.middleware import Closable, Receive
+from dyknow.nodelet.middleware import Closable, OutsideSubscriber, Receive
 from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Strand
 from dyknow.periodic import in_background
 
 #: Seconds for publishers and subscribers to connect to the new process.
 PATIENCE = 2.0
-#: Seconds for what the sockets of a nodelet hold, and for its callback to return.
+#: Seconds to drain the sockets of a nodelet, and for its callback to return.
 LONGEST_END = 3.0
-#: Seconds after which a move that nobody ends is given up.
+#: Seconds after which an unfinished move is abandoned.
 _EXPIRY = 120.0
+#: The same, once the nodelet was given away and while it is not being loaded.
+_LOAD_EXPIRY = 10.0
 _STEP = 0.002
+
+T = TypeVar("T")
+
+_ELSEWHERE = "it was connected elsewhere meanwhile"
+_NOT_KEPT = "its messages are not kept any more"
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -65,6 +80,29 @@ class HandedTopic:
     waiting: tuple[bytes, ...] = ()
 
 
+@dataclass(eq=False)
+class _Move:
+    """One move of a nodelet, in one of the two processes.
+
+    Attributes:
+        context: of the nodelet that moves from here; it may end meanwhile.
+        noted: its connections.
+        outputs: its publications that are connected, with their topics.
+        is_given: whether it is just being given away.
+        links: connections that are kept for the nodelet that moves here; None before.
+        ends: their subscriptions, and publications.
+        ended: set at the end.
+    """
+
+    context: Callable[[], Context | None] = lambda: None
+    noted: list[Connection] = field(default_factory=list)
+    outputs: list[tuple[Publication, str]] = field(default_factory=list)
+    is_given: bool = False
+    links: list[ParkedConnection] | None = None
+    ends: list[Any] = field(default_factory=list)
+    ended: threading.Event = field(default_factory=threading.Event)
+
+
 class HandOvers(Closable):
     """The moves of nodelets from and to this process; for one move of a nodelet at a time.
 
@@ -85,15 +123,13 @@ class HandOvers(Closable):
         self._find_class = find_class
         self._unload = unload
         self._lock = state_lock("moves of nodelets")
-        self._noted: dict[str, list[Connection]] = {}
-        self._parked: dict[str, list[ParkedConnection]] = {}
-        #: By nodelet, set when its move has ended.
-        self._ends: dict[str, threading.Event] = {}
+        #: By nodelet.
+        self._moves: dict[str, _Move] = {}
 
     # In the old process
 
     def note(self, name: str) -> list[HandedTopic]:
-        """Note what a nodelet is given from now on; returns its connected ends.
+        """Note the messages of a nodelet from now on; returns its connected ends.
 
         Raises CannotMove if messages would be lost, and UnknownNodelet.
         """
@@ -105,57 +141,106 @@ class HandOvers(Closable):
                 raise CannotMove(name, what)
             if isinstance(each, Subscription) and each.connection is not None:
                 connections.append(each.connection)
+        outputs = [
+            (each, each.topic)
+            for each in context.endpoints()
+            if isinstance(each, Publication) and each.topic
+        ]
+        self._begin(name, _Move(weakref.ref(context), connections, outputs))
         for connection in connections:
             connection.note(True)
-        with self._lock:
-            self._noted[name] = connections
-        self._expire(name)
-        return [*map(_input, connections), *self._outputs(context)]
+        return [*map(_input, connections), *_outputs(outputs)]
 
     def give(self, name: str) -> list[HandedTopic]:
-        """Unload a noted nodelet; returns its ends, with what it was given."""
+        """Unload a noted nodelet; returns its ends, with their messages.
+
+        Raises:
+            CannotMove: it runs on, untouched.
+            Exception: it is unloaded.
+        """
         context = self._context(name)
         with self._lock:
-            connections = self._noted.get(name)
-        if connections is None or [each.subscription.connection for each in connections] != [
-            *connections
-        ]:
-            raise CannotMove(name, "it was connected elsewhere meanwhile")
-        outputs = self._outputs(context)
+            move = self._moves.get(name)
+            if move is None or move.is_given or move.context() is not context:
+                raise CannotMove(name, _ELSEWHERE)
+            move.is_given = True
         deadline = time.monotonic() + LONGEST_END
-        for each in connections:
-            if each.outside is not None:  # some may have been sent before the new one connected
-                each.outside.drain(max(0.0, deadline - time.monotonic()))
-        self._runtime.bus.rewire([(each.subscription, "") for each in connections])
-        context.stop()
-        while context.is_busy() and time.monotonic() < deadline:
-            time.sleep(_STEP)
-        given = list(map(self._taken, connections))
-        for end in context.endpoints():
-            if isinstance(end, Publication) and end.outside is not None:
-                end.outside.drain(PATIENCE)
-        self._unload(name)
-        self.end(name)
-        return [*given, *outputs]
+        try:
+            registrations = self._detached(name, move, deadline)
+        except BaseException:
+            move.is_given = False
+            if move.ended.is_set():
+                self._end(name, move)
+            raise
+        context.is_leaving = True
+        try:
+            for registration in registrations:
+                registration.close()
+            context.stop()
+            while context.is_busy() and time.monotonic() < deadline:
+                time.sleep(_STEP)
+            given = list(map(self._taken, move.noted))
+            last = time.monotonic() + PATIENCE
+            for end in context.endpoints():
+                if isinstance(end, Publication) and end.outside is not None:
+                    end.outside.drain(max(0.0, last - time.monotonic()))
+        except BaseException:
+            _log.exception("%s could not be given away; it is unloaded", name)
+            raise
+        finally:  # it is disconnected and stopped, and must not stay so
+            try:
+                self._unload(name)
+            finally:
+                move.is_given = False
+                self._end(name, move)
+        return [*given, *_outputs(move.outputs)]
+
+    def _detached(self, name: str, move: _Move, deadline: float) -> list[OutsideSubscriber]:
+        """Disconnect a nodelet; returns registrations that are to be withdrawn.
+
+        Raises CannotMove if it is connected elsewhere, before or meanwhile.
+        """
+        connections = move.noted
+        if any(each.subscription.connection is not each for each in connections):
+            raise CannotMove(name, _ELSEWHERE)
+        registrations = None
+        try:
+            for each in connections:
+                if each.outside is not None:  # some may have been sent before the new one came
+                    each.outside.drain(max(0.0, deadline - time.monotonic()))
+            if not move.ended.is_set():
+                registrations = self._runtime.bus.detach(connections, move.outputs)
+        finally:
+            if registrations is None:
+                self._runtime.bus.renew(connections)
+        if registrations is None:
+            raise CannotMove(name, _ELSEWHERE)
+        return registrations
 
     def _taken(self, connection: Connection) -> HandedTopic:
+        """Return what came to a connection, but for messages that cannot be serialised.
+
+        Those came by reference, so the new process has not received them.
+        """
         transport = self._runtime.transport
         given, waiting = connection.take()
+        digests = ((moment, _attempt(transport.digest, message)) for moment, message in given)
+        packed = _successes(connection, transport.pack, waiting)
         return replace(
             _input(connection),
-            given=tuple((moment, transport.digest(message)) for moment, message in given),
-            waiting=tuple(map(transport.pack, waiting)),
+            given=tuple((moment, digest) for moment, digest in digests if digest is not None),
+            waiting=tuple(packed),
         )
 
     # In the new process
 
     def park(self, name: str, topics: Sequence[HandedTopic]) -> None:
-        """Keep what comes on the topics of a nodelet that is to be loaded here.
+        """Keep the messages on the topics of a nodelet that is to be loaded here.
 
-        Raises CannotMove if one of the publishers does not connect, and what ``Bus.park`` does.
+        Raises CannotMove if a publisher does not connect, and the errors of ``Bus.park``.
         """
         runtime = self._runtime
-        strand = Strand(runtime.executor, name, held=True)
+        strand = Strand(runtime.executor, name)  # which nothing is posted to: they stay held
         links: list[ParkedConnection] = []
         publications: list[tuple[Publication, str]] = []
         for each in topics:
@@ -171,57 +256,85 @@ class HandOvers(Closable):
                     datatype, False, 1, runtime.transport, runtime.clock, refusal, {}, name
                 )
                 publications.append((publication, each.topic))
-        missing = runtime.bus.park(links, publications, PATIENCE)
-        if missing:
-            listed = ", ".join(missing)
-            raise CannotMove(name, f"publishers do not connect within {PATIENCE:g} s: {listed}")
-        with self._lock:
-            self._parked[name] = links
-        self._expire(name)
+        move = _Move(ends=[*(each.subscription for each in links), *(p for p, _ in publications)])
+        self._begin(name, move)
+        try:
+            missing = runtime.bus.park(links, publications, PATIENCE)
+            if missing:
+                listed = ", ".join(missing)
+                raise CannotMove(
+                    name, f"publishers do not connect within {PATIENCE:g} s: {listed}"
+                )
+        except BaseException:
+            self._end(name, move)
+            raise
+        move.links = links
+        if move.ended.is_set():
+            runtime.bus.unpark(move.ends)
+            raise CannotMove(name, "its move was ended meanwhile")
 
     def take(self, name: str, topics: Sequence[HandedTopic]) -> None:
-        """Leave out what a parked nodelet was given where it was.
+        """Drop the messages that a parked nodelet received in its old process.
 
         Raises CannotMove if it is not parked any more.
         """
         with self._lock:
-            links = self._parked.get(name)
-        if links is None:
-            raise CannotMove(name, "its messages are not kept any more")
+            move = self._moves.get(name)
+        if move is None or move.links is None:
+            raise CannotMove(name, _NOT_KEPT)
         inputs = [each for each in topics if each.direction == IN]
-        for link, each in zip(links, inputs):
+        for link, each in zip(move.links, inputs):
             unpack = functools.partial(self._runtime.transport.unpack, link.subscription.datatype)
-            link.leave_out(each.given, list(map(unpack, each.waiting)))
+            if not link.leave_out(each.given, list(_successes(link, unpack, each.waiting))):
+                raise CannotMove(name, _NOT_KEPT)
+        self._expire(name, move, _LOAD_EXPIRY)
 
     # In both
 
     def end(self, name: str) -> None:
         """Cease to note or to keep messages for a nodelet."""
         with self._lock:
-            noted, parked = self._noted.pop(name, ()), self._parked.pop(name, None)
-            ended = self._ends.pop(name, None)
-        for each in noted:
-            each.note(False)
-        if parked is not None:
-            self._runtime.bus.unpark(name)
-        if ended is not None:
-            ended.set()
+            move = self._moves.get(name)
+        if move is not None:
+            self._end(name, move)
 
     def close(self) -> None:
         with self._lock:
-            left = [*self._noted, *self._parked]
-        for name in left:
-            self.end(name)
+            left = list(self._moves.items())
+        for name, move in left:
+            self._end(name, move)
 
-    def _expire(self, name: str) -> None:
-        """End a move later, if a manager that died does not."""
+    def _begin(self, name: str, move: _Move) -> None:
+        """Begin a move, and end an earlier one, whose manager may have died.
+
+        Raises CannotMove while the nodelet is given away.
+        """
         with self._lock:
-            ended = self._ends[name] = threading.Event()
+            earlier = self._moves.get(name)
+            if earlier is not None and earlier.is_given:
+                raise CannotMove(name, "it is being given to another process already")
+            self._moves[name] = move
+        if earlier is not None:
+            self._end(name, earlier)
+        self._expire(name, move, _EXPIRY)
+
+    def _end(self, name: str, move: _Move) -> None:
+        with self._lock:
+            if self._moves.get(name) is move and not move.is_given:
+                del self._moves[name]
+        move.ended.set()
+        for each in move.noted:
+            each.note(False)
+        self._runtime.bus.unpark(move.ends)
+
+    def _expire(self, name: str, move: _Move, seconds: float) -> None:
+        """End a move later, if a manager that died does not, but not during the load."""
 
         def expire() -> None:
-            if not ended.wait(_EXPIRY):
-                _log.warning("%s: its move was not ended; it is given up", name)
-                self.end(name)
+            while not move.ended.wait(seconds):
+                if self._loader.known(name) is self._loader.find(name):
+                    _log.warning("%s: its move was not ended; it is given up", name)
+                    self._end(name, move)
 
         in_background(f"moving {name}", expire)
 
@@ -231,13 +344,9 @@ class HandOvers(Closable):
             raise UnknownNodelet(name, self._loader.list())
         return context
 
-    @staticmethod
-    def _outputs(context: Context) -> list[HandedTopic]:
-        return [
-            HandedTopic(each.topic, each.datatype._type, OUT)
-            for each in context.endpoints()
-            if isinstance(each, Publication) and each.topic
-        ]
+
+def _outputs(publications: Sequence[tuple[Publication, str]]) -> list[HandedTopic]:
+    return [HandedTopic(topic, each.datatype._type, OUT) for each, topic in publications]
 
 
 def _input(connection: Connection) -> HandedTopic:
@@ -250,3 +359,23 @@ def _as_it_is(receive: Receive) -> Receive:
 
 def _ignore(error: BaseException) -> None:
     """Do nothing: nothing is received."""
+
+
+def _attempt(convert: Callable[[Any], T], message: Any) -> T | None:
+    """Convert a message; None for one that cannot be converted."""
+    try:
+        return convert(message)
+    except Exception:  # the boundary to messages, whose fields may be anything
+        return None
+
+
+def _successes(
+    connection: Connection, convert: Callable[[Any], T], messages: Sequence[Any]
+) -> Iterator[T]:
+    """Convert messages that wait; one that cannot be converted is dropped, which is logged."""
+    for message in messages:
+        try:
+            yield convert(message)
+        except Exception as error:  # the boundary, as above
+            owner, topic = connection.subscription.owner, connection.topic
+            _log.warning("%s: a message on %s is lost in its move: %s", owner, topic, error)

@@ -290,16 +290,19 @@ class Service(Closable):
             del error  # its traceback refers to this frame
 
     def _answer(self, request: Any) -> tuple[Any, BaseException | None]:
+        context = self._context
+        began = context.runtime.clock()
         try:
             return self.handler(request), None
         except Exception as error:  # the boundary: raised again where the caller waits
-            context = self._context
             text = f"service '{self.resolved_name}': {type(error).__name__}: {error}"
             context.note_error(text, context.runtime.clock())
             return None, error
         except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
-            self._context.failed(f"service '{self.resolved_name}'", error)
+            context.failed(f"service '{self.resolved_name}'", error)
             return None, RuntimeError(f"the handler raised {type(error).__name__}: {error}")
+        finally:
+            context.spend(context.runtime.clock() - began)
 
 
 def _withdrawn(request: Any) -> Any:

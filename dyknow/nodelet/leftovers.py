@@ -27,7 +27,7 @@ from dyknow.nodelet.handle import PlainNodeHandle, Service
 from dyknow.nodelet.memory import break_cycles, return_free_memory
 from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.timers import Timer
-from dyknow.periodic import PeriodicWorker, attempt, in_background
+from dyknow.periodic import NO_THREAD, PeriodicWorker, attempt, in_background
 
 if TYPE_CHECKING:
     from dyknow.nodelet.loader import Loader
@@ -38,8 +38,9 @@ _PERIOD = 0.5
 _ATTEMPTS = 4
 #: Objects of the runtime, which do not refer to a nodelet any more.
 _OURS = (Context, PlainNodeHandle, Publisher, Subscriber, Service, Timer)
-#: Rounds in the time after which a callback is reported.
+#: Rounds in the time after which a callback is reported, and the longest pause between two.
 _ROUNDS = 4
+_LONGEST_PAUSE = 2.5
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -85,7 +86,11 @@ class Leftovers:
             self._left += remaining
             starts, self._is_examining = not self._is_examining, True
         if starts:
-            in_background("freeing nodelets", self._examine)
+            try:
+                in_background("freeing nodelets", self._examine)
+            except NO_THREAD as error:
+                self._is_examining = False
+                _log.warning("%s is freed after the next unload: %s", name, error)
 
     def running(self) -> dict[str, float]:
         """Nodelets whose code still runs, sorted by name, with the seconds since it began."""
@@ -111,7 +116,10 @@ class Leftovers:
 
 
 class StuckCallbacks:
-    """Announces the nodelets of a process with callbacks that do not return, and the remains."""
+    """Announces the nodelets of a process with callbacks that do not return, and the remains.
+
+    Callbacks that have not begun, since the system refused a thread, are started when it can be.
+    """
 
     def __init__(
         self, loader: Loader, host: str, after: float, announce: Callable[[str], None]
@@ -128,12 +136,14 @@ class StuckCallbacks:
         self._due: dict[str, float] = {}  # age at which a nodelet is announced again
         self._remains_due: dict[str, float] = {}
         what = "looking for callbacks that do not return"
-        self._worker = PeriodicWorker(what, self.check, after / _ROUNDS)
+        period = min(after / _ROUNDS, _LONGEST_PAUSE)
+        self._worker = PeriodicWorker(what, self.check, period)
         self.start = self._worker.start
         self.close = self._worker.close
 
     def check(self) -> None:
         """Announce changes, and a callback that still runs each time that its age has doubled."""
+        self._loader.runtime.catch_up()
         ages = self._ages()
         before = set(self._due)
         stuck = _due_now(self._due, ages, self._after)

@@ -28,7 +28,7 @@ from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.leftovers import Leftovers
 from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import Closable
-from dyknow.periodic import in_background
+from dyknow.periodic import NO_THREAD, in_background
 
 #: Seconds that an unload waits for ``on_shutdown``.
 SHUTDOWN_PATIENCE = 1.0
@@ -49,12 +49,17 @@ class _State(enum.Enum):
 class _Run(Closable):
     """Code of a nodelet on a thread of its own, which the caller may stop waiting for."""
 
-    def __init__(self, call: Callable[[], Any], name: str) -> None:
+    def __init__(
+        self,
+        call: Callable[[], Any],
+        name: str,
+        start: Callable[[str, Callable[[], object]], object] = in_background,
+    ) -> None:
         self.error: BaseException | None = None
         self._began = time.monotonic()
         self._is_running = True
         self._over = threading.Event()
-        in_background(name, functools.partial(self._run, [call]))
+        start(name, functools.partial(self._run, [call]))
 
     @property
     def age(self) -> float:
@@ -255,7 +260,11 @@ class Loader:
         if was_running and entry.nodelet is not None:
             hooks = [entry.nodelet.on_shutdown, *entry.context.shutdown_hooks]
             call = functools.partial(self._call_hooks, entry.context, hooks, wanted)
-            entry.shutdown = _Run(call, f"{name} on_shutdown")
+            try:
+                entry.shutdown = _Run(call, f"{name} on_shutdown")
+            except NO_THREAD as error:
+                _log.warning("%s: the unload itself calls on_shutdown: %s", name, error)
+                entry.shutdown = _Run(call, f"{name} on_shutdown", lambda _, run: run())
             entry.runs.append(entry.shutdown)
         return entry
 
@@ -309,4 +318,4 @@ class Loader:
         try:
             self._finish(name, self._shut_down(name, entry))
         except UnknownNodelet:
-            _log.info("%s: asked to be unloaded twice", name)
+            _log.info("%s: a second request to unload it", name)

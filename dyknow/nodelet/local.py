@@ -239,6 +239,9 @@ class LocalTransport(Transport):
         assert_no_state_lock(f"asking for the type of {topic}")
         return self.types.get(topic, "")
 
+    def is_published(self, topic: str) -> bool:
+        return topic in self.types or any(each.topic == topic for each in self.publishers)
+
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         return self.codecs.get(parameter("image_transport", "")) if self.codecs else None
 

@@ -159,6 +159,10 @@ class Transport(ABC):
         """Type of a topic that has a live publisher or subscriber anywhere, else empty."""
 
     @abstractmethod
+    def is_published(self, topic: str) -> bool:
+        """Whether a topic has a publisher anywhere; False if that cannot be found out now."""
+
+    @abstractmethod
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message of the arguments of ``publish``, with rospy's rules and errors."""
 
@@ -174,9 +178,12 @@ class Transport(ABC):
     def unpack(self, datatype: Any, content: bytes) -> Any:
         """Return the message that ``pack`` serialised."""
 
-    def age_of(self, message: Any) -> float | None:
-        """Seconds since the time stamp of a message, None without one; quick, raises nothing."""
-        return None
+    def sample_of(self, message: Any) -> tuple[float | None, int]:
+        """Seconds since the time stamp of a message, None without one, and its size in bytes.
+
+        A size of 0 is not known. Quick, raises nothing.
+        """
+        return None, 0
 
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         """Return the further form in which the messages of a port travel, if it is to have one.
@@ -207,6 +214,10 @@ class Ticker(ABC):
     @abstractmethod
     def now(self) -> float:
         """Seconds; steady, or simulated time when the system runs on it."""
+
+    def has_begun(self, now: float) -> bool:
+        """Whether time ran when it was ``now``; nothing is due before it does."""
+        return True
 
     @abstractmethod
     def wait(self, until: float | None) -> None:

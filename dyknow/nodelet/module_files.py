@@ -31,7 +31,10 @@ from typing import (
 
 _RELAY = re.compile(r"^__extended_path = (['\"])(.*?)\1", re.MULTILINE)
 _SCRIPT_RELAY = re.compile(r"^python_script = (['\"])(.*?)\1$", re.MULTILINE)
-_IMPORTED = re.compile(r"^[ \t]*(?:import|from)[ \t]+([A-Za-z_]\w*)", re.MULTILINE)
+_IMPORTED = re.compile(
+    r"^[ \t]*(?:from[ \t]+([A-Za-z_]\w*)|import[ \t]+([A-Za-z_][\w., \t]*))", re.MULTILINE
+)
+_TOP = re.compile(r"(?:^|,)[ \t]*(\w+)")
 _STANDARD = tuple(os.path.join(sysconfig.get_paths()[key], "") for key in ("stdlib", "platstdlib"))
 _THIRD_PARTY = ("site-packages", "dist-packages")
 #: Folders of a package that import no library: generated messages, and tests.
@@ -258,7 +261,10 @@ def _imported_tops(files: Collection[str]) -> set[str]:
 @functools.lru_cache(maxsize=None)
 def _read_imports(file: str, stamp: Stamp) -> frozenset[str]:
     """Read a file that may have errors; a parser would take thirty times as long."""
-    return frozenset(_IMPORTED.findall(Path(file).read_text(encoding="utf-8", errors="replace")))
+    text = Path(file).read_text(encoding="utf-8", errors="replace")
+    return frozenset(
+        top for found in _IMPORTED.findall(text) for top in _TOP.findall(",".join(found))
+    )
 
 
 def _sources(spec: ModuleSpec) -> Iterator[str]:

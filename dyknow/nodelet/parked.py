@@ -4,7 +4,7 @@
 """The connection that waits for a nodelet which moves here from another process.
 
 It is connected while the nodelet still runs there, so both are sent the same messages. The other
-process tells which of them the nodelet was given; these are left out here, even if they come late.
+process reports those that the nodelet received; they are left out here, even if they come late.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SKEW = 0.02
 
 
 class ParkedConnection(Connection):
-    """Holds messages for a subscription that is made later, whatever its queue has room for.
+    """Holds messages for a subscription that is made later, beyond the size of its queue.
 
     Args:
         subscription: of the owner and the type of the one that will take it over.
@@ -31,7 +31,7 @@ class ParkedConnection(Connection):
         digest: returns the bytes by which a message is known in both processes.
     """
 
-    __slots__ = ("_began", "_digest", "_due", "_until")
+    __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_until")
 
     def __init__(
         self, subscription: Subscription, topic: str, digest: Callable[[Any], bytes]
@@ -43,9 +43,15 @@ class ParkedConnection(Connection):
         #: How often each message is yet to be left out, until a moment.
         self._due: Counter[bytes] = collections.Counter()
         self._until = 0.0
+        #: Whether the messages are left out that the nodelet received in the other process.
+        self._is_cleared = False
+        self._is_adopted = False
 
     def adopt(self, subscription: Subscription, topic: str) -> bool:
-        """Go over to a subscription if it is the one; returns whether it is."""
+        """Go over to a subscription if it is the one; returns whether it is.
+
+        Before ``leave_out`` it is not: the nodelet has received some of these messages.
+        """
         own = self.subscription
         if (own.owner, own.datatype, self.topic) != (
             subscription.owner,
@@ -54,7 +60,10 @@ class ParkedConnection(Connection):
         ):
             return False
         with message_lock:
+            if not self._is_cleared:
+                return False
             self.subscription, self._strand = subscription, subscription.strand
+            self._is_adopted = True
         return True
 
     def push(self, message: Any) -> None:
@@ -67,8 +76,8 @@ class ParkedConnection(Connection):
             self._began = self._strand.clock()
         super().push_locked(message)
 
-    def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> None:
-        """Leave out what the nodelet was given in the other process, but for what waited there.
+    def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> bool:
+        """Drop the messages that the nodelet received in the other process, but for waiting ones.
 
         Where messages are equal byte for byte, those that came before the first one here do not
         count. Of a latched topic the last message stays: the new instance needs it.
@@ -76,9 +85,15 @@ class ParkedConnection(Connection):
         Args:
             given: digests with their times of arrival, by the same clock as here.
             waiting: messages of the nodelet that come before all others.
+
+        Returns:
+            False if the nodelet has the connection already; then nothing is changed.
         """
         often = collections.Counter(digest for _, digest in given)
         with message_lock:
+            if self._is_adopted:
+                return False
+            self._is_cleared = False
             since = self._began - _SKEW
             self._until = self._strand.clock() + LATENESS
             self._due = collections.Counter(
@@ -89,8 +104,10 @@ class ParkedConnection(Connection):
         kept = [each for each in held if not self._is_due(each)]
         if held and not waiting and _is_latched(held[-1]) and held[-1] is not (kept or [None])[-1]:
             kept.append(held[-1])
-        with message_lock:  # before what has come meanwhile
+        with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))
+            self._is_cleared = True
+        return True
 
     def open(self) -> None:
         """Deliver all that it holds; until then the queue has room for that too."""
@@ -113,7 +130,10 @@ class ParkedConnection(Connection):
         if self._strand.clock() > self._until:
             self._due = collections.Counter()
             return False
-        digest = self._digest(message)
+        try:
+            digest = self._digest(message)
+        except Exception:  # it came by reference, and cannot have come to the other process
+            return False
         with message_lock:
             if self._due[digest] < 1:
                 return False

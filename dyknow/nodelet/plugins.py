@@ -66,7 +66,7 @@ def exported_files(tag: str, attribute: str = "plugin") -> Iterator[PluginFile]:
 
 def exports(tag: str) -> Iterator[tuple[str, PluginFile]]:
     """List all attributes of ``<export><TAG …/>`` of packages that name files, with these."""
-    import rospkg  # here: what is declared is known without ROS's packages too
+    import rospkg  # here: declared classes are known without ROS's packages too
 
     rospack = rospkg.RosPack()
     for package in rospack.list():

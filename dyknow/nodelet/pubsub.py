@@ -73,7 +73,7 @@ class Publisher(_Handle):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a listener is told of its subscribers."""
+        """Whether a listener is notified of its subscribers."""
         return self._events is not None
 
     def unregister(self) -> None:

@@ -24,7 +24,7 @@ from typing import Callable
 
 from dyknow.locks import flag_lock, reentrant_state_lock, state_condition
 from dyknow.nodelet.crash_record import CrashRecord, as_word
-from dyknow.periodic import current_frames
+from dyknow.periodic import NO_THREAD, current_frames
 
 Task = Callable[[], object]
 Clock = Callable[[], float]
@@ -180,6 +180,9 @@ class Executor:
         """Return True once no strand has anything to do, False after ``timeout`` seconds."""
         raise NotImplementedError
 
+    def catch_up(self) -> None:
+        """Start tasks that wait for a thread which the system refused; to be called repeatedly."""
+
     def close(self) -> None:
         """Stop, without waiting for running tasks."""
 
@@ -240,6 +243,10 @@ class WorkerPool(Executor):
     after another when all are held and work waits, so nodelets that block (or never return) do not
     starve the rest. A pool that grows has a thread for every strand with work at once, as rospy
     has; it is for callbacks that may block for long, as those of unchanged scripts do.
+
+    Where the system refuses a thread, callbacks wait for a worker that is free, or for the next
+    attempt: of the watchdog or, in a pool that grows, of ``catch_up``. The threads that post them
+    are not told: they can do nothing about it, and hold the lock of messages.
     """
 
     def __init__(
@@ -270,13 +277,19 @@ class WorkerPool(Executor):
         self._closed = False
         self._awake = threading.Event()
         self._dozes = not self._grows  # the watchdog, as nothing is done
-        for _ in range(size or 0):
-            self._hire()
-        if not self._grows:
-            self._watchdog = threading.Thread(
-                target=self._watch, name="dyknow-watchdog", daemon=True
-            )
-            self._watchdog.start()
+        self._refusal: Exception | None = None  # of the last thread
+        self._is_refusal_logged = False
+        try:
+            for _ in range(size or 0):
+                self._hire()
+            if not self._grows:
+                self._watchdog = threading.Thread(
+                    target=self._watch, name="dyknow-watchdog", daemon=True
+                )
+                self._watchdog.start()
+        except NO_THREAD:
+            self.close()
+            raise
 
     @property
     def threads(self) -> int:
@@ -298,6 +311,14 @@ class WorkerPool(Executor):
             finally:
                 self._drainers -= 1
 
+    def catch_up(self) -> None:
+        if self._refusal is not None and self._grows:
+            with message_lock:
+                refusal, self._refusal = self._refusal, None
+                while len(self._queue) > self._woken and self._wake_one():
+                    pass
+            self._log_refusal(refusal)
+
     def close(self) -> None:
         """End the free workers at once, and the busy ones with their callbacks."""
         with message_lock:
@@ -306,21 +327,47 @@ class WorkerPool(Executor):
                 self._wake_one()
         self._awake.set()
 
-    def _wake_one(self) -> None:
+    def _wake_one(self) -> bool:
+        """Have a worker look at the queue, with the lock held; False if there is none."""
         if self._idle:
             self._woken += 1
             self._idle.pop().wake.release()
-        elif self._grows and not self._closed:
-            self._woken += 1
+        elif self._grows and not self._closed and self._has_hired():
+            self._woken += 1  # the new one looks when the lock is free
+        else:
+            return False
+        return True
+
+    def _has_hired(self) -> bool:
+        """Hire a worker; False if the system refuses its thread."""
+        try:
             self._hire()
+        except NO_THREAD as refusal:
+            self._refusal = refusal.with_traceback(None)
+            return False
+        return True
 
     def _hire(self) -> None:
         worker = _Worker()
-        self._workers.append(worker)
         worker.thread = threading.Thread(
             target=self._work, args=(worker,), name="dyknow-worker", daemon=True
         )
-        worker.thread.start()
+        self._workers.append(worker)
+        try:
+            worker.thread.start()
+        except NO_THREAD:
+            self._workers.remove(worker)
+            raise
+
+    def _log_refusal(self, refusal: Exception | None) -> None:
+        """Log a refused thread, once until there are enough again; called without the lock."""
+        if refusal is not None and not self._is_refusal_logged:
+            _log.error(
+                "no thread can be started for callbacks, which wait (%s): see ulimit -u, and "
+                "pids.max of the control group",
+                refusal,
+            )
+        self._is_refusal_logged = self._refusal is not None
 
     def _work(self, worker: _Worker) -> None:
         strand: Strand | None = None
@@ -417,14 +464,17 @@ class WorkerPool(Executor):
                         self._report(worker, strand, now - began)
             if stuck and len(stuck) >= len(self._workers) and self._queue:
                 held = sorted((w for w in stuck if not w.replaced), key=stuck.__getitem__)
-                with message_lock:
-                    for worker in held[:1]:
-                        busy_with = worker.strand
-                        worker.replaced = (
-                            busy_with is not None and busy_with.began == stuck[worker]
-                        )
-                if held and held[0].replaced:
-                    self._hire()
+                for worker in held[:1]:
+                    self._replace(worker, stuck[worker])
+
+    def _replace(self, worker: _Worker, began: float) -> None:
+        """Hire a worker in the place of one whose callback began then, and still runs."""
+        with message_lock:  # so that it does not end meanwhile
+            busy_with = worker.strand
+            if busy_with is not None and busy_with.began == began:
+                self._refusal = None
+                worker.replaced = self._has_hired()
+        self._log_refusal(self._refusal)
 
     @staticmethod
     def _report(worker: _Worker, strand: Strand, seconds: float) -> None:

@@ -6,6 +6,7 @@
 The thread only posts to the timer's strand, so a slow callback delays no other timer. A timer
 whose callback has not run yet is not queued a second time, as in roscpp. Waking up costs most, so
 timers that are due shortly after each other are fired together, at most two milliseconds late.
+Where simulated time has not begun, periods are counted from its first moment, as in rospy.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from __future__ import annotations
 import heapq
 import itertools
 import logging
+import math
+import sys
 import threading
 from typing import Any, Callable
 
@@ -27,6 +30,8 @@ _log = logging.getLogger("rosout.dyknow")
 #: period that they may be.
 _PAUSE = 0.002
 _PART_OF_PERIOD = 0.1
+#: When simulated time begins: at any moment after 0.
+_FIRST_MOMENT = sys.float_info.min
 
 
 class Timer:
@@ -40,8 +45,12 @@ class Timer:
         strand: Strand,
         oneshot: bool,
         failed: Callable[[BaseException], None],
+        spend: Callable[[float], None],
     ) -> None:
-        """Make a timer; ValueError if its period, in seconds, is not positive."""
+        """Make a timer; ValueError if its period, in seconds, is not positive.
+
+        ``spend`` is called with the seconds of steady time that each callback took.
+        """
         if not period > 0.0:
             raise ValueError(f"the period of a timer must be positive, not {period}")
         self.period = period
@@ -50,12 +59,11 @@ class Timer:
         self._callback = callback
         self.strand = strand
         self._failed = failed
+        self._spend = spend
         self._pending = flag_lock()
         self._done = False
         self._last: Any = None
         self._took: float | None = None
-        #: Seconds of steady time that its callbacks took.
-        self.busy = 0.0
 
     def is_alive(self) -> bool:
         """Whether it will call back again."""
@@ -89,8 +97,8 @@ class Timer:
             callback(event)
         except BaseException as error:  # the boundary, as for subscriptions
             self._failed(error)
-        self._took = ticker.now() - start
-        self.busy += self.strand.clock() - began
+        self._took = self.strand.clock() - began
+        self._spend(self._took)
 
     def _let_go(self) -> None:
         """Drop the callback at the end: it refers to the nodelet, and mostly that to the timer."""
@@ -107,6 +115,7 @@ class TimerQueue:
         self._heap: list[tuple[float, int, Timer]] = []
         self._pause = _PAUSE
         self._latest = 0.0  # time that was seen; less shows that it went back
+        self._awaits_time = False  # some are due never, until time begins
         self._thread: threading.Thread | None = None
         self._closed = False
 
@@ -114,13 +123,15 @@ class TimerQueue:
         now = self.ticker.now()
         with self._lock:
             self._latest = max(self._latest, now)
-            heapq.heappush(self._heap, (now + timer.period, next(self._order), timer))
-            self._pause = min(self._pause, _pause(timer))
             if self._thread is None and not self._closed:
-                self._thread = threading.Thread(
-                    target=self._run, name="dyknow-timers", daemon=True
-                )
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name="dyknow-timers", daemon=True)
+                thread.start()  # which the system may refuse: then there is no such timer
+                self._thread = thread
+            has_begun = self.ticker.has_begun(now)
+            self._awaits_time = self._awaits_time or not has_begun
+            due = now + timer.period if has_begun else math.inf
+            heapq.heappush(self._heap, (due, next(self._order), timer))
+            self._pause = min(self._pause, _pause(timer))
         self.ticker.wake()
 
     def discard(self, timer: Timer) -> None:
@@ -142,8 +153,8 @@ class TimerQueue:
         now = self.ticker.now()
         fired: list[tuple[Timer, float]] = []
         with self._lock:
-            if now < self._latest:
-                self._rewind(now)
+            if now < self._latest or self._awaits_time:
+                self._begin_again(now)
             self._latest = now
             while self._heap and self._heap[0][0] <= now:
                 due, _, timer = heapq.heappop(self._heap)
@@ -157,12 +168,19 @@ class TimerQueue:
         for timer, due in fired:
             timer.fire(due)
         with self._lock:
+            if self._awaits_time:
+                return _FIRST_MOMENT
             return max(self._heap[0][0], now + self._pause) if self._heap else None
 
-    def _rewind(self, now: float) -> None:
-        # Simulated time went back: wait one period from there, not for the old future.
+    def _begin_again(self, now: float) -> None:
+        """Wait one period from now, where simulated time has begun or went back.
+
+        At 0 it is to begin again: then wait for that, not for the old future.
+        """
+        self._awaits_time = not self.ticker.has_begun(now)
         self._heap = [
-            (min(due, now + timer.period), order, timer) for due, order, timer in self._heap
+            (math.inf if self._awaits_time else min(due, now + timer.period), order, timer)
+            for due, order, timer in self._heap
         ]
         heapq.heapify(self._heap)
 

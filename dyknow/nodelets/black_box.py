@@ -28,7 +28,7 @@ from dyknow.ros.wire.master import Master
 
 #: Seconds between two looks for topics, and at a model that has not been read yet.
 _LOOK = 1.0
-#: A model is read when this many times as long as that takes has passed: it may be large.
+#: A model is read when this many times the processor's time for that has passed: it may be large.
 _REST = 50.0
 _LOST = (Nodelet.LOST, Nodelet.FAILED)
 _TROUBLED = (StreamStatus.DEGRADED, StreamStatus.RECOVERING, StreamStatus.FAILED)
@@ -40,7 +40,8 @@ class BlackBox(dyknow.Nodelet):
     """Keeps the last seconds of topics in memory, and writes them as a bag when there is a cause.
 
     Causes are a verdict that becomes FALSE, a claim that is repaired, degraded or fails, a nodelet
-    that is lost or failed, and the service. Events of streams and the model are always kept.
+    that is lost or failed, and the service. Events of streams, verdicts and the model are always
+    kept.
 
     Parameters:
         ~topics (yaml, []): topics to keep; a name or a pattern such as ``/camera/*``.
@@ -77,7 +78,7 @@ class BlackBox(dyknow.Nodelet):
         self.states: dict[str, int] = {}
         self.model: Any = None
         self.readable = 0.0
-        #: What is to be written once the messages after it are there.
+        #: Causes of a bag that waits for the messages after them.
         self.causes: list[str] = []
         self.written = -self.pause
         self.keep(f"{self.manager}/stream_events", StreamEvent)
@@ -96,16 +97,17 @@ class BlackBox(dyknow.Nodelet):
     def look(self) -> None:
         """Subscribe to topics that have come, and look at the states of nodelets."""
         for topic, datatype in sorted(self.published().items()):
-            is_wanted = any(fnmatchcase(topic, pattern) for pattern in self.patterns)
+            is_named = any(fnmatchcase(topic, pattern) for pattern in self.patterns)
+            is_wanted = is_named or datatype == Verdict._type
             if is_wanted and topic not in self.subscribers and datatype != "*":
                 self.keep(topic, get_message_class(datatype) or rospy.AnyMsg)
         self.read_model()
 
     def read_model(self) -> None:
         """Compare the states of nodelets with those before, if there is a new model."""
-        began = time.monotonic()
-        if self.model is None or began < self.readable:
+        if self.model is None or time.monotonic() < self.readable:
             return
+        began = time.thread_time()
         model, self.model = self.model, None
         if isinstance(model, rospy.AnyMsg):
             model = Model().deserialize(model._buff)
@@ -114,7 +116,7 @@ class BlackBox(dyknow.Nodelet):
                 what = "lost" if each.state == Nodelet.LOST else "failed"
                 self.on_cause(f"nodelet {each.name} is {what}: {each.detail}")
         self.states = {each.name: each.state for each in model.nodelets}
-        self.readable = began + _REST * (time.monotonic() - began)
+        self.readable = time.monotonic() + _REST * (time.thread_time() - began)
 
     def keep(self, topic: str, kind: Any) -> None:
         """Keep the messages of a topic."""
@@ -145,11 +147,12 @@ class BlackBox(dyknow.Nodelet):
         self.recording.add(CAUSE, String(cause), now)
         self.causes.append(cause)
         if len(self.causes) == 1:
-            wait = max(self.after, self.written + self.pause - now)
+            since = max(0.0, now - self.written)  # simulated time may have been set back
+            wait = max(self.after, self.pause - since)
             self.due = self.nh.Timer(self.nh.Duration(wait), self.on_due, oneshot=True)
 
     def on_due(self, event: Any) -> None:
-        """Write what has come since the cause, too."""
+        """Write a bag that includes the messages since the cause."""
         causes, self.causes = self.causes, []
         self.written = self.nh.get_time()
         kept = self.recording.taken()
@@ -160,19 +163,21 @@ class BlackBox(dyknow.Nodelet):
         return self.write([], self.recording.taken())
 
     def write(self, causes: list[str], kept: list[KeptMessage]) -> TriggerResponse:
-        """Write messages as a bag; the response has its path, or says what is wrong."""
+        """Write messages as a bag; the response has its path, or the error."""
         with self.turn:
             try:
                 os.makedirs(self.folder, exist_ok=True)
                 path = self.free_path()
-                write_bag(path, kept)
+                left_out = write_bag(path, kept)
                 remove_all_but(self.folder, self.prefix, self.bags)
             except OSError as error:
                 self.nh.logerr("%s: no bag is written: %s", self.name, error)
                 return TriggerResponse(False, str(error))
         for cause in causes:
             self.nh.logwarn("%s: %s", self.name, cause)
-        self.nh.loginfo("%s: wrote %d messages to %s", self.name, len(kept), path)
+        self.nh.loginfo("%s: wrote %d messages to %s", self.name, len(kept) - left_out, path)
+        if left_out:
+            self.nh.logwarn("%s: %d messages cannot be serialised", self.name, left_out)
         return TriggerResponse(True, path)
 
     def free_path(self) -> str:

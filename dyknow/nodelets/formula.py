@@ -14,7 +14,7 @@ from genpy import Time
 import dyknow
 from dyknow.formulas import Verdict, parse
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.formulas.individuals import IndividualStreams
+from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals
 from dyknow.ros.formulas.message_types import check
 from dyknow.ros.parameters import get_datatype
 
@@ -51,7 +51,7 @@ class FormulaNodelet(dyknow.Nodelet):
         )
         types = {port: self.message_class(port) for port in formula.ports}
         check(formula, {port: kind._type for port, kind in types.items()})
-        tags = self.nh.get_param("~individuals", {})
+        tags = tags_of_individuals(formula, self.nh.get_param("~individuals", {}))
         self.pub = self.nh.Publisher(
             self.nh.get_param("~out", "holds"), VerdictMessage, latch=True, queue_size=100
         )

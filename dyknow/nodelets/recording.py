@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import collections
+import io
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,8 @@ from dyknow.locks import state_lock
 OVERHEAD, _NUMBER = 1000, 32
 #: Entries of a list that are looked at.
 _SAMPLE = 16
+#: Seconds: a shorter step back is one of a clock that is set right, not simulated time again.
+_SET_BACK = 1.0
 _HEADER = ("type", "md5sum", "message_definition")
 _ENDING = ".bag"
 
@@ -58,11 +61,11 @@ class Recording:
         """Keep a message; ``is_state``: the topic is latched."""
         with self._lock:
             kept = self._kept
-            if kept and now < kept[-1].received:  # simulated time was set back
+            if kept and now < kept[-1].received - _SET_BACK:  # simulated time
                 kept.clear()
                 self._before.clear()
                 self.size = 0
-            new = KeptMessage(topic, message, now, size_of(message) + OVERHEAD)
+            new = KeptMessage(topic, message, now, memory_of(message) + OVERHEAD)
             kept.append(new)
             self.size += new.size
             if is_state:
@@ -85,46 +88,57 @@ class Recording:
             return [*states, *self._kept]
 
 
-def size_of(value: Any) -> int:
-    """Estimate the bytes of a message: of a long list from its first entries."""
+def memory_of(value: Any) -> int:
+    """Estimate the bytes of memory of a message: of a long list from its first entries."""
     if isinstance(value, (bytes, str)):
         return len(value)
     if isinstance(value, rospy.AnyMsg):
         return len(value._buff)
     if isinstance(value, genpy.Message):
-        return sum(size_of(getattr(value, slot)) for slot in value.__slots__)
+        return sum(memory_of(getattr(value, slot)) for slot in value.__slots__)
     if isinstance(value, (list, tuple)):
         some = value[:_SAMPLE]
-        return sum(map(size_of, some)) * len(value) // max(1, len(some))
+        return sum(map(memory_of, some)) * len(value) // max(1, len(some))
     return getattr(value, "nbytes", _NUMBER)  # an array of numpy, or a number or time
 
 
-def write_bag(path: str, kept: Sequence[KeptMessage]) -> None:
+def write_bag(path: str, kept: Sequence[KeptMessage]) -> int:
     """Write messages into a bag, which has its name once it is complete.
+
+    Returns:
+        How many messages are left out, since they cannot be serialised.
 
     Raises:
         OSError: it cannot be written.
     """
-    unfinished = f"{path}.active"
+    unfinished, left_out = f"{path}.active", 0
     try:
         with rosbag.Bag(unfinished, "w") as bag:
             for topic, message, received, _ in kept:
                 when = genpy.Time.from_sec(max(received, 1e-9))
-                if isinstance(message, rospy.AnyMsg):
-                    header = message._connection_header
-                    kind, md5sum, text = (header[key] for key in _HEADER)
-                    datatype = SimpleNamespace(_md5sum=md5sum, _full_text=text)
-                    bag.write(topic, (kind, message._buff, md5sum, datatype), when, raw=True)
-                else:
-                    bag.write(topic, message, when)
+                try:
+                    bag.write(topic, _raw(message), when, raw=True)
+                except genpy.SerializationError:
+                    left_out += 1
         os.replace(unfinished, path)
+        return left_out
     except BaseException:
         Path(unfinished).unlink(missing_ok=True)
         raise
 
 
+def _raw(message: Any) -> tuple[str, bytes, str, Any]:
+    """Return a message as bags have it; rosbag would index one that cannot be serialised."""
+    if isinstance(message, rospy.AnyMsg):
+        kind, md5sum, text = (message._connection_header[key] for key in _HEADER)
+        return kind, message._buff, md5sum, SimpleNamespace(_md5sum=md5sum, _full_text=text)
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return message._type, buffer.getvalue(), message._md5sum, type(message)
+
+
 def remove_all_but(folder: str, prefix: str, count: int) -> None:
-    """Remove the oldest bags of a folder whose names begin so."""
-    found = sorted(Path(folder).glob(f"{prefix}*{_ENDING}"))
+    """Remove the oldest bags of a folder whose names are so and a time."""
+    found = sorted(Path(folder).glob(f"{prefix}[0-9][0-9][0-9][0-9]-[0-9][0-9]-*{_ENDING}"))
     for path in found[: max(0, len(found) - count)]:
         path.unlink()

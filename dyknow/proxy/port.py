@@ -13,7 +13,9 @@ companion receives through it alone; an out-port publishes both.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
+from functools import partial
 from typing import Any, Sequence
 
 from dyknow import names
@@ -27,6 +29,11 @@ from dyknow.nodelet.endpoints import NOTHING, Publication, Traffic
 from dyknow.nodelet.middleware import Codec
 from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.proxy.encoding import EncodingPublication
+
+#: Seconds without a message after which an in-port with a companion looks for publishers.
+_SILENCE = 5.0
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class ProxyPort:
@@ -78,7 +85,7 @@ class ProxyPort:
 
     @property
     def is_watched(self) -> bool:
-        """Whether the nodelet is told of its subscribers."""
+        """Whether the nodelet is notified of its subscribers."""
         return False
 
     def endpoints(self) -> Sequence[Endpoint]:
@@ -146,7 +153,8 @@ class OutPort(ProxyPort):
         if publication is None:
             return statistics
         latched = publication.latched is not NOTHING
-        return replace(statistics, latched=latched, age=publication.sample_age())
+        age, size = publication.sample()
+        return replace(statistics, latched=latched, age=age, size=size)
 
 
 class InPort(ProxyPort):
@@ -201,8 +209,15 @@ class PortSubscriber(Subscriber):
     def __init__(self, context: Context, port: InPort, *args: Any, **options: Any) -> None:
         super().__init__(context, port.name, *args, codec=port.codec, **options)
         self._port = port
+        self._received: int | None = 0
+        #: The topic that was warned of.
+        self._told = ""
         port.handles.append(self)
         port.count(self.subscription)
+        if port.codec is not None:
+            strand = context.new_strand(f"looks of '{port.name}'")
+            look = partial(self._look, port.codec.form)
+            context.timer(_SILENCE, look, strand, oneshot=False)
 
     @property
     def name(self) -> str:
@@ -213,6 +228,21 @@ class PortSubscriber(Subscriber):
 
     def _moves(self, topic: str) -> Sequence[tuple[Endpoint, str]]:
         return [(self.subscription, self._port.parts[-1].topic)]
+
+    def _look(self, kind: str, event: Any) -> None:
+        """Warn, once, of a topic whose publishers do not send the form that the port receives."""
+        received, self._received = self._received, self._port.statistics().messages
+        topic, form = (part.topic for part in self._port.parts)
+        if received != self._received or topic == self._told or self not in self._port.handles:
+            return
+        is_published = self._context.runtime.transport.is_published
+        if topic and is_published(topic) and not is_published(form):
+            self._told = topic
+            _log.warning(
+                "%s: nothing comes to port '%s': %s is published, but %s is not; set "
+                "image_transport of its publisher to %s, or that of this port to raw",
+                *(self._context.name, self._port.name, topic, form, kind),
+            )
 
     def unregister(self) -> None:
         joined = self in self._port.handles

@@ -250,7 +250,7 @@ class NodeletProxy(Closable):
         context, callback = self._context, self._callback
         maps = self._maps(changes)
         moves = [(endpoint, topic) for port, topic in changes for endpoint in port.endpoints()]
-        if context.closed:
+        if context.closed or context.is_leaving:
             raise UnloadedMeanwhile(self.name, "reconfiguration")
 
         def notify() -> None:

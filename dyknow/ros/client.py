@@ -49,7 +49,7 @@ CHANGE_TIMEOUT = 60.0
 RESTART_TIMEOUT = 300.0
 
 #: Services whose answers say more than that it is done; their callers are given it.
-_SPOKEN_OF = ("add_transformation", "replan_stream", "set_parameter")
+_SPOKEN_OF = ("add_transformation", "replan_stream", "plan_stream", "set_parameter")
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -174,6 +174,11 @@ class ManagerClient(ProxyClient, BaseManagerClient):
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         return replanned_from(
             self._change("replan_stream", srv.ReplanStream, claim_id=claim_id, dry_run=dry_run)
+        )
+
+    def plan_stream(self, claim_id: str, exclude: Sequence[str]) -> Replanned:
+        return replanned_from(
+            self._change("plan_stream", srv.PlanStream, claim_id=claim_id, exclude=exclude)
         )
 
     def list_streams(self, timeout: float = ASK_TIMEOUT) -> tuple[StreamStatus, ...]:

@@ -33,7 +33,7 @@ from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.hosts import HostStatus
-from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
+from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortCount, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
     Replanned,
@@ -82,7 +82,7 @@ class SimulatedClock(Clock):
 
 
 def _ignore(model: Model) -> None:
-    """Nobody asked for the model."""
+    """The model has no observer."""
 
 
 class _Silent(HostError):
@@ -101,6 +101,8 @@ class SimulatedManagerClient(BaseManagerClient):
         calls: requests in order: name of the method and its subject.
         rates: messages and lost messages a second of ports, by nodelet and port. In-ports that
             are not named receive all messages of their topic.
+        samples: ages (s, None for unknown) and sizes (bytes) of messages, by nodelet and port.
+        strains: share of the time that callbacks take, and the last error, by nodelet.
         on_model: called with the graph after each change, before the call that made it returns; it
             must not call the client.
         on_event: called in the same way with each event of a claim.
@@ -127,6 +129,8 @@ class SimulatedManagerClient(BaseManagerClient):
         self.calls: list[tuple[str, str]] = []
         self._clock = clock
         self.rates: dict[tuple[str, str], tuple[float, float]] = {}
+        self.samples: dict[tuple[str, str], tuple[float | None, int]] = {}
+        self.strains: dict[str, tuple[float, str]] = {}
         self.on_model: Callable[[Model], None] = _ignore
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
@@ -261,8 +265,16 @@ class SimulatedManagerClient(BaseManagerClient):
             age, found = time.monotonic() - self._start, []
             for name in self.host.running:
                 ports = [self._port(name, port, age) for port in self.host.ports(name)]
-                counts = {each.port: (each.messages or 0, each.dropped or 0) for each in ports}
-                found.append(NodeletCount(name, age, 0, counts))
+                counts = {
+                    each.port: PortCount(
+                        each.messages or 0,
+                        each.dropped or 0,
+                        *self.samples.get((name, each.port), ()),
+                    )
+                    for each in ports
+                }
+                load, error = self.strains.get(name, (0.0, ""))
+                found.append(NodeletCount(name, age, 0, counts, bool(error), error, load * age))
             return tuple(found)
 
     def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
@@ -285,6 +297,10 @@ class SimulatedManagerClient(BaseManagerClient):
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         with self._request("replan_stream", claim_id):
             return self._answers.replanned(self.reconciler.replan(claim_id, dry_run))
+
+    def plan_stream(self, claim_id: str, exclude: Sequence[str]) -> Replanned:
+        with self._request("plan_stream", claim_id):
+            return self._answers.replanned(self.reconciler.plan(claim_id, exclude))
 
     def list_streams(self) -> tuple[StreamStatus, ...]:
         with self._request("list_streams"):

@@ -239,7 +239,7 @@ def _is_remade(
         return False
     if present.is_protected:
         plan.problems.append(
-            f"nodelet '{nodelet.name}' is protected, and would have to be made anew; release it "
+            f"nodelet '{nodelet.name}' is protected, and would have to be made again; release it "
             f"first: dyknow unprotect {nodelet.name}"
         )
         return False

@@ -124,8 +124,9 @@ def _nodelet_xml(nodelet: SpawnRequest) -> list[str]:
 
 _BOOL = Attribute(("true", "false", "1", "0"))
 _CONNECTION = Element("connection", attributes={"port": NEEDED, "topic": NEEDED}, may_repeat=True)
+_VALUE = Attribute(is_required=True, is_verbatim=True)
 _PARAM = Element(
-    "param", attributes={"name": NEEDED, "type": ANY, "value": NEEDED}, may_repeat=True
+    "param", attributes={"name": NEEDED, "type": ANY, "value": _VALUE}, may_repeat=True
 )
 _NODELET = Element(
     "nodelet",

@@ -15,6 +15,7 @@ from typing import Any, Callable, List, Set
 import pytest
 from clocks import HandClock
 from std_msgs.msg import Int32
+from unit.manager.field import transformation
 
 import dyknow
 from dyknow.model.streams import StreamRequest
@@ -66,14 +67,10 @@ class Relay(dyknow.Nodelet):
         self.sub = nh.Subscriber("in", Int32, self.out.publish, queue_size=1)
 
 
-LIBRARY = """<transformations>
-  <transformation><label>left</label><source>pkg/Left</source>
-    <ports><port type="out">out</port></ports><tags><tag port="out">Image(room)</tag></tags>
-  </transformation>
-  <transformation cost="2"><label>right</label><source>pkg/Right</source>
-    <ports><port type="out">out</port></ports><tags><tag port="out">Image(room)</tag></tags>
-  </transformation>
-</transformations>"""
+LIBRARY = "<transformations>{}{}</transformations>".format(
+    transformation("left", "pkg/Left", "out out", "out Image(room)", 1),
+    transformation("right", "pkg/Right", "out out", "out Image(room)", 2),
+)
 
 
 def message() -> None:

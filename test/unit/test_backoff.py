@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import List
 
-from dyknow.backoff import FORGIVEN_AFTER, LONGEST, MEMORY, Backoff
+import pytest
+
+from dyknow.backoff import FORGIVEN_AFTER, LONGEST, MEMORY, SHARE, Backoff
 
 FIRST = 0.25
 
@@ -35,18 +37,24 @@ class Life:
         return [self.fail(served) for _ in range(count)]
 
 
-def test_one_failure_is_tolerated_and_then_the_pauses_double() -> None:
-    assert Life().pauses(6) == [0.0, 0.25, 0.5, 1.0, 2.0, 4.0]
-    assert Life(tolerated=0).pauses(3) == [0.25, 0.5, 1.0]
-    assert Life().pauses(14)[-3:] == [LONGEST] * 3
+@pytest.mark.parametrize(
+    ("tolerated", "served", "pauses"),
+    [
+        (1, 0.0, [0.0, 0.25, 0.5, 1.0, 2.0, 4.0]),
+        (0, 0.0, [0.25, 0.5, 1.0]),
+        # A long service is no reason to wait, however often it ends.
+        (1, FORGIVEN_AFTER, [0.0] * 50),
+    ],
+)
+def test_pauses_double_after_the_tolerated_failures(
+    tolerated: int, served: float, pauses: List[float]
+) -> None:
+    assert Life(tolerated).pauses(len(pauses), served) == pauses
 
 
-def test_a_long_service_is_no_reason_to_wait_however_often_it_ends() -> None:
-    assert Life().pauses(50, FORGIVEN_AFTER) == [0.0] * 50
-
-
-def test_the_pause_itself_is_no_service() -> None:
-    assert Life().pauses(12, FORGIVEN_AFTER / 2)[-3:] == [LONGEST] * 3
+@pytest.mark.parametrize("served", [0.0, FORGIVEN_AFTER / 2])
+def test_pauses_have_a_longest_one_and_are_no_service(served: float) -> None:
+    assert Life().pauses(14, served)[-3:] == [LONGEST] * 3
 
 
 def test_a_failure_that_was_forgiven_is_the_first_again() -> None:
@@ -64,11 +72,20 @@ def test_failures_of_long_ago_are_not_remembered() -> None:
     assert len(life.backoff._failures) < 15
 
 
-def test_a_pause_is_no_longer_than_the_service_that_it_follows() -> None:
+def test_a_pause_is_a_small_part_of_the_service_that_it_follows() -> None:
     life = Life()
     for _ in range(12):
         life.now += 5.0
         life.backoff.failed("/a", after=5.0)
-    assert life.backoff.remaining("/a") == 5.0
-    life.backoff.failed("/a", after=FIRST / 2)
+    assert life.backoff.remaining("/a") == SHARE * 5.0
+    life.backoff.failed("/a", after=FIRST)
     assert life.backoff.remaining("/a") == LONGEST
+
+
+def test_what_comes_of_one_cause_is_one_failure() -> None:
+    life = Life()
+    for cause in ("first", "first", "first"):
+        life.backoff.failed("/a", cause=cause)
+    assert life.backoff.remaining("/a") == 0.0
+    life.backoff.failed("/a", cause="second")
+    assert life.backoff.remaining("/a") == FIRST

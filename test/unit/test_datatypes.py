@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
-from typing import Iterator
+from typing import ContextManager, Iterator
 
 import pytest
-from unit.manager.field import Field
+from unit.manager.field import Field, specification
 from unit.manager.world import SOURCES, World
-from unit.proxy.test_configuration import Bench
+from unit.proxy.bench import Bench
 
 from dyknow import datatypes
 from dyknow.errors import DyKnowError, InvalidConfiguration
@@ -88,40 +89,35 @@ def test_two_ports_of_the_two_names_are_connected() -> None:
         check_ends("/a:out", out, "/b:in", PortState("in", "in", "new/Frame", ""))
 
 
-@pytest.mark.parametrize(("stated", "is_right"), [("new/Transform", True), ("new/Frame", False)])
-def test_a_nodelet_has_the_port_that_is_declared(stated: str, is_right: bool) -> None:
+def fits(is_right: bool) -> ContextManager[object]:
+    return contextlib.nullcontext() if is_right else pytest.raises(DyKnowError)
+
+
+OTHER_NAMES = pytest.mark.parametrize(
+    ("name", "is_right"), [("new/Transform", True), ("new/Frame", False)]
+)
+
+
+@OTHER_NAMES
+def test_a_nodelet_has_the_port_that_is_declared(name: str, is_right: bool) -> None:
     world = World()
     world.host.sources = {**SOURCES, "pkg/Relay": [("in", "in", "old/Frame")]}
-    world.manager.add_transformation(
-        "<transformation><label>tf</label><source>pkg/Relay</source>"
-        f'<ports><port type="in" datatype="{stated}">in</port></ports></transformation>'
-    )
-    try:
+    world.manager.add_transformation(specification("tf", "pkg/Relay", {"in": ("in", ())}, 1, name))
+    with fits(is_right):
         world.spawn("tf", "/tf")
-    except DyKnowError:
-        assert not is_right
-    else:
-        assert is_right
 
 
-@pytest.mark.parametrize(("wanted", "is_right"), [("new/Transform", True), ("new/Frame", False)])
-def test_a_stream_of_the_other_name_is_planned_and_connected(wanted: str, is_right: bool) -> None:
+@OTHER_NAMES
+def test_a_stream_of_the_other_name_is_planned_and_connected(name: str, is_right: bool) -> None:
     field = Field()
     field.host.sources["pkg/Frames"] = [("out", "out", "old/Frame")]
-    field.host.sources["pkg/Reader"] = [("in", "in", wanted), ("out", "out", wanted)]
-    field.manager.add_transformation(
-        "<transformations><transformation><label>frames</label><source>pkg/Frames</source>"
-        '<ports><port type="out" datatype="old/Frame">out</port></ports>'
-        '<tags><tag port="out">Frames</tag></tags></transformation>'
-        "<transformation><label>reader</label><source>pkg/Reader</source><ports>"
-        f'<port type="in" datatype="{wanted}">in</port><port type="out">out</port></ports>'
-        '<tags><tag port="in">Frames</tag><tag port="out">Read</tag></tags></transformation>'
-        "</transformations>"
-    )
-    for request in (StreamRequest("Read"), StreamRequest("Frames", datatype=wanted)):
-        try:
+    field.host.sources["pkg/Reader"] = [("in", "in", name), ("out", "out", name)]
+    ports = {"in": ("in", ("Frames",)), "out": ("out", ("Read",))}
+    for text in (
+        specification("frames", "pkg/Frames", {"out": ("out", ("Frames",))}, 1, "old/Frame"),
+        specification("reader", "pkg/Reader", ports, 1, name),
+    ):
+        field.manager.add_transformation(text)
+    for request in (StreamRequest("Read"), StreamRequest("Frames", datatype=name)):
+        with fits(is_right):
             assert field.reconciler.acquire(request).claim.topic
-        except DyKnowError:
-            assert not is_right
-        else:
-            assert is_right

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from unit.nodelet.fakes import Message, World
 
@@ -12,6 +14,8 @@ import dyknow
 from dyknow.errors import Denied, InvalidConfiguration
 from dyknow.guards import NO_GUARDS, Guards, together
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.nodelets import process_guards
+from dyknow.ros.nodelets.process_guards import ProcessGuards
 from dyknow.ros.wire.messages import guards_from, guards_message
 
 
@@ -96,3 +100,29 @@ def test_guards_survive_their_message():
     )
     assert guards_from(guards_message(guards)) == guards
     assert guards_from(guards_message(NO_GUARDS)) == NO_GUARDS
+
+
+def test_a_port_without_a_topic_is_on_no_list():
+    Guards(allowed_topics=(("/cam/*",),), denied_topics=("*",)).check_topic("")
+
+
+BOTH = [guards_message(Guards(denied_topics=(topic,))) for topic in ("/e_stop", "/cmd_vel")]
+
+
+def test_guards_that_two_managers_hand_over_at_once_add_up(monkeypatch):
+    """The first manager's are being read while those of the second one come."""
+    guards, threads = ProcessGuards(), []
+
+    def slow(message):
+        if not threads:
+            threads.append(threading.Thread(target=guards.hand_over, args=("/two", BOTH[1])))
+            threads[0].start()
+            threads[0].join(0.2)
+        return guards_from(message)
+
+    monkeypatch.setattr(process_guards, "guards_from", slow)
+    guards.hand_over("/one", BOTH[0])
+    threads[0].join(10.0)
+    for topic in ("/e_stop", "/cmd_vel"):
+        with pytest.raises(Denied):
+            guards.current().check_topic(topic)

@@ -30,20 +30,22 @@ def test_the_package_alone_loads_nothing() -> None:
     assert [name for name in modules if name.startswith("dyknow.")] == []
 
 
-@pytest.mark.parametrize("name", ["Nodelet", "NodeHandle", "formulas.parse"])
-def test_a_name_of_the_author_loads_no_ros(name: str) -> None:
-    modules = modules_after(f"import dyknow; dyknow.{name}")
-    assert modules.isdisjoint({"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"})
+ROS = {"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"}
+PARSERS = {"lxml", "rdflib", "urllib.request", "importlib.resources"}
 
 
-def test_the_client_needs_no_node_and_no_rospy() -> None:
-    assert "rospy" not in modules_after("from dyknow import ManagerClient")
-
-
-def test_a_script_of_its_own_waits_for_no_parser() -> None:
-    """Each of these costs every re-wirable script its time at the start."""
-    modules = modules_after("import dyknow.ros.nodelets.script_process")
-    assert modules.isdisjoint({"lxml", "rdflib", "urllib.request", "importlib.resources"})
+@pytest.mark.parametrize(
+    ("statement", "unwanted"),
+    [
+        *((f"import dyknow; dyknow.{name}", ROS) for name in ("Nodelet", "NodeHandle")),
+        ("import dyknow; dyknow.formulas.parse", ROS),
+        ("from dyknow import ManagerClient", {"rospy"}),
+        # Each of these costs every re-wirable script its time at the start.
+        ("import dyknow.ros.nodelets.script_process", PARSERS),
+    ],
+)
+def test_a_name_loads_what_it_needs_alone(statement: str, unwanted: set[str]) -> None:
+    assert modules_after(statement).isdisjoint(unwanted)
 
 
 def test_names_are_listed_and_others_refused() -> None:

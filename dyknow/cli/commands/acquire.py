@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
-import json
 import os
 import signal
 import socket
@@ -18,11 +18,10 @@ from dyknow.cli import completion
 from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
 from dyknow.cli.output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Shell, command
-from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
-from dyknow.model.streams import StreamRequest
+from dyknow.errors import DyKnowError, ManagerUnreachable, StreamRefused
+from dyknow.model.streams import Acquisition, StreamRequest, StreamStatus
 
 if TYPE_CHECKING:
-    from dyknow.model.streams import Acquisition, StreamEvent, StreamStatus
     from dyknow.ros.shell.shell_client import EventReader
 
 
@@ -87,8 +86,6 @@ _RETRY = 1.0
 
 
 @command(
-    "acquire",
-    "ask for a stream and hold it",
     "Ask for a stream by its tag. Missing nodelets are spawned and connected, and maintained "
     "while the command runs; each change of state is printed. Ctrl-C releases the stream.",
     "dyknow acquire 'FieldPosition(ball)'\n"
@@ -116,22 +113,15 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
         return None
     signal.signal(signal.SIGTERM, _interrupt)
     events = shell.client.stream_events()  # before the claim is made: no event is missed
-    try:
-        claim, answer = _ask(arguments, shell, _LEASE)
-    except BaseException:
-        events.close()  # if the claim was made nevertheless, it ends with its lease
-        raise
-    holding = _Holding(shell, claim.claim_id, events)
+    claim, answer = _ask(arguments, shell, _LEASE)
     try:
         lines = [*_describe(claim, answer), "held until Ctrl-C"]
-        _say(shell, _acquired_json(claim, answer), lines)
-        return holding.run()
+        shell.show(_acquired_json(claim, answer), lines, indent=None)
+        return _hold(shell, claim.claim_id, events)
     except KeyboardInterrupt:
         shell.client.release_stream(claim.claim_id)
-        _say(shell, {"released": claim.claim_id}, [f"released {claim.claim_id}"])
+        shell.show({"released": claim.claim_id}, [f"released {claim.claim_id}"], indent=None)
         return None
-    finally:
-        holding.close()
 
 
 def _ask(
@@ -157,66 +147,47 @@ def _ask(
     raise DyKnowError(f"claim {claim_id} has ended already")
 
 
-class _Holding:
-    """Renews a lease and prints the events of a claim until it ends."""
+def _hold(shell: Shell, claim_id: str, events: EventReader) -> int:
+    """Renew a lease and print the events of a claim until it ends; return the exit code.
 
-    def __init__(self, shell: Shell, claim_id: str, events: EventReader) -> None:
-        self._shell = shell
-        self._claim_id = claim_id
-        self._events: EventReader | None = events
-
-    def run(self) -> int:
-        """Hold the claim until it ends; returns the exit code."""
-        renewal = time.monotonic()  # at once: the connection that this makes needs the master
-        while True:
-            event = self._next_event(renewal - time.monotonic())
-            if event is not None and event.before is not None:  # its first state was printed
-                line = f"{event.after.state.name.lower()}: {event.reason}"
-                _say(self._shell, event_json(event), [f"{_clock(event.stamp)} {line}"])
-                if event.after.state.ended:
-                    return FAILED
-            if time.monotonic() >= renewal:
-                try:
-                    renewal = time.monotonic() + (_RENEWAL if self._renew() else _RETRY)
-                except Refused as error:
-                    self._shell.error(error)
-                    return FAILED
-
-    def close(self) -> None:
-        if self._events is not None:
-            self._events.close()
-            self._events = None
-
-    def _next_event(self, patience: float) -> StreamEvent | None:
-        if self._events is None:
-            time.sleep(max(0.0, patience))
-            return None
+    Raises:
+        Refused: the claim has ended meanwhile.
+    """
+    renewal = time.monotonic()  # at once: the connection that this makes needs the master
+    while True:
         try:
-            event = self._events.next(max(0.0, patience))
+            event = events.next(max(0.0, renewal - time.monotonic()))
         except ManagerUnreachable as error:
-            self._shell.warn(f"{error}; waiting for it")
-            self.close()
-            return None
-        return event if event is not None and event.after.claim_id == self._claim_id else None
+            shell.warn(f"{error}; waiting for it")
+            events.close()
+            events = _wait_for_manager(shell, claim_id)
+            continue
+        # Its first state was printed.
+        if event is not None and event.before is not None and event.after.claim_id == claim_id:
+            clock = time.strftime("%H:%M:%S", time.localtime(event.stamp))
+            line = f"{clock} {event.after.state.name.lower()}: {event.reason}"
+            shell.show(event_json(event), [line], indent=None)
+            if event.after.state.ended:
+                return FAILED
+        if time.monotonic() >= renewal:
+            renewal = time.monotonic() + _RETRY
+            with contextlib.suppress(ManagerUnreachable):  # its end breaks the connection, too
+                shell.client.renew_stream(claim_id, _LEASE)
+                renewal = time.monotonic() + _RENEWAL
 
-    def _renew(self) -> bool:
-        """Renew the lease; returns whether the manager answered.
 
-        Raises:
-            Refused: the claim has ended.
-        """
-        client = self._shell.client
-        try:
-            client.renew_stream(self._claim_id, _LEASE)
-            if self._events is None:
-                self._events = client.stream_events()
-                self._shell.warn("the manager is back")
-                for claim in client.list_streams():
-                    if claim.claim_id == self._claim_id:
-                        _say(self._shell, stream_json(claim), _describe(claim))
-        except ManagerUnreachable:
-            return False  # reported when the connection broke; the manager stores the claim
-        return True
+def _wait_for_manager(shell: Shell, claim_id: str) -> EventReader:
+    """Renew the lease of a claim once the manager, which stores it, is back."""
+    while True:
+        time.sleep(_RETRY)
+        with contextlib.suppress(ManagerUnreachable):
+            shell.client.renew_stream(claim_id, _LEASE)
+            events = shell.client.stream_events()
+            shell.warn("the manager is back")
+            for claim in shell.client.list_streams():
+                if claim.claim_id == claim_id:
+                    shell.show(stream_json(claim), _describe(claim), indent=None)
+            return events
 
 
 def _acquired_json(claim: StreamStatus, answer: Acquisition | None) -> dict[str, Any]:
@@ -239,17 +210,6 @@ def _describe(claim: StreamStatus, answer: Acquisition | None = None) -> Iterabl
         yield f"  {claim.detail}"
     if claim.nodelets:
         yield f"  nodelets {' '.join(claim.nodelets)}"
-
-
-def _say(shell: Shell, value: Any, lines: Iterable[str]) -> None:
-    """Print and flush; as JSON, one line for each value."""
-    for line in [json.dumps(value)] if shell.as_json else lines:
-        shell.out.write(line + "\n")
-    shell.out.flush()
-
-
-def _clock(stamp: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(stamp))
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Sequence
 
 from dyknow import names
-from dyknow.cli import completion
-from dyknow.cli.arguments import argument, port_or_topic
+from dyknow.cli.arguments import argument
 from dyknow.cli.output import Json, as_json, picked, state_of, unknown_nodelet
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
@@ -33,21 +32,7 @@ class PortMove:
     after: str
 
 
-def _connect_problem(arguments: argparse.Namespace) -> str:
-    ends = arguments.source, arguments.target
-    if all(isinstance(end, str) for end in ends):
-        return (
-            f"'{ends[0]}' and '{ends[1]}' are topics; expected a port at one end at least, "
-            "NODELET:PORT, such as camera:image"
-        )
-    if arguments.topic and any(isinstance(end, str) for end in ends):
-        return "--topic names the topic between two ports; one end is a topic already"
-    return ""
-
-
 @command(
-    "connect",
-    "connect ports to each other, or to topics",
     "Connect an out-port to an in-port, a topic to an in-port, or an out-port to a topic, "
     "while the nodelets run. Directions and types are checked first; of two ports the in-port "
     "is moved first, and moved back if the out-port cannot be.",
@@ -56,44 +41,47 @@ def _connect_problem(arguments: argparse.Namespace) -> str:
     "dyknow connect /usb_cam/image_raw undistort:rawcamera\n"
     "dyknow connect undistort:undist /image_rect",
     argument(
-        "source",
-        "FROM",
-        "where the stream comes from: an out-port, NODELET:PORT, or a topic",
-        completer=completion.stream_sources,
-        type=port_or_topic,
+        "source", "FROM", "where the stream comes from: an out-port, NODELET:PORT, or a topic"
     ),
-    argument(
-        "target",
-        "TO",
-        "where it goes to: an in-port, NODELET:PORT, or a topic",
-        completer=completion.stream_targets,
-        type=port_or_topic,
-    ),
+    argument("target", "TO", "where it goes to: an in-port, NODELET:PORT, or a topic"),
     argument(
         "--topic",
         "T",
         "the topic between two ports (default: the out-port's, else the in-port's, else /A/OUT)",
     ),
-    problem=_connect_problem,
 )
 def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
-    source, target = _end(shell, arguments.source), _end(shell, arguments.target)
-    if isinstance(source, str) and isinstance(target, PortRef):
-        topic, moves = source, _connect_to_topic(shell.client, target, source, IN)
-        published, _ = shell.client.topics_in_use()
-        if topic not in published:  # its name may be mistyped
-            hint = did_you_mean(topic, published)
-            shell.warn(f"connected, but no node publishes on '{topic}' yet{hint}")
-    elif isinstance(source, PortRef) and isinstance(target, str):
-        topic, moves = target, _connect_to_topic(shell.client, source, target, OUT)
-    elif isinstance(source, PortRef) and isinstance(target, PortRef):
+    ends = arguments.source, arguments.target
+    topics = [end for end in ends if isinstance(end, str)]
+    if len(topics) == 2:
+        arguments.refuse(
+            f"'{topics[0]}' and '{topics[1]}' are topics; expected a port at one end at least, "
+            "NODELET:PORT, such as camera:image"
+        )
+    if arguments.topic and topics:
+        arguments.refuse("--topic names the topic between two ports; one end is a topic already")
+    client = shell.client
+    source, target = (None if isinstance(end, str) else resolved(shell, end) for end in ends)
+    if source and target:
+        (source, out), (target, into) = find_port(client, source), find_port(client, target)
         wish = shell.resolve(arguments.topic) if arguments.topic else ""
-        topic, moves = _connect_ports(shell.client, source, target, wish)
-    way = " -> ".join(dict.fromkeys((str(source), topic, str(target))))
+        topic = meeting_topic(client, (source, out), (target, into), wish)
+        # The in-port first: it receives the first message that is published on the topic.
+        wanted = [PortMove(target, into.topic, topic), PortMove(source, out.topic, topic)]
+    else:
+        topic = shell.resolve(topics[0])
+        given = ((source, OUT), (target, IN))
+        wanted = [_move_to_topic(client, port, topic, way) for port, way in given if port]
+        source, target = (port and wanted[0].port for port, _ in given)
+    moves = apply(client, wanted)
+    if source is None and topic not in (published := client.topics_in_use()[0]):
+        hint = did_you_mean(topic, published)  # its name may be mistyped
+        shell.warn(f"connected, but no node publishes on '{topic}' yet{hint}")
+    way = " -> ".join(dict.fromkeys((str(source or topic), topic, str(target or topic))))
     shell.show(
         {
-            "out": None if isinstance(source, str) else as_json(source),
-            "in": None if isinstance(target, str) else as_json(target),
+            "out": as_json(source),
+            "in": as_json(target),
             "topic": topic,
             "changed": [_move_json(move) for move in moves],
         },
@@ -101,48 +89,29 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _connect_ports(
-    client: ShellClient, source: PortRef, target: PortRef, topic: str
-) -> tuple[str, list[PortMove]]:
-    """Connect an out-port to an in-port; return the topic, and the moves that were made."""
-    out, into = find_port(client, source), find_port(client, target)
-    check_ends(str(source), out, str(target), into)
-    topic = topic or out.topic or _free_topic(client, source.nodelet, out, into)
-    # The in-port first: it receives the first message that is published on the topic.
-    ends = (PortMove(target, into.topic, topic), PortMove(source, out.topic, topic))
-    return topic, apply(client, ends)
-
-
-def meeting_topic(client: ShellClient, name: str, port: PortState, peer: PortRef) -> PortMove:
-    """Choose the topic of a port of a nodelet that is to be spawned, and of its peer's.
-
-    Raises:
-        CannotConnect: the peer does not exist, or the two do not fit.
-    """
-    found = find_port(client, peer)
-    own = PortRef(name, port.name)
-    if port.direction == IN:
-        check_ends(str(peer), found, str(own), port)
-        topic = found.topic or _free_topic(client, peer.nodelet, found, port)
-    else:
-        check_ends(str(own), port, str(peer), found)
-        topic = _free_topic(client, name, port, found)
-    return PortMove(peer, found.topic, topic)
-
-
-def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortState) -> str:
+def meeting_topic(
+    client: ShellClient,
+    source: tuple[PortRef, PortState],
+    target: tuple[PortRef, PortState],
+    wish: str = "",
+) -> str:
+    """Choose the topic of an out-port and an in-port; raises CannotConnect if they do not fit."""
+    (reference, out), (peer, into) = source, target
+    check_ends(str(reference), out, str(peer), into)
+    if wish or out.topic:
+        return wish or out.topic
     published, heard = client.topics_in_use()
     taken: set[str] = set()
-    if names.topic_after(nodelet, out.name) in heard | published:  # perhaps by a port
+    if names.topic_after(reference.nodelet, out.name) in heard | published:  # perhaps by a port
         graph = client.get_graph()
         taken = {port.topic for each in graph.nodelets for port in each.ports}
-    return choose_topic(nodelet, out, into, published, taken)
+    return choose_topic(reference.nodelet, out, into, published, taken)
 
 
-def _connect_to_topic(
+def _move_to_topic(
     client: ShellClient, reference: PortRef, topic: str, direction: str
-) -> list[PortMove]:
-    """Connect a port of this direction to a topic; return the moves that were made."""
+) -> PortMove:
+    """Prepare to connect a port of this direction to a topic."""
     nodelet = client.get_graph().nodelet(topic) if client.is_nodelet(topic) else None
     if nodelet is not None:
         other = OUT if direction == IN else IN
@@ -151,25 +120,24 @@ def _connect_to_topic(
             f"'{topic}' is a nodelet; expected a topic, or its port as {topic}:PORT; its "
             f"{other}-ports: {ports or 'none'}"
         )
-    port = find_port(client, reference)
+    reference, port = find_port(client, reference)
     if port.direction != direction:
         raise CannotConnect(
             f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "
             "leads from the first to the second"
         )
-    return apply(client, [PortMove(reference, port.topic, topic)])
+    return PortMove(reference, port.topic, topic)
 
 
 @command(
-    "disconnect",
-    "disconnect ports",
     "Disconnect ports from their topics while their nodelets run.",
     "dyknow disconnect undistort:rawcamera\ndyknow disconnect camera:image undistort:rawcamera",
     argument("ports", "A:PORT", "a port: NODELET:PORT", nargs="+"),
 )
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     references = dict.fromkeys(resolved(shell, each) for each in arguments.ports)
-    wanted = [PortMove(each, find_port(shell.client, each).topic, "") for each in references]
+    found = [find_port(shell.client, each) for each in references]
+    wanted = [PortMove(each, port.topic, "") for each, port in found]
     moves = apply(shell.client, wanted)
     left = (f"has left {move.before}" if move.before else "was not connected" for move in wanted)
     shell.show(
@@ -178,47 +146,39 @@ def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _ports_of(client: ShellClient, nodelet: str) -> tuple[PortState, ...]:
-    """Ask a nodelet for its ports.
-
-    Raises:
-        CannotConnect: the nodelet does not exist, or its topics are fixed.
-        NodeletUnreachable: it does not answer.
-    """
-    try:
-        return client.get_config(nodelet)
-    except NodeletUnreachable as silence:
-        model = client.get_graph()
-        present = model.nodelet(nodelet)
-        if present is None:
-            raise CannotConnect(unknown_nodelet(nodelet, model)) from None
-        if present.is_fixed:
-            raise CannotConnect(str(FixedTopics(nodelet, present.manager))) from silence
-        raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
-
-
-def find_port(client: ShellClient, reference: PortRef) -> PortState:
-    """Return the port that a reference means.
+def find_port(client: ShellClient, reference: PortRef) -> tuple[PortRef, PortState]:
+    """Return the port that a reference means, with its full name: of ``in`` perhaps ``~in``.
 
     A port that a lazy nodelet declares may be connected before the nodelet subscribes with it: its
     proxy keeps the topic until then.
 
     Raises:
-        CannotConnect: the nodelet has no such port; its ports are named.
+        CannotConnect: the nodelet does not exist, its topics are fixed, or it has no such port.
+        NodeletUnreachable: it does not answer.
     """
-    ports = list(_ports_of(client, reference.nodelet))
-    found = [port for port in ports if port.name == reference.port]
-    if not found:
-        shown = client.get_graph().nodelet(reference.nodelet)
-        present = {port.name for port in ports}
-        ports += [port for port in (shown.ports if shown else ()) if port.name not in present]
-        found = [port for port in ports if port.name == reference.port]
-    if found:
-        return found[0]
-    known = ", ".join(f"{port.name} ({port.direction})" for port in ports) or "none"
-    hint = did_you_mean(reference.port, [port.name for port in ports])
+    name = reference.nodelet
+    try:
+        ports = {port.name: port for port in client.get_config(name)}
+    except NodeletUnreachable as silence:
+        model = client.get_graph()
+        shown = model.nodelet(name)
+        if shown is None:
+            raise CannotConnect(unknown_nodelet(name, model)) from None
+        if shown.is_fixed:
+            raise CannotConnect(str(FixedTopics(name, shown.manager))) from silence
+        raise NodeletUnreachable(f"{silence}; it is {state_of(shown)}") from silence
+    if reference.port not in ports:
+        shown = client.get_graph().nodelet(name)
+        for port in shown.ports if shown else ():
+            ports.setdefault(port.name, port)
+    alike = [port for port in ports if port.lstrip("~/") == reference.port]
+    if reference.port in ports or len(alike) == 1:
+        port = ports.get(reference.port) or ports[alike[0]]
+        return PortRef(name, port.name), port
+    known = ", ".join(f"{port.name} ({port.direction})" for port in ports.values()) or "none"
+    hint = did_you_mean(reference.port, ports)
     raise CannotConnect(
-        f"nodelet '{reference.nodelet}' has no port '{reference.port}'; its ports: {known}{hint}"
+        f"nodelet '{name}' has no port '{reference.port}'; its ports: {known}{hint}"
     )
 
 
@@ -238,10 +198,6 @@ def apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:
         except Refused as error:
             raise CannotConnect(f"cannot connect: {error}") from error
     return moves
-
-
-def _end(shell: Shell, end: PortRef | str) -> PortRef | str:
-    return shell.resolve(end) if isinstance(end, str) else resolved(shell, end)
 
 
 def resolved(shell: Shell, reference: PortRef) -> PortRef:

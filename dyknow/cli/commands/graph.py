@@ -10,37 +10,29 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from typing import TYPE_CHECKING, Iterator, Sequence
+from typing import Iterator, Sequence
 
 from dyknow import names
-from dyknow.cli.arguments import Group, argument, flag
+from dyknow.cli.arguments import argument, flag, group
 from dyknow.cli.output import nodelet_json, picked, state_of, write_file
 from dyknow.cli.shell import Shell, command
 from dyknow.graphviz import CannotDraw, quote, render
-from dyknow.model.graph import PortRef
+from dyknow.model.graph import Model, NodeletStatus, PortRef
 from dyknow.wiring.ports import Topic, by_name, topics_of
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
-
 
 #: Seconds that graphviz may take.
 _TIMEOUT = 120.0
 
 
 @command(
-    "graph",
-    "show or draw the computation graph",
     "Show which ports are connected by which topics, or draw it: nodelets as ovals, topics as "
     "rectangles, from left to right, with boxes around namespaces. SVG and PNG need graphviz.",
     "dyknow graph\ndyknow graph --svg graph.svg\ndyknow graph --namespace /robot --dot | "
     "dot -Tpdf -o robot.pdf",
-    Group(
-        (
-            flag("--dot", "print it in graphviz's DOT language"),
-            argument("--svg", "FILE", "draw it into a file (svg)"),
-            argument("--png", "FILE", "draw it into a file (png)"),
-        )
+    group(
+        flag("--dot", "print it in graphviz's DOT language"),
+        argument("--svg", "FILE", "draw it into a file (svg)"),
+        argument("--png", "FILE", "draw it into a file (png)"),
     ),
     argument(
         "--namespace",

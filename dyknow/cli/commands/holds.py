@@ -7,39 +7,23 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Callable, Generator, Iterable, Mapping
+from typing import TYPE_CHECKING, Callable, Generator, Iterable, Mapping
 
-from dyknow.cli import completion
 from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
-from dyknow.cli.shell import Shell, command
+from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Formula, Truth, Verdict, parse
 
 if TYPE_CHECKING:
     from dyknow.formulas import Monitor
 
-#: Exit code if the formula was FALSE.
-_VIOLATED = 1
 #: Seconds between two looks for a topic that is not there yet.
 _POLL = 0.5
 
 
-def _assignment(text: str) -> tuple[str, str]:
-    """Read `PORT=VALUE`, or `VALUE` for the only port."""
-    port, equals, value = text.partition("=")
-    if not equals or "(" in port or "/" in port:
-        return "", text
-    if not port.isidentifier() or not value:
-        raise argparse.ArgumentTypeError(f"'{text}': expected PORT=..., such as battery=/battery")
-    return port, value
-
-
 @command(
-    "holds",
-    "evaluate a formula on topics, streams or a bag",
     "Evaluate a formula of metric temporal logic, and print each change of its verdict. Its ports "
     "are topics (--topic), requested streams (--port) or topics of a bag (--bag); without these, "
     "a port is the topic of its name. It ends with Ctrl-C, after --for, or with the bag, and with "
@@ -54,15 +38,12 @@ def _assignment(text: str) -> tuple[str, str]:
         "--topic",
         "PORT=TOPIC",
         "a topic that is a port; with one port its name may be left out",
-        completer=completion.formula_topics,
-        type=_assignment,
         **SEVERAL,
     ),
     argument(
         "--port",
         "PORT=TAG",
         "a port whose stream is requested from the manager, by its tag",
-        type=_assignment,
         **SEVERAL,
     ),
     argument("--bag", "FILE", "a bag in the place of live topics"),
@@ -81,13 +62,10 @@ def _assignment(text: str) -> tuple[str, str]:
     argument("--for", "SECONDS", "end after so long", dest="seconds"),
     flag("--why", "print the values that decided"),
     flag("--all", "print the verdict about each state, not only changes"),
-    problem=lambda arguments: (
-        "--bag has topics of its own: --port is for live streams"
-        if arguments.bag and arguments.port
-        else ""
-    ),
 )
 def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    if arguments.bag and arguments.port:
+        arguments.refuse("--bag has topics of its own: --port is for live streams")
     formula = parse(arguments.formula)
     monitor = formula.monitor(arguments.period, arguments.hold, arguments.delay, arguments.exact)
     topics, tags = (_named(formula, each) for each in (arguments.topic, arguments.port))
@@ -104,7 +82,7 @@ def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if not shell.as_json:
         false, unknown = counts[Truth.FALSE], counts[Truth.UNKNOWN]
         shell.error(f"FALSE in {false}, UNKNOWN in {unknown} of {sum(counts.values())} states")
-    return _VIOLATED if counts[Truth.FALSE] else None
+    return FAILED if counts[Truth.FALSE] else None
 
 
 def _named(formula: Formula, given: Iterable[tuple[str, str]]) -> dict[str, str]:
@@ -123,18 +101,14 @@ def _named(formula: Formula, given: Iterable[tuple[str, str]]) -> dict[str, str]
 
 
 def _print(shell: Shell, verdict: Verdict, with_why: bool) -> None:
-    if shell.as_json:
-        value: dict[str, Any] = {
-            "stamp": verdict.stamp / 1e9,
-            "value": verdict.value.name,
-            "since": verdict.since / 1e9,
-            "why": verdict.why,
-        }
-        line = json.dumps(value)
-    else:
-        line = str(verdict if with_why else verdict._replace(why=""))
-    shell.out.write(line + "\n")
-    shell.out.flush()
+    value = {
+        "stamp": verdict.stamp / 1e9,
+        "value": verdict.value.name,
+        "since": verdict.since / 1e9,
+        "why": verdict.why,
+    }
+    line = str(verdict if with_why else verdict._replace(why=""))
+    shell.show(value, [line], indent=None)
 
 
 def _of_bag(
@@ -143,6 +117,11 @@ def _of_bag(
     from dyknow.ros.formulas.message_types import check
     from dyknow.ros.formulas.sources import Bag
 
+    for variable in formula.variables:
+        raise DyKnowError(
+            f"a bag has no individuals {variable}: expected a formula without 'every' and 'some', "
+            "or live streams"
+        )
     bag = Bag(path)
     topics = {port: bag.topic(port, given) for port in formula.ports}
     check(formula, {port: bag.datatypes[topic] for port, topic in topics.items()})
@@ -168,24 +147,29 @@ def _live(
 ) -> Generator[Verdict, None, None]:
     """Yield the verdicts about topics, and about streams that are held meanwhile."""
     from dyknow.ros.acquiring import acquire
-    from dyknow.ros.formulas.individuals import IndividualStreams
+    from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals
     from dyknow.ros.formulas.message_types import check, known_class
     from dyknow.ros.formulas.sources import LiveTopics
 
-    client = shell.client
-    streams = {port: topics.get(port, f"/{port}") for port in formula.ports if port not in tags}
+    streams = {
+        port: shell.resolve(topics.get(port, f"/{port}"))
+        for port in formula.ports
+        if port not in tags
+    }
     for port in sorted(set(formula.of_individuals) & streams.keys()):
         raise DyKnowError(
             f"the port '{port}' has a stream for each individual: give its tag, as "
             f"--port '{port}=Image(?c: Camera)'"
         )
+    of_individuals = {port: tags[port] for port in tags if port in formula.of_individuals}
+    individual = tags_of_individuals(formula, of_individuals)
+    client = shell.client
     latest = None if duration is None else time.monotonic() + duration
     datatypes = {port: _datatype(shell, port, topic, latest) for port, topic in streams.items()}
     check(formula, {port: datatypes.get(port, "") for port in formula.ports})
     deadline = None if duration is None else time.monotonic() + duration
     live = LiveTopics()
     with contextlib.ExitStack() as stack:
-        individual = {port: tags[port] for port in tags if port in formula.of_individuals}
         for port, tag in tags.items():
             if port not in individual:
                 stream = stack.enter_context(acquire(tag, manager=client.manager))

@@ -10,22 +10,17 @@ import collections
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from typing import (
-    TYPE_CHECKING,
-    Iterator,
-    Sequence,
-    Union,
-)
+from typing import TYPE_CHECKING, Iterator, Sequence, Union
 
-from dyknow.cli import completion
-from dyknow.cli.arguments import argument, flag, namespace
-from dyknow.cli.host_table import host_json, host_table
+from dyknow.cli.arguments import argument, flag
 from dyknow.cli.output import (
     Json,
     Screen,
     Transports,
     columns,
     count,
+    host_json,
+    host_table,
     nodelet_json,
     state_of,
     statistics_json,
@@ -33,40 +28,30 @@ from dyknow.cli.output import (
 )
 from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import DyKnowError, NodeletUnreachable, Refused
+from dyknow.model.graph import Model, NodeletStatus
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
-    from dyknow.model.statistics import NodeletStatistics, PortStatistics
+    from dyknow.ros.shell.load_meter import Loads
 
-
-def _list_problem(arguments: argparse.Namespace) -> str:
-    if arguments.hosts and (arguments.namespace or arguments.long):
-        return "--hosts lists hosts; expected it without a namespace and --long"
-    return ""
+#: Titles of what a nodelet or a process takes.
+_LOAD = ("CPU %", "MEMORY MB")
 
 
 @command(
-    "list",
-    "list the nodelets",
     "List the nodelets that the manager knows of, one name a line, or the hosts that they run on.",
     "dyknow list\ndyknow list -l\ndyknow list /robot\ndyknow list --hosts\n"
     "dyknow list --json | jq -r '.nodelets[] | select(.state != \"running\") | .name'",
-    argument(
-        "namespace",
-        None,
-        "list only nodelets of this namespace",
-        completer=completion.namespaces,
-        nargs="?",
-        type=namespace,
-    ),
-    flag("-l --long", "show transformation, state, ports, manager, and the processes' load"),
+    argument("namespace", "NS", "list only nodelets of this namespace", nargs="?"),
+    flag("-l --long", "show transformation, state, ports, load, manager, and the processes' load"),
     flag("--hosts", "list the hosts: what runs there, their load, and their clocks"),
-    problem=_list_problem,
 )
 def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     if arguments.hosts:
+        if arguments.namespace or arguments.long:
+            arguments.refuse("--hosts lists hosts; expected it without a namespace and --long")
         hosts = shell.client.list_hosts()
         shell.show({"hosts": [host_json(each) for each in hosts]}, host_table(hosts, time.time()))
         return
@@ -78,17 +63,20 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     if not arguments.long:
         shell.show(value, [each.name for each in nodelets])
         return
-    loads = shell.client.loads({each.node for each in nodelets})
+    loads = shell.client.loads(nodelets)
+    for each in value["nodelets"]:
+        load = loads.nodelets.get(each["name"])
+        each["load"] = load and load._asdict()
     value["processes"] = [
-        {"name": name, "cpu": cpu, "memory": memory} for name, (cpu, memory) in loads.items()
+        {"name": name, "cpu": cpu, "memory": memory}
+        for name, (cpu, memory) in loads.processes.items()
     ]
-    shell.show(value, [*_long_list(nodelets), *_load_table(loads)])
+    shell.show(value, [*_long_list(nodelets, loads), *_load_table(loads)])
 
 
-def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
-    rows: list[tuple[object, ...]] = [
-        ("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")
-    ]
+def _long_list(nodelets: Sequence[NodeletStatus], loads: Loads) -> list[str]:
+    head = ("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "BUSY %", *_LOAD, "MANAGER")
+    rows: list[tuple[object, ...]] = [head]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
         marks = (
@@ -96,25 +84,35 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> list[str]:
             + ",protected" * each.is_protected
             + ",isolated" * each.isolated
         )
-        made_from, ends = (
-            each.origin,
-            (directions.count(IN), directions.count(OUT)),
-        )
-        rows.append((each.name, made_from, state_of(each) + marks, *ends, each.manager or None))
+        ends = directions.count(IN), directions.count(OUT)
+        load = loads.nodelets.get(each.name)
+        busy, cpu, memory = load or (None, None, None)
+        taken = (_percent(busy), _percent(cpu), _megabytes(memory))
+        state = state_of(each) + marks
+        rows.append((each.name, each.origin, state, *ends, *taken, each.manager or None))
     details = [f"{each.name}: {each.detail}" for each in nodelets if each.detail]
-    return [*columns(rows, right=(3, 4)), *details]
+    return [*columns(rows, right=(3, 4, 5, 6, 7)), *details]
 
 
-def _load_table(loads: dict[str, tuple[float, int]]) -> list[str]:
+def _load_table(loads: Loads) -> list[str]:
     """Write the share of a core and the bytes of memory that each process takes."""
-    rows: list[tuple[object, ...]] = [("PROCESS", "CPU %", "MEMORY MB")]
-    rows += [(name, f"{cpu:.0%}"[:-1], memory // 10**6) for name, (cpu, memory) in loads.items()]
-    return ["", *columns(rows, right=(1, 2))] if loads else []
+    rows: list[tuple[object, ...]] = [("PROCESS", *_LOAD)]
+    rows += [
+        (name, _percent(cpu), _megabytes(memory))
+        for name, (cpu, memory) in loads.processes.items()
+    ]
+    return ["", *columns(rows, right=(1, 2))] if len(rows) > 1 else []
+
+
+def _percent(share: float | None) -> str | None:
+    return None if share is None else f"{100 * share:.0f}"
+
+
+def _megabytes(memory: int | None) -> int | None:
+    return None if memory is None else memory // 10**6
 
 
 @command(
-    "info",
-    "show nodelets, their ports and connections",
     "Show nodelets: transformation, manager, state, and each port with its type, topic, "
     "tags and the ports at the other end.",
     "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",
@@ -184,15 +182,7 @@ _HEAD = (
 Answer = Union["NodeletStatistics", DyKnowError, None]
 
 
-def _stats_problem(arguments: argparse.Namespace) -> str:
-    if arguments.count is not None and arguments.watch is None:
-        return "--count says how often --watch shows; expected both, or neither"
-    return ""
-
-
 @command(
-    "stats",
-    "show the rates of the ports",
     "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, "
     "messages that were DROPPED from the full queue of an in-port, or are UNSENT because an "
     "out-port was disconnected, mean and longest callback of an in-port in ms, and the number "
@@ -208,10 +198,11 @@ def _stats_problem(arguments: argparse.Namespace) -> str:
         const=_PERIOD,
     ),
     argument("-n --count", "N", "with --watch: end after N times"),
-    problem=_stats_problem,
 )
 def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.watch is None:
+        if arguments.count is not None:
+            arguments.refuse("--count says how often --watch shows; expected both, or neither")
         return _show_once(shell, arguments.names)
     names = [shell.resolve(name) for name in arguments.names]
     screen = Screen(shell, arguments.watch)
@@ -320,8 +311,6 @@ def _milliseconds(duration: float | None) -> str | None:
 
 
 @command(
-    "doctor",
-    "find the defects of a system, and their cures",
     "Examine the system: names of hosts, dead registrations, processes that another ROS "
     "master knows, nodelets and streams that fail or hang, unknown sources "
     "and types, parameters that nothing reads, processes of another version, file "

@@ -10,7 +10,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import Group, argument, flag
+from dyknow.cli.arguments import REPEATED, argument, flag, group
 from dyknow.cli.output import columns, count, picked
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import CannotLaunch
@@ -20,42 +20,28 @@ if TYPE_CHECKING:
     from dyknow.cli.launching import NodeFilter, Treatment
 
 
-def _problem(arguments: argparse.Namespace) -> str:
-    if arguments.json and not arguments.dry_run:
-        return "--json is for --dry-run"
-    if arguments.screen and arguments.log:
-        return "--screen and --log exclude each other"
-    return ""
-
-
-_ROSLAUNCH = Group(
-    (
-        flag("--screen", "output of all nodes to the screen"),
-        flag("--log", "output of all nodes to the log"),
-        flag("--required", "every node is required"),
-        flag("--local", "do not start nodes of other machines"),
-        flag("--wait", "wait for the master"),
-        argument("-p --port", "PORT", "port of the master, if it starts one"),
-        argument("--pid", "FILE", "write its process id there", default=""),
-        argument("--run_id", "ID", "id of the run", completer=None),
-        flag("-v --verbose", "say what is read"),
-        flag("--no-summary", "no summary of roslaunch's"),
-        flag("--skip-log-check", "do not look how large the logs are"),
-        flag("--disable-title", "leave the terminal's title alone"),
-        *(
-            argument(
-                f"--{it}-timeout", "SECONDS", f"time that a node has to end after {it.upper()}"
-            )
-            for it in ("sigint", "sigterm")
-        ),
+_ROSLAUNCH = group(
+    flag("--screen", "output of all nodes to the screen"),
+    flag("--log", "output of all nodes to the log"),
+    flag("--required", "every node is required"),
+    flag("--local", "do not start nodes of other machines"),
+    flag("--wait", "wait for the master"),
+    argument("-p --port", "PORT", "port of the master, if it starts one"),
+    argument("--pid", "FILE", "write its process id there", default=""),
+    argument("--run_id", "ID", "id of the run", completer=None),
+    flag("-v --verbose", "say what is read"),
+    flag("--no-summary", "no summary of roslaunch's"),
+    flag("--skip-log-check", "do not look how large the logs are"),
+    flag("--disable-title", "leave the terminal's title alone"),
+    *(
+        argument(f"--{it}-timeout", "SECONDS", f"time that a node has to end after {it.upper()}")
+        for it in ("sigint", "sigterm")
     ),
-    "options of roslaunch",
+    title="options of roslaunch",
 )
 
 
 @command(
-    "launch",
-    "start launch files with every node re-wirable",
     "Starts launch files as roslaunch does. The nodes then have ports that can be connected "
     "elsewhere while they run; nothing else is changed. What is left alone, and why, is said "
     "at the start. PATTERN is as of a shell; quote it.",
@@ -70,25 +56,22 @@ _ROSLAUNCH = Group(
         completer=completion.launch_words,
         nargs="+",
     ),
-    argument("--given", None, argparse.SUPPRESS, action="append", default=[]),
+    argument("--given", None, argparse.SUPPRESS, **REPEATED),
     argument(
         "--only",
         "PATTERN",
         "leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
-        action="append",
-        default=[],
+        **REPEATED,
     ),
     argument(
         "--except",
         "PATTERN",
         "leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
         dest="except_",
-        action="append",
-        default=[],
+        **REPEATED,
     ),
     flag("--dry-run", "show what would become of each node, and end"),
     _ROSLAUNCH,
-    problem=_problem,
     usage="dyknow launch [OPTION ...] [PKG] FILE ... [NAME:=VALUE ...]",
 )
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -96,6 +79,10 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli.launch_files import find_files, unknown_arguments
     from dyknow.cli.launching import NodeFilter
 
+    if arguments.json and not arguments.dry_run:
+        arguments.refuse("--json is for --dry-run")
+    if arguments.screen and arguments.log:
+        arguments.refuse("--screen and --log exclude each other")
     files = find_files(arguments.words)
     chosen = NodeFilter(arguments.only, arguments.except_)
 
@@ -137,8 +124,8 @@ def _summary(plan: Sequence[Treatment]) -> Iterator[str]:
     away = sum(each.how is How.OTHER_MACHINE for each in plan)
     there = f", {away} more if DyKnow is on their machine" if away else ""
     yield f"re-wirable: {len(plan) - len(left) - away} of {count(len(plan), 'node')}{there}"
-    for why, group in groupby(left, key=lambda each: each.why):
-        yield f"left alone: {', '.join(each.node for each in group)} ({why})"
+    for why, nodes in groupby(left, key=lambda each: each.why):
+        yield f"left alone: {', '.join(each.node for each in nodes)} ({why})"
 
 
 def _table(plan: Sequence[Treatment]) -> list[str]:

@@ -7,13 +7,20 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from typing import TYPE_CHECKING, Iterable, Sequence
 
-from dyknow.cli.arguments import Argument, argument, flag
-from dyknow.cli.output import Json, columns, count, transformation_json, write_file
-from dyknow.cli.shell import FAILED, Shell, command
-from dyknow.errors import ManagerUnreachable, Problem, Refused, UnknownTransformation
+from dyknow.cli.arguments import REPEATED, Argument, argument, flag
+from dyknow.cli.output import (
+    STDIO,
+    Json,
+    columns,
+    count,
+    read_file,
+    transformation_json,
+    write_file,
+)
+from dyknow.cli.shell import FAILED, Acted, Shell, command
+from dyknow.errors import DyKnowError, Problem, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.similar import did_you_mean
 
@@ -21,19 +28,14 @@ if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
 
 
-STDIN = "-"
-
-
 def _labels(nargs: str, text: str) -> Argument:
     return argument("labels", "LABEL", text, nargs=nargs)
 
 
-_FILES = argument("files", "FILE", f"specifications; {STDIN} for standard input", nargs="+")
+_FILES = argument("files", "FILE", f"specifications; {STDIO} for standard input", nargs="+")
 
 
 @command(
-    "library",
-    "list the transformations, or show specifications",
     "List the labels of the transformations, one a line, or show the specifications of some.",
     "dyknow library\ndyknow library -l\ndyknow library 'undistort(cam1)'",
     _labels("*", "show the specification (default: list the labels)"),
@@ -72,52 +74,30 @@ def _chosen(shell: Shell, labels: Sequence[str]) -> list[Transformation]:
 
 
 @command(
-    "import",
-    "add transformations from specification files",
     "Add the transformations that files specify. One under an existing label replaces it; "
     "nodelets keep the one that they were made from. A file with a problem adds nothing.",
     "dyknow import cameras.xml\ndyknow export | ROS_MASTER_URI=http://other:11311 dyknow import -",
     _FILES,
 )
 def _import(arguments: argparse.Namespace, shell: Shell) -> int | None:
-    imported: list[Json] = []
-    failed: list[Json] = []
-    for file in arguments.files:
+    def add(file: str) -> Acted:
         try:
             added = shell.client.add_transformation(_read(file))
-        except ManagerUnreachable:
-            raise
-        except (OSError, UnicodeDecodeError, Refused) as error:
-            message = _explain(file, error)
-            failed.append({"file": file, "message": message})
-            for line in message.splitlines():
-                shell.error(line)
-        else:
-            warnings = _named(file, added.warnings).splitlines()
-            imported.append({"file": file, "labels": list(added.labels), "warnings": warnings})
-            for warning in warnings:
-                shell.warn(warning)
-    shell.show(
-        {"imported": imported, "failed": failed},
-        [f"{each['file']}: {label}" for each in imported for label in each["labels"]],
-    )
-    return FAILED if failed else None
+        except Refused as error:
+            raise DyKnowError(_named(file, str(error))) from error
+        warnings = _named(file, added.warnings)
+        shell.warn(warnings)
+        shown = {"file": file, "labels": list(added.labels), "warnings": warnings.splitlines()}
+        return [shown], [f"{file}: {label}" for label in added.labels]
+
+    return shell.for_each("file", "imported", arguments.files, add)
 
 
 def _read(file: str) -> str:
-    if file == STDIN:
-        return sys.stdin.buffer.read().decode("utf-8")
-    with open(file, encoding="utf-8") as opened:
-        return opened.read()
-
-
-def _explain(file: str, error: Exception) -> str:
-    """Return the problems of a file, a line each."""
-    if isinstance(error, OSError):
-        return f"{file}: cannot be read: {error.strerror}"
-    if isinstance(error, UnicodeDecodeError):
-        return f"{file}: is not UTF-8; expected XML in UTF-8"
-    return _named(file, str(error))
+    try:
+        return read_file(file).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DyKnowError(f"{file}: is not UTF-8; expected XML in UTF-8") from error
 
 
 def _named(file: str, words: str) -> str:
@@ -126,8 +106,6 @@ def _named(file: str, words: str) -> str:
 
 
 @command(
-    "export",
-    "write transformations as a specification file",
     "Write transformations as one specification, which 'import' reads.",
     "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
     _labels("*", "what to export (default: all)"),
@@ -154,8 +132,6 @@ def specification_text(transformations: Iterable[Transformation]) -> str:
 
 
 @command(
-    "remove",
-    "remove transformations",
     "Remove transformations from the library. Nodelets that were made from them run on.",
     "dyknow remove 'undistort(cam1)'",
     _labels("+", "what to remove; nodelets made from it run on"),
@@ -165,8 +141,6 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
 
 
 @command(
-    "check",
-    "check specification files without a manager",
     "Find all problems of specification files, with file and line, without a manager or a "
     "master. The exit code is 1 if there are problems; warnings are none: nodelet types, "
     "programs and message types, for instance, that this machine does not have.",
@@ -176,15 +150,13 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
         "--ontology",
         "OWL",
         "file in which templates find the individuals of a concept; may be repeated",
-        action="append",
-        default=[],
+        **REPEATED,
     ),
     argument(
         "--catalogue",
         "XML",
         "XML catalogue of the ontologies that these import; may be repeated",
-        action="append",
-        default=[],
+        **REPEATED,
     ),
     argument(
         "--language",
@@ -194,7 +166,13 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
     ),
 )
 def _check(arguments: argparse.Namespace, shell: Shell) -> int | None:
-    ontology = _ontology(arguments)
+    ontology: Ontology | None = None
+    if arguments.ontology:
+        from dyknow.manager.specifications.ontology import load_ontology
+
+        ontology = load_ontology(
+            arguments.ontology, language=arguments.language, catalogues=arguments.catalogue
+        )
     unread = ontology.warnings if ontology is not None else ()
     shown: list[Json] = []
     lines: list[str] = [_with_warning(problem) for problem in unread]
@@ -218,16 +196,6 @@ def _check(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return FAILED if any(each["problems"] for each in shown) else None
 
 
-def _ontology(arguments: argparse.Namespace) -> Ontology | None:
-    if not arguments.ontology:
-        return None
-    from dyknow.manager.specifications.ontology import load_ontology
-
-    return load_ontology(
-        arguments.ontology, language=arguments.language, catalogues=arguments.catalogue
-    )
-
-
 def _report(
     file: str, ontology: Ontology | None
 ) -> tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
@@ -237,9 +205,8 @@ def _report(
     from dyknow.ros.hosting.installed import missing_here
 
     try:
-        if file == STDIN:
-            text = sys.stdin.buffer.read()
-            found = parse(text, "standard input", ontology, types=message_type)
+        if file == STDIO:
+            found = parse(read_file(file), "standard input", ontology, types=message_type)
         else:
             found = parse_file(file, ontology, types=message_type)
     except SpecificationError as error:

@@ -6,35 +6,23 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Sequence
+from typing import Sequence
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import SEVERAL, argument, flag, graph_name
-from dyknow.cli.commands.connect import PortMove, apply, meeting_topic, resolved
-from dyknow.cli.output import nodelet_json, state_of
+from dyknow.cli.arguments import SEVERAL, argument, flag
+from dyknow.cli.commands.connect import PortMove, apply, find_port, meeting_topic, resolved
+from dyknow.cli.output import nodelet_json
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import DuplicatePort, DyKnowError
-from dyknow.model.graph import PortRef, PortState
+from dyknow.model.graph import PortRef, PortState, State
 from dyknow.model.hosts import AT
+from dyknow.model.transformation import OUT, Transformation
 from dyknow.wiring.ports import CannotConnect
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model
-    from dyknow.model.transformation import Transformation
-
 
 _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
 
 
-def _spawn_problem(arguments: argparse.Namespace) -> str:
-    if arguments.host and arguments.manager:
-        return "--host and --manager both say where it is to run; expected one of them"
-    return ""
-
-
 @command(
-    "spawn",
-    "make a nodelet from a transformation",
     "Make a nodelet from a transformation. If the exit code is 0, the nodelet runs and is "
     "connected; otherwise nothing of it is left.",
     "dyknow spawn relay slow\n"
@@ -58,8 +46,6 @@ def _spawn_problem(arguments: argparse.Namespace) -> str:
         "--manager",
         "M",
         "the nodelet manager to load it into (default: the DyKnow manager's choice)",
-        completer=completion.nodelet_managers,
-        type=graph_name,
     ),
     argument(
         "--host",
@@ -81,10 +67,14 @@ def _spawn_problem(arguments: argparse.Namespace) -> str:
         "in its tags and parameters stands for; _NAME:=VALUE does the same",
         **SEVERAL,
     ),
-    problem=_spawn_problem,
 )
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
+    if arguments.host and arguments.manager:
+        arguments.refuse("--host and --manager both say where it is to run; expected one of them")
     name = shell.resolve(arguments.name)
+    place = shell.resolve(arguments.manager) if arguments.manager else ""
+    if arguments.host:
+        place = AT + arguments.host
     config: dict[str, str] = {}
     peers: list[PortMove] = []
     meets_ports = any(isinstance(end, PortRef) for _, end in arguments.connect)
@@ -94,8 +84,10 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
             raise DuplicatePort(port)
         if isinstance(end, PortRef):
             own = _declared(library, arguments.label, port)
-            peers.append(meeting_topic(shell.client, name, own, resolved(shell, end)))
-            end = peers[-1].after
+            peer, found = find_port(shell.client, resolved(shell, end))
+            ends = (PortRef(name, port), own), (peer, found)
+            end = meeting_topic(shell.client, *(ends if own.direction == OUT else ends[::-1]))
+            peers.append(PortMove(peer, found.topic, end))
         config[port] = end
     shell.client.spawn(
         arguments.label,
@@ -103,15 +95,29 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         config,
         arguments.protected,
         arguments.isolated,
-        _place(arguments, shell),
+        place,
         arguments.param,
     )
     try:
         apply(shell.client, peers)
     except DyKnowError:
-        shell.client.destroy(name)
+        try:
+            if arguments.protected:
+                shell.client.set_protection(name, False)
+            shell.client.destroy(name)
+        except DyKnowError as error:
+            shell.warn(f"{name} is left: {error}")
         raise
-    model = shell.client.wait_for_model(lambda model: _runs(model, name))
+    show_spawned(shell, name)
+
+
+def show_spawned(shell: Shell, name: str) -> None:
+    """Wait until the model shows a new nodelet, and show it."""
+    model = shell.client.wait_for_model(
+        lambda model: any(
+            each.name == name and each.state is not State.STARTING for each in model.nodelets
+        )
+    )
     nodelet = (model or shell.client.get_graph()).nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
@@ -122,12 +128,6 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         nodelet_json(nodelet),
         [f"spawned {name} from {nodelet.transformation} {where}", *connections],
     )
-
-
-def _place(arguments: argparse.Namespace, shell: Shell) -> str:
-    if arguments.host:
-        return AT + str(arguments.host)
-    return shell.resolve(arguments.manager) if arguments.manager else ""
 
 
 def _declared(library: Sequence[Transformation], label: str, name: str) -> PortState:
@@ -142,14 +142,7 @@ def _declared(library: Sequence[Transformation], label: str, name: str) -> PortS
     )
 
 
-def _runs(model: Model, name: str) -> bool:
-    nodelet = model.nodelet(name)
-    return nodelet is not None and state_of(nodelet) != "starting"
-
-
 @command(
-    "destroy",
-    "destroy nodelets",
     "Destroy nodelets. A protected one is refused.",
     "dyknow destroy slow\ndyknow destroy $(dyknow list /cam1)",
     _NAMES,
@@ -159,24 +152,12 @@ def _destroy(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return shell.for_each("nodelet", "destroyed", names, shell.client.destroy)
 
 
-@command(
-    "protect",
-    "protect nodelets from being destroyed",
-    "Protect nodelets from being destroyed.",
-    "dyknow protect camera",
-    _NAMES,
-)
+@command("Protect nodelets from being destroyed.", "dyknow protect camera", _NAMES)
 def _protect(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return _set_protection(arguments, shell, True)
 
 
-@command(
-    "unprotect",
-    "let protected nodelets be destroyed again",
-    "Let protected nodelets be destroyed again.",
-    "dyknow unprotect camera",
-    _NAMES,
-)
+@command("Let protected nodelets be destroyed again.", "dyknow unprotect camera", _NAMES)
 def _unprotect(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return _set_protection(arguments, shell, False)
 

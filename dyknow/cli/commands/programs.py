@@ -14,7 +14,7 @@ import signal
 import sys
 import tempfile
 import time
-from typing import TYPE_CHECKING, Any, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Iterator
 
 from dyknow import names
 from dyknow.cli.arguments import argument
@@ -45,8 +45,6 @@ _PROGRAM = (
 
 
 @command(
-    "run",
-    "run a node so that its ports can be connected elsewhere",
     "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports "
     "that can be connected elsewhere while it runs, and is shown with the nodelets. Anything "
     "else runs as it is, and says so. In a launch file the same is done by "
@@ -76,12 +74,10 @@ _SHARED = re.compile(
 
 
 @command(
-    "probe",
-    "run a node once, and write its specification",
     "Runs a program of a package once, in a namespace of its own, until its ports are there, "
     "and prints a transformation to begin with: its ports with their types, and the "
     "parameters in its own namespace. Ports that come later, such as those that a lazy node "
-    "makes when somebody listens, are missing; tags are to be added. Nothing is spawned, and "
+    "makes for its first subscriber, are missing; tags are to be added. Nothing is spawned, and "
     "no manager is needed. Options come before PKG.",
     "dyknow probe topic_tools relay /scan /copy > copier.xml\n"
     "dyknow probe --settle 5 image_view image_saver image:=/camera/image",
@@ -92,14 +88,12 @@ _SHARED = re.compile(
         default=2.0,
     ),
     argument(
-        "--start",
-        "S",
-        "seconds that its first port may take (default: %(default)s)",
-        default=20.0,
+        "--start", "S", "seconds that its first port may take (default: %(default)s)", default=20.0
     ),
     *_PROGRAM,
 )
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
+    from dyknow.ros.process import os_process
     from dyknow.ros.wire.master import Master
 
     path = find_program(arguments.package, arguments.executable)
@@ -111,7 +105,9 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
         raise ManagerUnreachable(f"no ROS master at {master.uri}: is roscore running?") from error
     with tempfile.TemporaryDirectory() as folder:
         output = os.path.join(folder, "output")
-        process = _start(path, arguments.words, name, output)
+        own = (f"__name:={_base(arguments.executable)}", f"__ns:={names.parent(name)}")
+        command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *arguments.words, *own)
+        process = os_process.start(command, output, os.getcwd())
         try:
             ports = _settled(master, name, process, output, arguments)
             found: Any = {}
@@ -134,13 +130,17 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
             if port not in shared
         ),
     )
+    lines = [transformation.to_xml().rstrip("\n")]
+    if shared:
+        further = ", ".join(f"{port.name} ({port.direction})" for port in shared)
+        lines.insert(0, f"<!-- Further topics, which the node shares with others: {further} -->")
     shell.show(
         {
             "transformation": transformation_json(transformation),
             "specification": transformation.to_xml(),
             "not_declared": [port.name for port in shared],
         },
-        [*_remark(shared), transformation.to_xml().rstrip("\n")],
+        lines,
     )
 
 
@@ -148,14 +148,6 @@ def _base(executable: str) -> str:
     """Name a node after its program."""
     stem = re.sub(r"\W+", "_", executable.rpartition(".")[0] or executable).strip("_")
     return stem if stem[:1].isalpha() else f"node_{stem}"
-
-
-def _start(path: str, words: Sequence[str], name: str, output: str) -> ProcessId:
-    from dyknow.ros.process import os_process
-
-    own = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
-    command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *words, *own)
-    return os_process.start(command, output, os.getcwd())
 
 
 def _settled(
@@ -211,12 +203,6 @@ def _parameters(tree: Any, above: str = "") -> Iterator[Parameter]:
             type_ = _TYPES.get(type(value), "string")
             text = str(value).strip() if type_ == "string" else json.dumps(value)
             yield Parameter(name, type_, text)
-
-
-def _remark(shared: Sequence[PortState]) -> Iterator[str]:
-    if shared:
-        ports = ", ".join(f"{port.name} ({port.direction})" for port in shared)
-        yield f"<!-- Further topics, which the node shares with others: {ports} -->"
 
 
 def _clean_up(master: Master, name: str) -> None:

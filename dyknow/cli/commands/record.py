@@ -6,30 +6,62 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
 
+from dyknow.cli import completion
 from dyknow.cli.arguments import argument
+from dyknow.cli.commands.nodelets import show_spawned
 from dyknow.cli.output import columns
-from dyknow.cli.shell import Shell, command
+from dyknow.cli.shell import Acted, Shell, command
 from dyknow.errors import DyKnowError
+from dyknow.model.transformation import Parameter
+
+#: What a black box is made from, unless the library has another transformation of that label.
+_LABEL = "black box"
+_SPECIFICATION = f"""\
+<transformation>
+  <label>{_LABEL}</label>
+  <source>dyknow/BlackBox</source>
+  <params>
+    <param name="topics" type="yaml">[]</param>
+    <param name="manager" type="string">dyknow_manager</param>
+  </params>
+</transformation>
+"""
 
 
 @command(
-    "record",
-    "write the last seconds of streams as a bag",
     "Let black boxes write what they keep: the last seconds of their topics, and of the events "
-    "and the model of the manager. Each writes a bag on its host.",
+    "and the model of the manager. Each writes a bag on its host. With --black-box start one.",
+    "dyknow record --black-box\ndyknow record --black-box '/camera/*' /odom\n"
     "dyknow record\ndyknow record black_box",
     argument("names", "NAME", "nodelets of type dyknow/BlackBox (default: all)", nargs="*"),
+    argument(
+        "--black-box",
+        "TOPIC",
+        "start a black box, the nodelet black_box, for these topics, names or patterns, besides "
+        "the events, verdicts and model of the manager, which all keep",
+        nargs="*",
+        completer=completion.topics,
+    ),
 )
 def _record(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    if arguments.black_box is not None:
+        if arguments.names:
+            arguments.refuse("--black-box starts one called black_box; expected it without names")
+        _start(arguments.black_box, shell)
+        return None
     names = [shell.resolve(name) for name in arguments.names] or _boxes(shell)
-    return shell.for_each("nodelet", "wrote", names, shell.client.write_bag)
+
+    def write(name: str) -> Acted:
+        bag = shell.client.write_bag(name)
+        return [bag], [f"wrote {bag}"]
+
+    return shell.for_each("nodelet", "wrote", names, write)
 
 
 @command(
-    "why",
-    "tell what happened to a stream",
     "Tell what happened to a claim, with the values that decided: its changes, verdicts, and the "
     "nodelets that it used. The story comes from a black box, which writes a bag for it, or from "
     "a bag that one wrote before.",
@@ -48,13 +80,23 @@ def _why(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show(value, [*columns(rows), f"from {path}"])
 
 
+def _start(topics: list[str], shell: Shell) -> None:
+    """Spawn a black box that keeps these topics."""
+    name = shell.resolve("black_box")
+    if all(each.label != _LABEL for each in shell.client.get_model().transformations):
+        shell.client.add_transformation(_SPECIFICATION)
+    given = [
+        Parameter("topics", "", json.dumps(topics)),
+        Parameter("manager", "", shell.client.manager),
+    ]
+    shell.client.spawn(_LABEL, name, parameters=given)
+    show_spawned(shell, name)
+
+
 def _boxes(shell: Shell) -> list[str]:
     found = shell.client.black_boxes()
     if not found:
-        raise DyKnowError(
-            "no black box runs; load one: rosrun dyknow nodelet load dyknow/BlackBox "
-            "NODELET_MANAGER __name:=black_box _topics:=\"['/camera/*']\""
-        )
+        raise DyKnowError("no black box runs; start one: dyknow record --black-box '/camera/*'")
     return found
 
 

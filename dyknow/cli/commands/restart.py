@@ -7,29 +7,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import TYPE_CHECKING, Iterable, Sequence
+from typing import Iterable, Sequence
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import Group, argument, flag
-from dyknow.cli.shell import FAILED, Shell, command
-from dyknow.errors import DyKnowError, ManagerUnreachable
+from dyknow.cli.arguments import argument, flag, group
+from dyknow.cli.shell import Acted, Shell, command
+from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.transformation import Parameter
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
-
-
-def _problem(arguments: argparse.Namespace) -> str:
-    if arguments.names and arguments.all_outdated:
-        return "--all-outdated restarts what is outdated; expected it without names"
-    if not (arguments.names or arguments.all_outdated or arguments.watch):
-        return "expected the names of nodelets or nodelet managers, --all-outdated, or --watch"
-    return ""
 
 
 @command(
-    "restart",
-    "restart nodelets with today's code",
     "Restart nodelets, or nodelet managers with all their nodelets, one after another. They run "
     "today's code and are made as the library specifies them today; connections, parameters, "
     "protection and claims stay, and neighbours run on. Messages that come meanwhile are lost.",
@@ -42,22 +29,25 @@ def _problem(arguments: argparse.Namespace) -> str:
         nargs="*",
         completer=completion.restartable,
     ),
-    Group(
-        (
-            flag(
-                "--all-outdated",
-                "restart the nodelets whose code or specification has changed since their load",
-            ),
-            flag(
-                "--watch",
-                "restart nodelets, all or those that are named, whenever their files or "
-                "specifications change, until Ctrl-C",
-            ),
-        )
+    group(
+        flag(
+            "--all-outdated",
+            "restart the nodelets whose code or specification has changed since their load",
+        ),
+        flag(
+            "--watch",
+            "restart nodelets, all or those that are named, whenever their files or "
+            "specifications change, until Ctrl-C",
+        ),
     ),
-    problem=_problem,
 )
 def _restart(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    if arguments.names and arguments.all_outdated:
+        arguments.refuse("--all-outdated restarts what is outdated; expected it without names")
+    if not (arguments.names or arguments.all_outdated or arguments.watch):
+        arguments.refuse(
+            "expected the names of nodelets or nodelet managers, --all-outdated, or --watch"
+        )
     names = [shell.resolve(name) for name in arguments.names]
     if arguments.watch:
         _watch(names, shell)
@@ -66,35 +56,24 @@ def _restart(arguments: argparse.Namespace, shell: Shell) -> int | None:
         if not (names or shell.as_json):
             shell.show(None, ["nothing is outdated"])
             return None
-    return FAILED if _restart_all(names, shell) else None
+    return _restart_all(names, shell)
 
 
-def _restart_all(names: Iterable[str], shell: Shell) -> list[str]:
-    """Restart in order, also after one failed; returns the names of those that failed."""
-    restarted: list[str] = []
-    lines: list[str] = []
-    failed: list[dict[str, str]] = []
-    for name in names:
+def _restart_all(names: Iterable[str], shell: Shell) -> int | None:
+    """Restart in order, also after one failed; return the exit code."""
+
+    def restart(name: str) -> Acted:
         began = time.monotonic()
-        try:
-            done = shell.client.restart(name)
-        except ManagerUnreachable:
-            raise
-        except DyKnowError as error:
-            shell.error(error)
-            failed.append({"name": name, "message": str(error)})
-            continue
-        for remark in filter(None, done.remarks.split("\n")):
-            shell.warn(remark)
-        restarted += done.names
+        done = shell.client.restart(name)
+        shell.warn(done.remarks)
         others = f" with {', '.join(done.names)}" if done.names not in ((), (name,)) else ""
-        lines.append(f"restarted {name}{others} in {time.monotonic() - began:.2f} s")
-    shell.show({"restarted": restarted, "failed": failed}, lines)
-    return [each["name"] for each in failed]
+        return done.names, [f"restarted {name}{others} in {time.monotonic() - began:.2f} s"]
+
+    return shell.for_each("name", "restarted", names, restart)
 
 
 def _watch(names: Sequence[str], shell: Shell) -> None:
-    """Restart what becomes outdated; what failed is tried again when it changes once more."""
+    """Restart outdated nodelets; one that stays outdated is tried again at its next change."""
     tried: dict[str, tuple[str, int]] = {}
 
     def due(model: Model) -> list[NodeletStatus]:
@@ -112,36 +91,31 @@ def _watch(names: Sequence[str], shell: Shell) -> None:
             assert model is not None
             tried[each.name] = each.outdated, model.library_revision
             if not _restart_all([each.name], shell):
-                del tried[each.name]
+                now = shell.client.get_graph().nodelet(each.name)
+                if now is None or not now.outdated:
+                    del tried[each.name]
 
 
 @command(
-    "set",
-    "set a parameter of a nodelet",
     "Set a private parameter of a nodelet, as if it had been given at the spawn: it is saved and "
     "restored. Nodelets read most parameters when they are loaded, so --restart may be needed.",
     "dyknow set camera rate 5\ndyknow set camera rate 5 --restart",
     argument("name", "NAME", "a nodelet"),
-    argument(
-        "parameter", "PARAM", "name of the parameter", completer=completion.parameters_of_nodelet
-    ),
+    argument("parameter", "PARAM", "name of the parameter"),
     argument("value", "VALUE", "its value, of the type that its transformation declares"),
     flag("--restart", "restart the nodelet unless it has read the parameter already"),
 )
-def _set(arguments: argparse.Namespace, shell: Shell) -> int | None:
+def _set(arguments: argparse.Namespace, shell: Shell) -> None:
     name = shell.resolve(arguments.name)
     given = Parameter(arguments.parameter, "", arguments.value)
     done = shell.client.set_parameter(name, given)
-    for remark in filter(None, done.remarks.split("\n")):
-        shell.warn(remark)
+    shell.warn(done.remarks)
     is_read = done.is_read
     if arguments.restart and not is_read:
-        for remark in filter(None, shell.client.restart(name).remarks.split("\n")):
-            shell.warn(remark)
+        shell.warn(shell.client.restart(name).remarks)
         is_read = True
     hint = "" if is_read else f"; {name} reads it when it is restarted: dyknow restart {name}"
     shell.show(
         {"nodelet": name, "name": given.name, "value": given.text, "is_read": is_read},
         [f"{name}: {given.name} = {given.text}{hint}"],
     )
-    return None

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator, Sequence
 
 from dyknow.cli.arguments import argument, flag
-from dyknow.cli.output import Json, count, write_file
+from dyknow.cli.output import STDIO, Json, count, read_file, write_file
 from dyknow.cli.shell import FAILED, Shell, command
-from dyknow.errors import ManagerUnreachable, Problem, SpecificationError
+from dyknow.errors import ManagerUnreachable, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.steps import StepFailed, carry_out
 from dyknow.model.hosts import pins
@@ -25,14 +24,11 @@ from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_
 if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import ShellClient
 
-STDIO = "-"
-#: Seconds between two looks at what is waited for.
+#: Seconds between two checks of a wait.
 _PERIOD = 0.25
 
 
 @command(
-    "save",
-    "save the whole wiring in a file",
     "Save what runs in one XML file: the nodelets, their connections, and the transformations "
     "that they are made from.",
     "dyknow save robot.xml\ndyknow save - | less",
@@ -41,7 +37,7 @@ _PERIOD = 0.25
 def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     wiring, left_out = wiring_of(shell.client.get_model(), pins(shell.client.list_hosts()))
     for nodelet in left_out:
-        shell.warn(f"'{nodelet.name}' is not saved: others loaded it, from no transformation")
+        shell.warn(f"'{nodelet.name}' is not saved: it was not spawned from a transformation")
     text = wiring.to_xml()
     if arguments.file == STDIO and not shell.as_json:
         shell.out.write(text)
@@ -64,8 +60,6 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 @command(
-    "load",
-    "load a saved wiring",
     "Load a saved wiring. The whole file is checked before anything is changed. Running "
     "nodelets that it names are kept, and connected and protected as it says; with "
     "--replace those that were made differently are made again. Other nodelets are left "
@@ -80,12 +74,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
         "wait until the manager answers, all of it is loaded and runs, and the claims that use it "
         "are active; with --dry-run, change nothing, but wait for that",
     ),
-    argument(
-        "--within",
-        "SECONDS",
-        "the longest wait (default: 60)",
-        default=60.0,
-    ),
+    argument("--within", "SECONDS", "the longest wait (default: 60)", default=60.0),
     flag(
         "--keep-going",
         "go on when a step fails, and keep what was done (default: undo everything)",
@@ -144,7 +133,7 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
 
 
 class _Waiting:
-    """Waits for what is not there yet, until a limit (s); each thing is named once."""
+    """Waits for missing things, until a limit (s); each is named once."""
 
     def __init__(self, shell: Shell, limit: float) -> None:
         self._shell = shell
@@ -182,7 +171,7 @@ def _plan(arguments: argparse.Namespace, wiring: Wiring, client: ShellClient) ->
 def _left(
     arguments: argparse.Namespace, wiring: Wiring, plan: LoadPlan, client: ShellClient
 ) -> Iterator[str]:
-    """Say what is still to be waited for."""
+    """List the things that are still missing."""
     if not arguments.wait:
         return
     if arguments.dry_run and not plan.is_done:
@@ -198,14 +187,7 @@ def _limit(client: ShellClient) -> int:
 
 
 def _read(file: str, limit: Callable[[], int]) -> Wiring:
-    if file == STDIO:
-        return read_wiring(sys.stdin.buffer.read(), "standard input", limit)
-    try:
-        with open(file, "rb") as opened:
-            return read_wiring(opened.read(), file, limit)
-    except OSError as error:
-        problem = Problem(file, 0, f"cannot be read: {error.strerror}")
-        raise SpecificationError([problem]) from error
+    return read_wiring(read_file(file), "standard input" if file == STDIO else file, limit)
 
 
 def _outcome(plan: LoadPlan, failed: Collection[str]) -> Json:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Iterable, Iterator, Sequence
+from typing import Iterable, Iterator, Sequence
 
 from dyknow.cli.arguments import argument, flag
 from dyknow.cli.commands.acquire import DEMAND, request_of
@@ -16,14 +16,11 @@ from dyknow.cli.shell import Shell, command
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.manager.specifications.tags import read_tags
+from dyknow.model.graph import Model, PortState
+from dyknow.model.streams import StreamStatus
 from dyknow.model.transformation import OUT, Port
 
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, PortState
-    from dyknow.model.streams import StreamStatus
-
-
-#: What is told of a plan.
+#: Fields of a plan that are shown.
 _PLAN = "cost spawned reused plan"
 #: The most tags whose bindings are looked up, and the most bindings shown of each.
 _MOST_ASKED = 100
@@ -42,8 +39,6 @@ class _Supply:
 
 
 @command(
-    "tags",
-    "list the tags of streams",
     "List the tags of out-ports: for which names the variables in them can stand now, their "
     "types, the transformations and the running nodelets that supply them.",
     "dyknow tags\ndyknow tags ball\ndyknow tags --json | jq -r '.tags[].tag'",
@@ -123,8 +118,6 @@ def _numbered(tag: str) -> str:
 
 
 @command(
-    "plan",
-    "explain how a stream would be made",
     "Explain how a stream would be made now: what would be spawned, what would be reused, "
     "and the cost. Nothing is changed.",
     "dyknow plan 'FieldPosition(ball)'\n"
@@ -147,8 +140,6 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 @command(
-    "streams",
-    "list the claimed streams",
     "List the claims: tag, state, topic and details.",
     "dyknow streams\ndyknow streams -l --all\n"
     "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
@@ -187,8 +178,6 @@ def _stream_details(streams: Sequence[StreamStatus]) -> Iterator[str]:
 
 
 @command(
-    "release",
-    "end claims",
     "End claims. Nodelets that were made for them and that no other claim needs are "
     "destroyed after some seconds.",
     "dyknow release 3f0c1a2b4d5e",
@@ -206,8 +195,6 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> int | None:
 
 
 @command(
-    "replan",
-    "switch a stream to the cheapest plan",
     "Switch a claimed stream to the plan that is the cheapest now. Its topic stays.",
     "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
     argument("claim", "ID", "a claim; see 'streams'"),

@@ -18,7 +18,13 @@ from typing import AbstractSet, Any, Iterable, Iterator, Mapping, NamedTuple
 
 from dyknow import names
 from dyknow.datatypes import ANY, types_fit
-from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
+from dyknow.errors import (
+    DyKnowError,
+    NameTaken,
+    SpawnFailed,
+    StreamTypeMismatch,
+    UnknownTransformation,
+)
 from dyknow.manager.claim import STREAM, Claim
 from dyknow.manager.claims.claim_planner import STAMPED
 from dyknow.manager.claims.connector import ClaimContext, Transaction
@@ -74,7 +80,7 @@ class _Supply(NamedTuple):
     """A supplier of the plan as it is now, be it live or new.
 
     Attributes:
-        source: what the plan says of it.
+        source: its entry in the plan.
         nodelet: its name; empty for a topic of ordinary nodes.
         topic: where it sends.
         tags: the tags of its messages, as far as they are certain.
@@ -180,8 +186,11 @@ class Assembly(Transaction):
         """Return a supplier as it is now; an out-port that has no topic is connected to one."""
         name = source.nodelet if isinstance(source, Live) else self._made[source.instance]
         if isinstance(source, Live) and not name:
-            port = self._manager.library.get(source.label).ports[0]
-            return _Supply(source, name, source.topic, read_tags(port.tags), source.datatype)
+            for each in self.world.described.get(source.topic, ()):
+                if each.label == source.label:
+                    tags = read_tags(each.ports[0].tags)
+                    return _Supply(source, name, source.topic, tags, source.datatype)
+            raise UnknownTransformation(source.label)
         sent = self.world.sent(name, source.port)
         topic = self.world.get(name).topics.get(source.port, "")
         is_new = isinstance(source, New)

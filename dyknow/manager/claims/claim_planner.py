@@ -19,6 +19,7 @@ from dyknow.manager.claim import STREAM, Claim, demand_of
 from dyknow.manager.claims.connector import ClaimContext
 from dyknow.manager.claims.ends import RELAY_COST, is_monitor, is_relay
 from dyknow.manager.library import Library
+from dyknow.manager.planning.matching import matched
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
     NO_LABELS,
@@ -75,7 +76,7 @@ class Situation(NamedTuple):
         own: nodelets that can be connected elsewhere.
         exclude: labels that must have no part in it.
         paused: labels of which nothing is to be made since they failed lately.
-        engaged: labels of external nodes that can only be used as they are connected.
+        external: labels of external nodes, of which none is made.
         wishes: preferences of the client.
         upstream: labels upstream of each nodelet of the streams, where there are wishes.
         budget: seconds that the improvement of the plan may take.
@@ -90,7 +91,7 @@ class Situation(NamedTuple):
     own: tuple[OwnNodelet, ...]
     exclude: frozenset[str]
     paused: frozenset[str]
-    engaged: frozenset[str]
+    external: frozenset[str]
     wishes: Wishes
     upstream: Mapping[str, frozenset[str]]
     budget: float
@@ -124,11 +125,12 @@ class ClaimPlanner:
         self._ontology = context.manager.library.ontology
         self._planner = Planner(self._ontology)
         self._planned_with: Mapping[str, Transformation] = {}
-        self._transformations: dict[str, Transformation] = {}
+        self._transformations: Mapping[str, Transformation] = {}
         self._transformations_at: tuple[int, frozenset[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
-        #: Topics of ordinary nodes that had a publisher at the last look.
-        self.published: frozenset[str] = frozenset()
+        #: Topics of ordinary nodes that had a publisher at the last look; before the first one
+        #: these are the topics that streams are made of.
+        self.published = frozenset().union(*(claim.sources for claim in self._table.living))
 
     def look(self, at_once: bool = False) -> None:
         """Ask which topics of ordinary nodes are published: now and then, or ``at_once``."""
@@ -143,7 +145,7 @@ class ClaimPlanner:
 
     @property
     def ordinary(self) -> frozenset[str]:
-        """Topics on which ordinary nodes publish what the library describes."""
+        """Topics of ordinary nodes that the library describes."""
         return self.published & self._world().described.keys()
 
     def signature(self) -> Hashable:
@@ -199,7 +201,7 @@ class ClaimPlanner:
     def _unavailable(self, situation: Situation) -> NoPlan | None:
         """Say which verdicts forbid every plan, if there is one without them."""
         free = situation._replace(paused=NO_LABELS, verdicts=None)
-        plan = self._solved(free) if self._monitor.requirements.guarded else None
+        plan = self._solved(free) if self._manager.library.guarded else None
         if not isinstance(plan, Plan):
             return None
         why_not = self._monitor.requirements.why_not
@@ -215,7 +217,7 @@ class ClaimPlanner:
 
     def required(self, claims: Iterable[Claim]) -> frozenset[Term]:
         """Return the tags of the verdicts that claims may depend on, and the verdicts in turn."""
-        if not self._monitor.requirements.guarded:
+        if not self._manager.library.guarded:
             return frozenset()
         known = self.transformations()
         found: set[Term] = set()
@@ -291,14 +293,15 @@ class ClaimPlanner:
 
     def cheaper(self, claim: Claim) -> Plan | None:
         """Return a plan by which all claims together cost less than now, or None."""
-        own = self.own(claim)
-        saved = self._saved(claim, own)
+        known = self.transformations()
+        own = self.own(claim, known=known)
+        saved = self._saved(claim, own, known)
         lingering = self._world().idle(self._lock.reserved)
         situation = self.situation(claim, without=lingering.union(saved))
         answer = self._searched(
             situation._replace(
                 own=tuple(each for each in situation.own if situation.known[each.label].node),
-                paused=situation.paused - frozenset(saved.values()),
+                paused=situation.paused - {each.label for each in saved.values()},
                 budget=BUDGET,
             )
         )
@@ -306,7 +309,7 @@ class ClaimPlanner:
             return None
         is_elsewhere = isinstance(answer.goal, Live) and answer.goal.topic not in ("", claim.topic)
         cost = answer.cost + (RELAY_COST if is_elsewhere else 0)
-        is_cheaper = cost < self._price(claim, saved.values())
+        is_cheaper = cost < self._price(claim, saved.values(), situation.known)
         return self._priced(answer, own, situation.known) if is_cheaper else None
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
@@ -328,9 +331,9 @@ class ClaimPlanner:
         without: AbstractSet[str] = frozenset(),
     ) -> Situation:
         """Read all that a plan for a claim follows from."""
-        claims = self._table.together(claim)
+        claims, known = self._table.together(claim), self.transformations()
         exclude = avoid.union(*(each.request.exclude for each in claims))
-        own = tuple(each for each in self.own(claim, without) if each.label not in exclude)
+        own = tuple(each for each in self.own(claim, without, known) if each.label not in exclude)
         streams = tuple(self._streams(exclude, self._monitor.unfit(claims) | without))
         return Situation(
             demand_of(claims),
@@ -340,35 +343,43 @@ class ClaimPlanner:
             own,
             exclude,
             self._monitor.paused(claims),
-            self._world().described_nodes - {each.label for each in own},
+            self._world().described_nodes,
             claim.wishes,
             self._upstream(claim, streams),
             max(each.request.budget for each in claims) or BUDGET,
-            self.transformations(),
+            known,
             self._monitor.requirements.verdicts,
         )
 
     def transformations(self) -> Mapping[str, Transformation]:
         """Return the transformations for steps of plans by label; another mapping after changes.
 
-        An external node is among them while it runs.
+        An external node is among them while it runs. The library may change at any time: what
+        belongs together is read once.
         """
         library, nodes = self._manager.library, self._world().described_nodes
         if self._transformations_at != (library.revision, nodes):
-            self._transformations_at = library.revision, nodes
+            at = library.revision, nodes
             self._transformations = {
                 each.label: each for each in library.all() if not each.node or each.label in nodes
             }
+            self._transformations_at = at
         return self._transformations
 
-    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> list[OwnNodelet]:
+    def own(
+        self,
+        claim: Claim,
+        without: AbstractSet[str] = frozenset(),
+        known: Mapping[str, Transformation] | None = None,
+    ) -> list[OwnNodelet]:
         """Return healthy nodelets to connect elsewhere for a claim, the preferred ones first.
 
         These are its own, those that no claim needs, and described external nodes. Parts that
         other claims share are among them, and have to go on supplying the same, unless these
-        claims exclude other labels or have other wishes.
+        claims exclude other labels or have other wishes. They are of the ``known``
+        transformations; by default these are those of now.
         """
-        known, world = self.transformations(), self._world()
+        known, world = self.transformations() if known is None else known, self._world()
         sharing = [each for each in self._table.living if each.claim_id != claim.claim_id]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
@@ -411,6 +422,7 @@ class ClaimPlanner:
             if each.label not in exclude
             and each.source in self.published
             and each.source not in without
+            and not (exclude and self._have_a_part(exclude, each.source))
         ]
         records = [
             record
@@ -420,6 +432,12 @@ class ClaimPlanner:
             and (not record.claimed or is_current(library, record))
         ]
         return world.live(records, published)
+
+    def _have_a_part(self, labels: AbstractSet[str], topic: str) -> bool:
+        """Whether nodelets of these labels publish on a topic, or feed those that do."""
+        world = self._world()
+        names = [record.name for record, _ in world.publishers(topic)]
+        return not labels.isdisjoint(self._labels(*world.upstream(names, self.ordinary)))
 
     def _without_relays(self, streams: Iterable[TaggedStream]) -> tuple[TaggedStream, ...]:
         """Leave out the streams of relays: a plan uses the stream that they forward."""
@@ -469,35 +487,21 @@ class ClaimPlanner:
 
     def _searched(self, situation: Situation) -> Answer:
         """Plan; in a round within the default budget, even if clients allow more."""
-        free = {each.label: each.kept for each in reversed(situation.own)}
-        paused = situation.paused | situation.engaged
+        free: dict[str, list[Bindings]] = {}
+        for each in situation.own:
+            free.setdefault(each.label, []).append(each.kept)
         with self._planning(situation.known) as (planner, is_aside):
-            while True:
-                answer = planner.plan(
-                    situation.demand,
-                    situation.usable,
-                    situation.exclude,
-                    free,
-                    paused - free.keys(),
-                    situation.budget if is_aside else min(situation.budget, BUDGET),
-                    situation.wishes,
-                    situation.upstream,
-                    situation.verdicts,
-                )
-                divided = self._divided(answer, situation)
-                if not divided:
-                    return answer
-                paused |= divided
-                free = {label: free[label] for label in free.keys() - divided}
-
-    def _divided(self, answer: Answer, situation: Situation) -> frozenset[str]:
-        """Labels of external nodes that a plan needs more than once: no further one is made."""
-        if isinstance(answer, NoPlan):
-            return NO_LABELS
-        used = self.assigned(answer, situation.own)
-        new = {step.action.label for step in answer.steps if step.instance not in used}
-        known = situation.known
-        return frozenset(label for label in new if label in known and known[label].node)
+            return planner.plan(
+                situation.demand,
+                situation.usable,
+                situation.exclude,
+                free,
+                situation.paused | situation.external,
+                situation.budget if is_aside else min(situation.budget, BUDGET),
+                situation.wishes,
+                situation.upstream,
+                situation.verdicts,
+            )
 
     @contextlib.contextmanager
     def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:
@@ -531,10 +535,11 @@ class ClaimPlanner:
         plan = plan._replace(steps=tuple(steps))
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
-    def _price(self, claim: Claim, saved: Iterable[str]) -> int:
-        """Return the cost that ends with a claim's stream; ``saved`` labels serve nothing else."""
-        known = self.transformations()
-        price = sum(known[label].cost for label in saved)
+    def _price(
+        self, claim: Claim, saved: Iterable[Transformation], known: Mapping[str, Transformation]
+    ) -> int:
+        """Return the cost that ends with a claim's stream; ``saved`` parts serve nothing else."""
+        price = sum(each.cost for each in saved)
         wishes = claim.wishes
         if wishes == NO_WISHES:
             return price
@@ -546,15 +551,17 @@ class ClaimPlanner:
         labels = self._labels(claim.nodelets, claim.sources)
         return price + sum(charges.get(label, 0) for label in labels)
 
-    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> dict[str, str]:
-        """Those of its own that nothing would need if these clients needed no stream: labels."""
+    def _saved(
+        self, claim: Claim, own: Iterable[OwnNodelet], known: Mapping[str, Transformation]
+    ) -> dict[str, Transformation]:
+        """Those of its own that nothing would need if these clients needed no stream."""
         together = {each.claim_id for each in self._table.together(claim)}
         claims = [each for each in self._table.living if each.claim_id not in together]
         kept = {name for each in claims for name in each.nodelets}
-        records, known = self._world().records, self.transformations()
-        kept.update(each.name for each in records.values() if each.is_protected)
+        records = self._world().records.values()
+        kept.update(each.name for each in records if each.is_protected)
         return {
-            each.name: each.label
+            each.name: known[each.label]
             for each in own
             if each.name in claim.wiring and each.name not in kept and not known[each.label].node
         }
@@ -593,23 +600,23 @@ def _may_lend(user: Claim, claim: Claim) -> bool:
 def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> dict[Instance, str]:
     """Choose nodelets for the steps of a plan, by instance; the other instances need new ones.
 
-    The preferred ones come first in ``own``. Those that stay as they are take precedence, since
-    nothing that they supply changes.
+    As few as possible do. The preferred nodelets come first in ``own``. Those that stay as they
+    are take precedence, since nothing that they supply changes.
     """
-    left = list(own)
-    found: dict[Instance, str] = {}
-    instances = dict.fromkeys([step.instance for step in plan.steps])
-    for stays in (True, False):
-        for instance in [each for each in instances if each not in found]:
-            for each in left:
-                bound = each.present if stays else each.kept
-                if stays and not bound:
-                    continue
-                if each.label == instance[0] and _agree(bound, instance[1], ontology):
-                    found[instance] = each.name
-                    left.remove(each)
-                    break
-    return found
+    if not own:
+        return {}
+    begun: dict[Instance, str] = {}
+    fitting: dict[Instance, list[str]] = {}
+    for instance in dict.fromkeys([step.instance for step in plan.steps]):
+        label, names = instance
+        of_label = [each for each in own if each.label == label]
+        fit = fitting[instance] = [e.name for e in of_label if _agree(e.kept, names, ontology)]
+        for each in of_label:
+            is_left = each.name in fit and each.name not in begun.values()
+            if is_left and each.present and _agree(each.present, names, ontology):
+                begun[instance] = each.name
+                break
+    return matched(fitting, begun)
 
 
 def _agree(some: Bindings, all_: Bindings, ontology: Subsumption) -> bool:

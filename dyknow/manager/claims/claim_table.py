@@ -25,6 +25,8 @@ from dyknow.periodic import EventQueue
 _PAUSE = 1.0
 #: Seconds that clients have then to renew their leases.
 _PARDON = 3.0
+#: Seconds that they have after a start of the manager, which answers late at first.
+_START = 10.0
 #: Ended claims that are still shown.
 _ENDED_KEPT = 100
 
@@ -46,13 +48,13 @@ class ClaimTable:
         """
         self._running = running
         self._paused = clock() - running()
-        self._pardon_until = 0.0
         self._store = store
         self._clock = clock
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
         read = partial(Claim.from_body, now=Moment.now(clock))
         self._claims: dict[str, Claim] = store.read("claims", read)
+        self._pardon_until = running() + _START if self._claims else 0.0
         #: The claims that have not ended, by id; replaced as a whole by every change.
         self.living: tuple[Claim, ...] = ()
         self._sort()
@@ -150,11 +152,11 @@ class ClaimTable:
         self.events.deliver()
 
     def expire_late(self) -> None:
-        """End the claims whose lease is over; after a pause renewals come first."""
+        """End the claims whose lease is over; after a pause or a start renewals come first."""
         now, running = self._clock(), self._running()
         paused = now - running
         if paused - self._paused > _PAUSE:
-            self._pardon_until = running + _PARDON
+            self._pardon_until = max(self._pardon_until, running + _PARDON)
         self._paused = paused
         if running < self._pardon_until:
             return

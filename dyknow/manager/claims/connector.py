@@ -60,7 +60,7 @@ class Connector:
         self.unknown: dict[str, float] = {}
 
     def world(self) -> World:
-        """Return the world of this moment; what is unchanged is not read again."""
+        """Return the world of this moment; only changes are read again."""
         # The revisions come first: a change meanwhile is read the next time.
         at = (self._library.revision, self._late, self._graph.revision, self._table.living)
         if self._world_at == at:

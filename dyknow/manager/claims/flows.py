@@ -176,7 +176,7 @@ class _Unanswered:
         places: those that were counted.
         since: the first of these questions, in seconds for which this process has run.
         latest: the time without an answer to the latest one.
-        is_listed: whether its process may run it; if not, it answers for the others.
+        is_listed: whether its process may run it; if not, the process has answered without it.
     """
 
     places: list[Place]
@@ -201,14 +201,14 @@ class FlowMeter:
         self._running = running
         #: The flow of each place that was counted.
         self.flows: dict[Place, Flow] = {}
-        #: Nodelets that do not answer, with all others of a process that hangs.
+        #: Nodelets that do not answer, with all nodelets of a process that hangs.
         self.unresponsive: frozenset[str] = frozenset()
         self._unanswered: dict[str, _Unanswered] = {}
         self._asked: dict[str, float] = {}
         self._listening: dict[str, Listening] = {}
 
     def restart(self, names: set[str]) -> None:
-        """Judge nodelets that were connected elsewhere by what they send from now on."""
+        """Judge nodelets that were connected elsewhere by their messages from now on."""
         for (name, _), flow in self.flows.items():
             if name in names:
                 flow.quiet_from = self._clock()

@@ -82,6 +82,7 @@ class StreamMonitor:
         """Watch nothing yet; ``running`` is that of the table, ``recover`` of requirements."""
         clock = context.clock.now
         self._graph = context.graph
+        self._library = context.library
         self._table = table
         self._world = world
         self._clock = clock
@@ -98,6 +99,7 @@ class StreamMonitor:
         #: parts that were made of them, by claim.
         self._violations = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER, 0)
         self._blamed: dict[str, dict[str, str]] = {}
+        self._backoffs = (self._failures, self._failures_for_claims, self._violations)
 
     # The parts that can be relied on
 
@@ -111,6 +113,8 @@ class StreamMonitor:
         claims = list(claims)
         tables = [_ALL, *[claim.claim_id for claim in claims]]
         found = self._meter.unresponsive.union(self.requirements.unavailable)
+        if self._library.guarded:
+            found |= self.requirements.untried()
         found = found.union(*[self._shortfalls.get(each, ()) for each in tables])
         return found.union(*map(self.blamed, claims))
 
@@ -134,8 +138,7 @@ class StreamMonitor:
     def signature(self) -> Hashable:
         """A value that differs when a plan may have become possible."""
         shortfalls = frozenset((key, *sorted(each)) for key, each in self._shortfalls.items())
-        backoffs = (self._failures, self._failures_for_claims, self._violations)
-        paused = tuple([each.paused for each in backoffs])
+        paused = tuple([each.paused for each in self._backoffs])
         return shortfalls, self._meter.unresponsive, paused, self.requirements.verdicts
 
     # Transformations that failed lately: nothing is made of them for a while
@@ -147,19 +150,25 @@ class StreamMonitor:
         found = [key.split(" ", 1) for key in keys]
         return self._failures.paused.union(label for claim_id, label in found if claim_id in ids)
 
+    @property
+    def pause_ends(self) -> float:
+        """Seconds until the next transformation may be used again; infinite if none is paused."""
+        return min(each.soonest for each in self._backoffs)
+
     def failed(self, label: str) -> None:
         """Count a nodelet that could not be made, or whose code crashed after its end."""
         self._failures.failed(label)
 
-    def fell(self, record: Record) -> None:
-        """Count a nodelet's death, or silence, against its transformation."""
+    def fell(self, record: Record, cause: str = "") -> None:
+        """Count a nodelet's death, or silence, against its transformation, once for a cause."""
         lifetime = self._graph.lifetime(record.name)
         flows = [
             flow for (name, _), flow in list(self._meter.flows.items()) if name == record.name
         ]
         silences = [flow.silence if flow.begun else lifetime for flow in flows]
         self._failures.served(record.label, lifetime)
-        self._failures.failed(record.label, max(0.0, lifetime - max(silences, default=0.0)))
+        served = max(0.0, lifetime - max(silences, default=0.0))
+        self._failures.failed(record.label, served, cause)
 
     # Judging
 
@@ -298,7 +307,7 @@ class StreamMonitor:
         is_listened_to = any((request.max_silence, request.min_rate, request.max_age))
         if is_listened_to or (record is not None and not record.is_fixed):
             return NO_MESSAGE
-        return f"not known whether messages come: the publisher of {claim.topic} cannot be asked"
+        return f"not known whether messages come: the publisher of {claim.topic} cannot be queried"
 
     def report(self) -> None:
         """Change the claims whose first message has come, or whose messages' age is unknown."""

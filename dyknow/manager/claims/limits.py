@@ -332,7 +332,7 @@ class Age(Limit):
         age = statistics.median(ages)
         behind = age - statistics.median(stream.ages(place, flows))
         needed = max(limit - behind, _FAIR_PART * limit)
-        is_old = f"it is {age:.3g} s old, at most {limit:g} s was asked for"
+        is_old = f"it is {age:.3g} s old, at most {limit:g} s is demanded"
         what = f"{described(place)} delays the stream by {added:.3g} s: {is_old}"
         return [Judgement(place, needed, what)]
 

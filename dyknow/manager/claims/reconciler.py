@@ -18,7 +18,7 @@ import logging
 import time
 import uuid
 from dataclasses import replace
-from typing import Callable, Hashable
+from typing import Callable, Collection, Hashable
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.guards import NO_GUARDS, Guards
@@ -153,6 +153,22 @@ class StreamReconciler:
                 return replace(made, claim=changed or claim)
         raise self._refusal(claim, missing)
 
+    def plan(self, claim_id: str, exclude: Collection[str]) -> Acquired:
+        """Plan a claim's stream again without some transformations (labels), and change nothing.
+
+        Raises:
+            UnknownClaim: the claim is unknown, or has ended.
+            NoPlanFound: nothing else supplies it now.
+        """
+        self._planner.look(at_once=True)
+        with self._lock.reading():
+            claim = self._table.get(claim_id)
+            proposal = self._planner.propose(claim, lenient=True, avoid=frozenset(exclude))
+        if isinstance(proposal.answer, NoPlan):
+            excluded = (*claim.request.exclude, *exclude)
+            raise NoPlanFound(refusal(self.manager, proposal.answer, excluded))
+        return self._explained(claim, proposal)
+
     def release(self, claim_id: str) -> None:
         """End a claim; one that has ended, or is unknown, is not an error."""
         self._table.end(claim_id, ClaimState.RELEASED, "released")
@@ -212,8 +228,8 @@ class StreamReconciler:
         plan = proposal.answer
         if isinstance(plan, NoPlan):
             raise self._refusal(claim, plan)
-        self._planner.check_goal(claim, plan)
         with self._lock.reading():
+            self._planner.check_goal(claim, plan)
             own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
         new = [step.action.label for step in plan.steps if step.instance not in own]
@@ -239,7 +255,8 @@ class StreamReconciler:
         if not self._has_work():
             return None
         silences = (claim.request.max_silence for claim in self._table.living)
-        return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences if each)]))
+        waits = [PERIOD, self._repair.pause_ends, *(each / _ROUNDS for each in silences if each)]
+        return max(PAUSE, min(waits))
 
     def _has_work(self) -> bool:
         return bool(self._table.living) or any(
@@ -321,7 +338,7 @@ def open_reconciler(
     running = running or now
     keeper = StreamKeeper(
         lambda record: connector.world().fitting(record),
-        lambda record: monitor.fell(record),
+        lambda record: monitor.fell(record, record.incarnation),
         lambda label: monitor.failed(label),
     )
     graph = Graph(store, clock, on_change)

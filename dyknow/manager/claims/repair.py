@@ -159,7 +159,7 @@ class Repair:
     def hold(self) -> frozenset[str]:
         """Return the claims with nodelets that are being restarted, which wait for these.
 
-        Afterwards all parts are judged by what they send from then on.
+        Afterwards all parts are judged by their messages from then on.
         """
         held = frozenset(each.claim_id for each in self._table.living if self._waits(each))
         for claim_id in sorted(self._held - held):
@@ -281,6 +281,11 @@ class Repair:
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
                 self._unplannable.pop(claim.claim_id, None)  # it is tried again
         self._table.change(claim.claim_id, fault.what, **changes)
+
+    @property
+    def pause_ends(self) -> float:
+        """Seconds until the next attempt that has to wait may be made; infinite if none has to."""
+        return min(self._failures.soonest, self._monitor.pause_ends)
 
     def keep(self, claims: Iterable[Claim]) -> None:
         """Forget all other claims."""

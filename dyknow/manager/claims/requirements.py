@@ -65,20 +65,10 @@ class Requirements:
         self._followed: set[str] = set()
         self._heard: Mapping[str, HeardVerdict] = {}
         self._tags: dict[Term, HeardVerdict] = {}
-        self._guarded: Mapping[str, Transformation] = {}
-        self._guarded_at = -1
         #: The verdicts of the last round.
         self.verdicts = NO_VERDICTS
-        #: Why nodelets and topics are not available, by their names.
+        #: Why nodelets and topics are lost, by their names.
         self.unavailable: Mapping[str, str] = {}
-
-    @property
-    def guarded(self) -> Mapping[str, Transformation]:
-        """The transformations of the library that require verdicts, by label."""
-        if self._guarded_at != self._library.revision:
-            self._guarded_at = self._library.revision
-            self._guarded = {each.label: each for each in self._library.all() if each.requires}
-        return self._guarded
 
     # The manager's own claims
 
@@ -112,41 +102,47 @@ class Requirements:
         }
         good = {tag for tag, heard in self._tags.items() if self._is_good(heard)}
         self.verdicts = Verdicts(frozenset(good), frozenset(self._tags.keys() - good))
-        self.unavailable = self._found_unavailable()
+        self.unavailable = self._found_unavailable(is_in_use=True) if self.verdicts.bad else {}
 
     def _is_good(self, heard: HeardVerdict) -> bool:
         is_back = not heard.was_false or self._clock() - heard.heard >= self._recover
         return heard.is_true and is_back
 
-    def _found_unavailable(self) -> dict[str, str]:
+    def untried(self) -> set[str]:
+        """Return the running parts that no claim uses yet, and whose first verdict is to come."""
+        used = {name for each in self._table.living for name in (*each.nodelets, *each.sources)}
+        return self._found_unavailable(is_in_use=False).keys() - used
+
+    def _found_unavailable(self, is_in_use: bool) -> dict[str, str]:
         """Find the running parts whose transformations are not available."""
-        if self.verdicts == NO_VERDICTS:
-            return {}
         world, found = self._world(), {}
         for record in world.records.values():
-            why = self._why_not_nodelet(record, world) if record.state is State.RUNNING else ""
+            is_running = record.state is State.RUNNING
+            why = self._why_not_nodelet(record, world, is_in_use) if is_running else ""
             if why:
                 found[record.name] = f"{record.name} is not available: {why}"
         for each in world.descriptions:
-            why = self.why_not(each, {})
+            why = self.why_not(each, {}, is_in_use)
             if why:
                 found[each.source] = f"topic {each.source} is not available: {why}"
         return found
 
-    def _why_not_nodelet(self, record: Record, world: World) -> str:
+    def _why_not_nodelet(self, record: Record, world: World, is_in_use: bool) -> str:
         made = record.transformation
-        known = self.guarded.get(record.label) if record.label in self._library else made
+        known = self._library.guarded.get(record.label) if record.label in self._library else made
         if known is None or not known.requires:
             return ""
         ways = world.ways(record.name) or [record.given]
-        return next(filter(None, [self.why_not(known, way) for way in ways]), "")
+        return next(filter(None, [self.why_not(known, way, is_in_use) for way in ways]), "")
 
-    def why_not(self, transformation: Transformation, bindings: Mapping[str, str]) -> str:
+    def why_not(
+        self, transformation: Transformation, bindings: Mapping[str, str], is_in_use: bool = False
+    ) -> str:
         """Say why a transformation is not available under bindings; empty if it is."""
         if not transformation.requires:
             return ""
         canonical = self._library.ontology.canonical
-        unmet = self.verdicts.unmet(transformation, bindings, canonical)
+        unmet = self.verdicts.unmet(transformation, bindings, canonical, is_in_use)
         written = required_tags(transformation, bindings, str)
         tags = dict(zip(required_tags(transformation, bindings, canonical), written))
         return "; ".join(f"{tags[tag]} {self._said(self._tags.get(tag))}" for tag in unmet)

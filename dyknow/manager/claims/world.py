@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The world at one moment: who sends what to whom, and what a change would do.
+"""The world at one moment: which producer sends to which consumer, and the effect of a change.
 
 A world does not change: a changed record makes another world, which shares the rest with this
 one. So a connection is judged in the world as it would be, before it is made.
@@ -105,7 +105,7 @@ class World:
         self._ontology = ontology
         self._late = late
         self._ends = ends
-        #: For an in-port on a topic: how the other in-ports bind variables, and what may come.
+        #: For an in-port on a topic: how the other in-ports bind variables, and its producers.
         self._beside: dict[tuple[str, str, str], tuple[list[list[Way]], list[Producer]]] = {}
 
     # Other worlds, which differ a little from this one
@@ -113,7 +113,7 @@ class World:
     def read(
         self, records: Mapping[str, Record], claims: tuple[Claim, ...], acting: AbstractSet[str]
     ) -> World:
-        """Return the world with other records and claims; what is unchanged is not read again.
+        """Return the world with other records and claims; only changes are read again.
 
         Nodelets that are not ``acting`` neither send nor receive.
         """
@@ -156,7 +156,7 @@ class World:
 
     @cached_property
     def _producers(self) -> dict[str, list[Producer]]:
-        """Producers by topic; what the library describes comes first."""
+        """Producers by topic, the one that the library describes first."""
         found = {topic: [sent_on(topic, each)] for topic, each in self.described.items()}
         for ends in self._ends.values():
             for producer, topics in ends.producers:
@@ -294,7 +294,7 @@ class World:
         """Whether a producer meets a consumer's demand, beside all that its nodelet receives.
 
         Of two on a topic that bind a variable to different individuals, neither fits, unless the
-        nodelet's other inputs, or what it remembers, are of one of these.
+        nodelet's other inputs, or its memory, are of one of these.
         """
         ends, place = self._ends[consumer.key], (consumer.key, consumer.port, topic)
         demand, ontology = consumer.demand, self._ontology
@@ -346,7 +346,7 @@ class World:
         return tuple([tag for tag, _ in demands])
 
     def sent(self, nodelet: str, port: str) -> Producer:
-        """Return what an out-port sends; without tags if these are not certain."""
+        """Return an out-port as a producer; without tags if these are not certain."""
         ends = self._ends.get(nodelet)  # it may have gone meanwhile
         ports = [each for each, _ in ends.producers if each.port == port] if ends else []
         possible = self._outputs.get((nodelet, port), ports)
@@ -433,7 +433,7 @@ class World:
         return any(not [e for e in nodelets if self._send(e, outputs)] for _ in rounds)
 
     def _send(self, ends: Ends, outputs: _Outputs) -> bool:
-        """Find all that a nodelet may send by what it may receive; whether that is new.
+        """Derive the possible outputs of a nodelet from its inputs; return whether any is new.
 
         A relay that may receive anything else than its tags say is not believed.
         """
@@ -549,7 +549,7 @@ class World:
 
         Once that is done there may be more: it depends on the rest. Raises WrongStream if it must
         not be connected so in any case. Nodelets that are ``silent`` do not answer: they stay if
-        they want what they would receive.
+        that meets their demands.
         """
         record = self.records.get(record.name, record)
         changed = replace(record, topics={**record.topics, **config})

@@ -10,7 +10,7 @@ nodelets, and every cost for this client.
 
 The way of a request through `planner`::
 
-    reach        what the goal reaches in the library, and its least costs, without bindings
+    reach        the part of the library behind the goal, and its least costs, without bindings
       │
     search       the cheapest tree of instances, begun at the goal: names that are bound are
       │          passed on to the next in-port
@@ -21,7 +21,8 @@ The way of a request through `planner`::
     planner      a plan with its cost and bound; or reasons, why there is none
 
 Reach, search and improvement work on one kind of graph, the `and_or_graph`, whose nodes and
-instances are numbers.
+instances are numbers. Where nodelets can be connected elsewhere, `matching` gives them to the
+instances that they fit.
 
 `explanation` writes the plan for people.
 """

@@ -3,7 +3,7 @@
 
 """AND/OR graphs: an instance of an action needs all of its nodes; any of its makers makes a node.
 
-Nodes and instances are numbers, and what belongs to them is in parallel lists: an object for each
+Nodes and instances are numbers, with their attributes in parallel lists: an object for each
 would have to be visited by the garbage collector.
 """
 
@@ -14,8 +14,9 @@ from functools import cached_property
 from typing import Collection, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.library import Head, Operator
+from dyknow.manager.planning.matching import matched
 from dyknow.manager.planning.patterns import Pattern, Theta
-from dyknow.manager.planning.request import Request
+from dyknow.manager.planning.request import NEVER, Request
 
 #: Bits for the number of an instance in the keys of a heap, below its price.
 _BITS = 32
@@ -35,9 +36,9 @@ class Draft(NamedTuple):
 
     @property
     def is_sound(self) -> bool:
-        """Whether no nodelet has both fast inputs and others."""
-        if not self.graph.request.demand.min_rate:
-            return True
+        """Whether no nodelet has both fast inputs and others, or would never be made."""
+        if self.cost >= NEVER or not self.graph.request.demand.min_rate:
+            return self.cost < NEVER
         nodelets = [self.graph.nodelet(each) for each in self.order]
         return len({*nodelets}) == len(nodelets)
 
@@ -106,7 +107,7 @@ class AndOrGraph:
             self.makes[instance] = [*made, node] if made else (node,)
 
     def key(self, instance: Instance) -> tuple[Operator | None, Theta]:
-        """Return what is equal for equal instances of several graphs."""
+        """Return a key that is equal for equal instances of several graphs."""
         return self.actions[instance], self.thetas[instance]
 
     def action(self, instance: Instance) -> Operator:
@@ -115,7 +116,7 @@ class AndOrGraph:
         return action
 
     def nodelet(self, instance: Instance) -> tuple[Operator, Theta]:
-        """Return what is equal for instances that are one nodelet.
+        """Return a key that is equal for instances that are one nodelet.
 
         Private variables distinguish nodelets, but are bound only where a plan is written.
         """
@@ -132,16 +133,23 @@ class AndOrGraph:
         return self.request.source(action, self.thetas[instance], pattern, names)
 
     def cost(self, instances: Collection[Instance]) -> int:
-        """Sum up costs; only one instance can use the free nodelet of an action."""
+        """Sum up costs; only one instance can use each free nodelet."""
         total = sum([self.costs[each] for each in instances])
         if self.request.kept:
-            free: set[Operator] = set()
-            for each in sorted(instances):
-                action, theta = self.actions[each], self.thetas[each]
-                if action is not None and self.request.is_free(action, theta):
-                    total += action.base.cost if action.base in free else 0
-                    free.add(action.base)
+            for each in self.surplus(instances):
+                base = self.action(each).base
+                total += NEVER if base in self.request.scarce else base.cost
         return total
+
+    def surplus(self, instances: Collection[Instance]) -> set[Instance]:
+        """Return those to which a free nodelet would fit, but other instances have it."""
+        fitting: dict[Instance, Sequence[int]] = {}
+        for each in sorted(instances):
+            action = self.actions[each]
+            found = self.request.fitting(action, self.thetas[each]) if action is not None else ()
+            if found:
+                fitting[each] = found
+        return fitting.keys() - matched(fitting, {}).keys()
 
     @cached_property
     def _users(self) -> tuple[list[int], list[Instance]]:

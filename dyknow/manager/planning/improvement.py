@@ -25,7 +25,7 @@ from typing import Callable, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
 from dyknow.manager.planning.reach import Reach
-from dyknow.manager.planning.request import Request
+from dyknow.manager.planning.request import NEVER, Request
 from dyknow.manager.planning.search import Search
 
 #: Steps that are taken in a second, on a slow machine.
@@ -91,19 +91,21 @@ def allowed(request: Request, reach: Reach, draft: Draft) -> tuple[Draft, bool, 
         everything was tried.
     """
     least, _, _ = reach.cheapest(reach.costs, use_sum=False)
-    cost, most = draft.cost, sum(reach.costs)
+    cost, most = sum([draft.graph.costs[each] for each in draft.order]), sum(reach.costs)
     for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + most):
         found = Search(request, reach, least, below)
         found.run(_EACH_RISE)
         graph, is_proven = found.graph, found.is_complete
         every = range(len(graph.costs))
         way = graph.derive(every)
-        if 0 not in way and request.demand.min_rate:
+        is_sound = 0 in way and graph.drafted(way).is_sound
+        if not is_sound and (request.demand.min_rate or request.scarce):
             solver = _Solver(graph, Budget(_EACH_RISE / STEPS, lambda: 0.0))
-            plan, is_exact = solver.solve(0, [0 for _ in every], sum(graph.costs) + 1)
+            plan, is_exact = solver.solve(0, [0 for _ in every], NEVER)
             is_proven = is_proven and is_exact
             way = solver.derive(plan)
-        if 0 in way:
+            is_sound = 0 in way and graph.drafted(way).is_sound
+        if is_sound:
             return graph.drafted(way), True, True
     way = graph.derive(every, is_late=True)
     if request.limit is not None and 0 in way:
@@ -197,7 +199,7 @@ class _Solver:
         return actions
 
     def derive(self, actions: Iterable[Instance]) -> dict[Node, Instance]:
-        """Make all nodes that actions can make, with what is there at no cost."""
+        """Make all nodes that actions can make, with the free ones."""
         actions = [*actions]
         needed = {0}.union(*[self._graph.needs[each] for each in actions])
         given = [self._given[node] for node in needed if node in self._given]
@@ -261,7 +263,7 @@ class _Solver:
 
         A plan that has some actions, but not others, needs one more of those that supply a node
         which is still open: it has the first, or lacks the first and has the second, and so on.
-        The second is one discrepancy from what seems best, the third is two, and in each round
+        The second is one discrepancy from the seemingly best, the third is two, and in each round
         plans may have twice as many of these.
 
         Args:

@@ -36,6 +36,7 @@ from dyknow.manager.planning.problem import (
     Answer,
     Charge,
     Demand,
+    Free,
     Live,
     New,
     NoPlan,
@@ -47,8 +48,8 @@ from dyknow.manager.planning.problem import (
     Wishes,
 )
 from dyknow.manager.planning.reach import Reach
-from dyknow.manager.planning.reasons import no_plan
-from dyknow.manager.planning.request import NO_FEEDERS, Request
+from dyknow.manager.planning.reasons import no_plan, too_few
+from dyknow.manager.planning.request import NEVER, NO_FEEDERS, Request
 from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import (
     NO_ONTOLOGY,
@@ -65,8 +66,6 @@ BUDGET = 0.1
 #: Steps that the search for the cheapest tree may take, besides the budget: some seconds. For
 #: any of 100,000 cameras it takes a third of them.
 _SEARCH = 60_000_000
-#: More than any plan costs.
-_DEAREST = 2**62
 
 
 class Planner:
@@ -88,7 +87,7 @@ class Planner:
         return len(self._library.actions)
 
     def add(self, transformations: Iterable[Transformation]) -> None:
-        """Add transformations; those of known labels are replaced. Topics are no actions."""
+        """Add transformations; those of known labels are replaced. Topics are not actions."""
         added = {each.label: each for each in transformations}
         self._change(added, [each for each in added.values() if each.type != TOPIC])
 
@@ -108,7 +107,7 @@ class Planner:
         demand: Demand,
         live: Iterable[TaggedStream] = (),
         exclude: AbstractSet[str] = NO_LABELS,
-        free: Mapping[str, Bindings] = NO_FREE,
+        free: Free = NO_FREE,
         paused: AbstractSet[str] = NO_LABELS,
         budget: float = BUDGET,
         wishes: Wishes = NO_WISHES,
@@ -121,9 +120,10 @@ class Planner:
             demand: tags and type of the stream.
             live: streams that exist, with their tags; they cost nothing.
             exclude: labels that must not be used, live or new.
-            free: labels of which there is a nodelet that can be connected elsewhere, at no cost,
-                each with the bindings that the nodelet has to keep.
-            paused: labels of which no new nodelet is to be made; live streams may be used.
+            free: labels of the nodelets that can be connected elsewhere, at no cost, with the
+                bindings that each of them has to keep.
+            paused: labels of which no new nodelet is to be made; live streams and free nodelets
+                may be used.
             budget: seconds that it may take; a plan is looked for beyond that, but then not
                 improved. It counts steps, so equal problems have equal plans; the clock ends the
                 improvement only where a step takes long.
@@ -162,6 +162,8 @@ class Planner:
         is_late = request.limit is not None and draft.latency > request.limit
         if is_late or not draft.is_sound:
             draft, is_found, is_proven = allowed(request, reach, draft)
+            if not is_found and is_proven and draft.cost >= NEVER:
+                return too_few(draft)
             if not is_found and request.limit is not None:
                 return NoPlan(demand, (), False, draft.latency / 1e6)
             if not is_found:
@@ -201,7 +203,7 @@ class Planner:
         request.is_whole = True
         reach = Reach(request, is_whole=True)
         least, _, _ = reach.cheapest(reach.costs, use_sum=False)
-        search = Search(request, reach, least, _DEAREST)
+        search = Search(request, reach, least, NEVER)
         search.run(int(budget * STEPS))
         written = request.names.written
         found: set[tuple[str, Bindings]] = set()
@@ -364,17 +366,15 @@ def _written(improved: Improved) -> Plan:
     writer = _Writer(draft)
     steps: list[PlanStep] = []
     charges: list[Charge] = []
-    freed: set[Operator] = set()
+    surplus = graph.surplus(draft.order) if request.kept else ()
     for instance in draft.order:
         action, theta = graph.action(instance).base, graph.thetas[instance]
         if action in request.live:
             if action.cost:
                 charges.append(Charge(action.label, action.cost))
             continue
-        cost = action.cost
-        if request.kept and action not in freed and request.is_free(action, theta):
-            freed.add(action)  # one nodelet is there: a second one has to be made
-            cost = 0
+        is_there = request.kept and instance not in surplus and request.fitting(action, theta)
+        cost = 0 if is_there else action.cost
         part = Action(action.label, cost, request.charges.get(action, 0))
         steps.append(writer.step(instance, action, part))
     demand = request.demand

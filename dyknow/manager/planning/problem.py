@@ -11,7 +11,7 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Tuple, Union
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand, write_missing
@@ -246,13 +246,18 @@ class Verdicts(NamedTuple):
         transformation: Transformation,
         bindings: Mapping[str, str],
         canonical: Callable[[str], str],
+        is_in_use: bool = False,
     ) -> list[Term]:
-        """Return the tags of the verdicts for which a transformation is not to be used."""
+        """Return the tags of the verdicts for which a transformation is not to be used.
+
+        A part that is in use already has had its first verdict.
+        """
         tags = required_tags(transformation, bindings, canonical)
         return [
             tag
             for each, tag in zip(transformation.requires, tags)
-            if tag in self.bad or not (each.initially or tag in self.good or not tag.is_ground)
+            if tag in self.bad
+            or not (is_in_use or each.initially or tag in self.good or not tag.is_ground)
         ]
 
 
@@ -276,8 +281,10 @@ def canonical_tag(term: Term, canonical: Callable[[str], str]) -> Term:
 Answer = Union[Plan, NoPlan]
 NO_LABELS: frozenset[str] = frozenset()
 """No label."""
-NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
-"""No label, and no bindings."""
+Free = Mapping[str, Sequence[Bindings]]
+"""The labels of nodelets that can be connected elsewhere, with the bindings that each keeps."""
+NO_FREE: Free = MappingProxyType({})
+"""No nodelet can be connected elsewhere."""
 
 
 def meets(

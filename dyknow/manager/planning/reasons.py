@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from typing import Iterator, Mapping, NamedTuple, Sequence
 
+from dyknow.manager.planning.and_or_graph import Draft
 from dyknow.manager.planning.library import Head, Operator
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
 from dyknow.manager.planning.problem import Demand, NoPlan, Obstacle
@@ -63,6 +64,15 @@ def no_plan(request: Request, search: Search) -> NoPlan:
     )
 
 
+def too_few(draft: Draft) -> NoPlan:
+    """Return the reason why there is no plan if all need more nodelets than there are."""
+    graph, demand = draft.graph, draft.graph.request.demand
+    actions = [graph.action(each).base for each in graph.surplus(draft.order)]
+    labels = sorted({each.label for each in actions if each in graph.request.scarce})
+    cause = f"no new nodelet of {_listed(labels)} is made now"
+    return NoPlan(demand, (), False, obstacles=(Obstacle(demand, (cause,)),))
+
+
 def _leaves(request: Request, search: Search) -> Iterator[_Open]:
     """Yield the demands that no action can supply, and that have to be met."""
     goal = _Open(request.goal, search.goal.known, request.demand)
@@ -76,8 +86,10 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
                 continue  # as the same action that need not be fast
             bounds = search.passed(each.pattern, each.known, offer)
             if bounds is not None:
-                is_leaf = False
-                for below in _unmet(request, search, action, bounds):
+                unmet = _unmet(request, search, action, bounds)
+                # Else only its free nodelets are in the way, which have to keep other names.
+                is_leaf = is_leaf and action.base in request.scarce and not unmet
+                for below in unmet:
                     if below[:2] not in seen:
                         seen.add(below[:2])
                         waiting.append(below)

@@ -46,14 +46,16 @@ from dyknow.manager.planning.problem import (
     NO_LABELS,
     NO_VERDICTS,
     Demand,
+    Free,
     TaggedStream,
     Verdicts,
 )
-from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.transformation import OUT, Port
 
 #: Makers that are looked up by the names that a search knows, not all at once.
 MANY = 300
+#: More than any plan costs.
+NEVER = 2**62
 #: Out-ports that are looked at to explain why one demand is not met.
 _MOST_ALIKE = 5_000
 
@@ -69,7 +71,8 @@ class Request:
     Attributes:
         goal: the requested demand.
         limit: its age at most, in microseconds; None for any.
-        kept: actions of which a nodelet is free, each with the names that it has to keep.
+        kept: actions of which nodelets are free: numbers of these, and names that each keeps.
+        scarce: those of them of which no further nodelet is made.
         charges: charges of actions besides their costs.
         live: the actions of live streams.
         is_strict: whether private variables count as one where an action has fast inputs or not.
@@ -86,7 +89,7 @@ class Request:
         streams: Sequence[TaggedStream],
         exclude: AbstractSet[str] = NO_LABELS,
         paused: AbstractSet[str] = NO_LABELS,
-        free: Mapping[str, Bindings] = NO_FREE,
+        free: Free = NO_FREE,
         charges: Mapping[str, int] = NO_CHARGES,
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
         wanted: Sequence[str] = (),
@@ -107,15 +110,21 @@ class Request:
             self.goal = self._faster(self.goal)
         actions = library.actions
         self.exclude, self.paused = exclude, paused
+        numbers = itertools.count()
+        self.kept = {
+            actions[label]: [
+                (next(numbers), {variable: names.canonical(name) for variable, name in bindings})
+                for bindings in nodelets
+            ]
+            for label, nodelets in free.items()
+            if label in actions and label not in exclude
+        }
+        self.scarce = {action for action in self.kept if action.label in paused}
         self._barred = {actions[each] for each in (*exclude, *paused) if each in actions}
+        self._barred -= self.scarce
         self._verdicts = verdicts
         guarded = [each for each in library.guarded if not each.variables]
         self._barred.update(each for each in guarded if self.is_barred(each, ()))
-        self.kept = {
-            actions[label]: {variable: names.canonical(name) for variable, name in bindings}
-            for label, bindings in free.items()
-            if label in actions
-        }
         self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
         #: Least costs of actions where these differ from the stated ones.
         self._floors = {
@@ -158,21 +167,30 @@ class Request:
         return self._floors.get(action.base, action.cost)
 
     def cost(self, action: Operator, theta: Theta) -> int:
-        """Return the cost of an action under bindings, if it may use the nodelet that is free."""
-        if self.is_free(action, theta):
+        """Return the cost of an action under bindings, if it may use a nodelet that is free."""
+        if self.fitting(action, theta):
             return self._floors[action.base]
         return action.cost + self.charges.get(action.base, 0)
 
-    def is_free(self, action: Operator, theta: Theta) -> bool:
-        """Whether a nodelet that costs nothing could be this one."""
+    def fitting(self, action: Operator, theta: Theta) -> Sequence[int]:
+        """Return the numbers of the free nodelets that could be an action under bindings."""
         kept = self.kept.get(action.base)
         if kept is None:
-            return False
+            return ()
         bound = dict(zip(action.variables, theta))
-        return all(bound.get(variable, name) == name for variable, name in kept.items())
+        return [
+            number
+            for number, names in kept
+            if all(bound.get(variable, name) == name for variable, name in names.items())
+        ]
 
     def is_barred(self, action: Operator, theta: Theta) -> bool:
-        """Whether the verdicts that an action requires under bindings forbid its use."""
+        """Whether an action must not be used under bindings.
+
+        The verdicts that it requires forbid it, or it would need a nodelet that is not made.
+        """
+        if action.base in self.scarce and not self.fitting(action, theta):
+            return True
         transformation = action.transformation
         if transformation is None or not action.requires or self._verdicts is None:
             return False

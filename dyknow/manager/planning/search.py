@@ -46,7 +46,7 @@ class Subgoal:
         is_done: whether nothing more is to be found for it.
         answers: the nodes that were supplied.
         waiting: the joins that go on with each of them.
-        suppliers: what may supply it from now on, the cheapest first.
+        suppliers: its further possible suppliers, the cheapest first.
     """
 
     def __init__(self, pattern: Pattern, known: Known, above: int) -> None:
@@ -65,7 +65,7 @@ class _Use(NamedTuple):
 
     Attributes:
         order: the in-ports in the order of the search.
-        rest: for each place of that order, what the in-ports from there on cost at least.
+        rest: for each place of that order, the least cost of the in-ports from there on.
     """
 
     subgoal: Subgoal
@@ -221,7 +221,7 @@ class Search:
         return subgoal
 
     def _suppliers(self, subgoal: Subgoal) -> Iterable[_Supplier]:
-        """Return what may supply a subgoal, the cheapest first."""
+        """Return the possible suppliers of a subgoal, the cheapest first."""
         request, pattern, known = self._request, subgoal.pattern, subgoal.known
         facts = ((head.cost, head, theta) for head, theta in request.facts(pattern, known))
         first = next(facts, None)

@@ -126,7 +126,12 @@ class Builder:
                 self._problem(element, f"a formula has no <{name}>; expected <formula> alone")
         if not _ports_are_known(node):
             return (), ()
-        return FormulaParts(node, element, self._problem, self._types).built(ports)
+        parts = FormulaParts(node, element, self._problem, self._types)
+        for concept in parts.concepts:
+            if self._ontology is not None and not self._ontology.is_class(concept):
+                unknown = f"a quantifier has the concept '{shorten(concept)}', which is no class"
+                self._warning(element, f"{unknown} of the ontology")
+        return parts.built(ports)
 
     def _problem(self, node: XmlNode, message: str) -> None:
         self._findings.problem(node.line, message)
@@ -415,7 +420,7 @@ def _ports_are_known(node: XmlNode) -> bool:
 
 @lru_cache(maxsize=4096)
 def _read_tag(text: str) -> Term | InvalidTag:
-    """Read a tag, which is looked at several times, or return what is wrong with it."""
+    """Read a tag, which is read several times, or return its fault."""
     try:
         return parse_tag(text)
     except InvalidTag as error:

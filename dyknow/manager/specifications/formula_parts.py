@@ -9,10 +9,12 @@ import json
 import re
 from typing import Callable, Iterable, Sequence
 
-from dyknow.errors import BadParameter, FormulaError, InvalidTag
-from dyknow.formulas import Formula
+from dyknow.errors import BadParameter, DyKnowError, FormulaError, InvalidTag
+from dyknow.formulas import Formula, Range
+from dyknow.formulas.tree import Quantified, walk
 from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import listed, meant, shorten
+from dyknow.manager.specifications.individual_tags import tag_of_individuals
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.xml_reader import ANY, Attribute, Element, XmlNode
 from dyknow.model.transformation import (
@@ -71,6 +73,13 @@ class FormulaParts:
         except FormulaError as error:
             self._refuse(error)
 
+    @property
+    def concepts(self) -> tuple[str, ...]:
+        """The concepts of the formula's quantifiers, in the order written."""
+        parts = () if self._formula is None else walk(self._formula.tree)
+        found = [each.concept for each in parts if isinstance(each, Quantified)]
+        return tuple(dict.fromkeys(filter(None, found)))
+
     def built(self, ports: Sequence[Port]) -> tuple[tuple[Port, ...], tuple[Parameter, ...]]:
         """Return the ports of the nodelet, without those of individuals, and its parameters."""
         outs = [port for port in ports if port.direction == OUT]
@@ -92,11 +101,7 @@ class FormulaParts:
             for port in ports
             if port.name not in formula.of_individuals
         ]
-        tags = {
-            name: self._tag_of_individuals(formula, ins[name])
-            for name in formula.of_individuals
-            if name in ins
-        }
+        tags = self._tags_of_individuals(formula, ins)
         datatypes = {name: port.datatype for name, port in ins.items()}
         parameters = [
             Parameter("formula", "string", formula.text),
@@ -156,19 +161,44 @@ class FormulaParts:
             except FormulaError as error:
                 self._refuse(error)
 
-    def _tag_of_individuals(self, formula: Formula, port: Port) -> str:
+    def _tags_of_individuals(self, formula: Formula, ins: dict[str, Port]) -> dict[str, str]:
+        """Return the tag of each port of individuals."""
+        try:
+            wanted = formula.ranges()
+        except FormulaError as error:
+            self._refuse(error)
+            return {}
+        return {
+            name: self._tag_of_individuals(formula, ins[name], range_)
+            for name, range_ in wanted.items()
+            if name in ins
+        }
+
+    def _tag_of_individuals(self, formula: Formula, port: Port, wanted: Range) -> str:
         """Return the one tag of a port of individuals, with placeholders for other variables."""
         variables = formula.variables
         terms = [term for term in map(_term, port.tags) if term is not None]
-        if len(terms) != 1 or not {*variables} & {*terms[0].variables}:
+        if len(terms) != 1:
             self._problem(
                 self._node,
                 f"the port '{port.name}' stands below a quantifier only; expected one tag with "
-                f"its variable, such as Image({variables[0]})",
+                f"its variable, such as Image({wanted.variable})",
             )
             return ""
-        others = {each: f"${{{each}}}" for each in terms[0].variables if each not in variables}
-        return str(terms[0].substitute(others))
+        (term,) = terms
+        for other in sorted({*variables} & {*term.variables} - {wanted.variable}):
+            self._problem(
+                self._node,
+                f"the tag {shorten(str(term))} of the port '{port.name}' has the variable {other} "
+                f"of another quantifier; expected {wanted.variable} alone",
+            )
+        try:
+            term = tag_of_individuals(port.name, term, wanted)
+        except DyKnowError as error:
+            self._problem(self._node, str(error))
+            return ""
+        others = {each: f"${{{each}}}" for each in term.variables if each not in variables}
+        return str(term.substitute(others))
 
 
 def requirements_of(node: XmlNode, problem: Note) -> tuple[Requirement, ...]:

@@ -72,8 +72,11 @@ def filling_variables(transformation: Transformation) -> set[str]:
 
 
 def filling(transformation: Transformation, bindings: Mapping[str, str]) -> tuple[Parameter, ...]:
-    """Return the given parameters that fill the placeholders of a nodelet's parameters."""
-    used = sorted(filling_variables(transformation))
+    """Return the given parameters that fill the placeholders of a nodelet's parameters.
+
+    What is not bound, since the transformation was replaced meanwhile, is refused on load.
+    """
+    used = sorted(filling_variables(transformation) & bindings.keys())
     return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
 
 

@@ -62,7 +62,7 @@ class Unread(NamedTuple):
 
 
 class _Relatives(NamedTuple):
-    """Whatever is in a class has some relative, by a property or its inverse, in another class.
+    """Each member of a class has a relative, by a property or its inverse, in another class.
 
     Attributes:
         is_exact: whether everything with such a relative is in the class.
@@ -89,7 +89,7 @@ class OntologyStatements:
         self.hierarchy = Hierarchy()
         #: Properties and their inverses, which are `^` and the property.
         self._properties = Hierarchy()
-        #: Superclasses of what has some value of a property, as stated.
+        #: Superclasses of the subjects of a property, as stated.
         self._domains: dict[str, set[str]] = defaultdict(set)
         self.types: dict[str, set[str]] = defaultdict(set)
         self._files = files
@@ -264,7 +264,7 @@ class OntologyStatements:
             self._domains[name].add(node_key(value))
 
     def _domains_of(self, name: str) -> set[str]:
-        """Return the classes of what has some value of a property."""
+        """Return the classes of the subjects of a property."""
         above = self._properties.above((name,))
         return {kind for each in above for kind in self._domains.get(each, ())}
 
@@ -307,7 +307,7 @@ class OntologyStatements:
         return True
 
     def _relatives(self) -> list[_Relatives]:
-        """Return what restrictions say of relatives."""
+        """Return the relatives that restrictions require."""
         graph = self._graph
         found = []
         for node, name in graph.subject_objects(OWL.onProperty):

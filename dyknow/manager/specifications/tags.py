@@ -77,6 +77,12 @@ class Term(NamedTuple):
         types = tuple("" if arg[:1] != "?" else type_ for arg, type_ in zip(args, self.types))
         return Term(self.functor, args, types if any(types) else ())
 
+    def restricted(self, variable: str, concept: str) -> Term:
+        """Give a variable a type wherever it has none."""
+        types = self.types or ("",) * len(self.args)
+        found = [concept if a == variable and not t else t for a, t in zip(self.args, types)]
+        return Term(self.functor, self.args, tuple(found) if any(found) else ())
+
 
 class Subsumption(Protocol):
     """The subsumption of names, as an ontology knows it."""

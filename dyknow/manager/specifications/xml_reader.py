@@ -42,12 +42,14 @@ _UNFINISHED = (
 class Attribute(NamedTuple):
     """The rule of an attribute.
 
-    It may have any value if ``values`` is empty. Reading ends at another version.
+    It may have any value if ``values`` is empty. Reading ends at another version. White space
+    around the value of a verbatim one belongs to it.
     """
 
     values: tuple[str, ...] = ()
     is_required: bool = False
     is_version: bool = False
+    is_verbatim: bool = False
 
 
 ANY = Attribute()
@@ -111,7 +113,7 @@ class XmlNode:
         return next((each for each in self.children if each.name == name and each.is_good), None)
 
     def all(self, section: str) -> list[XmlNode]:
-        """Return what a section holds, without elements that cannot be used."""
+        """Return the usable elements of a section."""
         return [
             each
             for part in self.children
@@ -324,7 +326,9 @@ class XmlReader:
         given = list(attributes)
         for name in given:
             known = rule.attributes.get(name)
-            text = attributes[name] = attributes[name].strip(BLANK)
+            if known is None or not known.is_verbatim:
+                attributes[name] = attributes[name].strip(BLANK)
+            text = attributes[name]
             if "${" in text:
                 self._has_variables = True
             if known is None:

@@ -98,9 +98,9 @@ class Bonds:
         with self._changed:
             if self._closed_until is not None:
                 raise BondsClosed(self._topic)
-            effects = self._table.add(bond_id, on_broken, self._clock())
-            if self._thread is None:
+            if self._thread is None:  # first: the system may refuse it
                 self._thread = in_background("bonds", self._run)
+            effects = self._table.add(bond_id, on_broken, self._clock())
             self._changed.notify()
         self._perform(effects)
 
@@ -145,7 +145,7 @@ class Bonds:
             publisher.unregister()
 
     def _serve_once(self) -> bool:
-        """Act on what is due, or sleep; return False when the last bond is gone."""
+        """Act on due bonds, or sleep; return False when the last bond is gone."""
         with self._changed:
             silent = self._table.silent(self._clock())
         silence_counts = not self._is_heartbeat_timeout_disabled(silent) if silent else None
@@ -181,7 +181,7 @@ class Bonds:
     def _perform(self, effects: Effects) -> None:
         """Carry out the effects; never called with the lock."""
         with self._publishing_turn:
-            publisher = self._publisher  # the thread may be about to make it; what matters repeats
+            publisher = self._publisher  # the thread may be about to make it; announcements repeat
             for each in effects.announcements if publisher is not None else ():
                 try:
                     publisher.publish(status_message(each, self._timings))

@@ -10,6 +10,8 @@ from typing import Any, Callable, Mapping
 import rospy
 
 from dyknow.errors import BadParameter, DyKnowError
+from dyknow.formulas import Formula
+from dyknow.manager.specifications.individual_tags import tag_of_individuals
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.acquiring import AcquiredStream, acquire
@@ -23,6 +25,27 @@ Subscribe = Callable[[str, str, str, Any], Any]
 """Subscribes a port, for an individual, to a topic of a class; the answer has ``unregister``."""
 
 
+def tags_of_individuals(formula: Formula, tags: Mapping[str, str]) -> dict[str, str]:
+    """Return the tag of each port below a quantifier, with the quantifier's concept.
+
+    Raises:
+        DyKnowError: a port has no tag, one that does not fit, or stands below no quantifier.
+        FormulaError: see ``Formula.ranges``.
+    """
+    wanted = formula.ranges()
+    for port in sorted(wanted.keys() - tags.keys()):
+        raise DyKnowError(
+            f"the port '{port}' has a stream for each {wanted[port].variable}: expected its tag, "
+            f"such as Image({wanted[port].variable})"
+        )
+    for port in sorted(tags.keys() - wanted.keys()):
+        raise DyKnowError(f"the port '{port}' stands below no quantifier: expected no tag")
+    return {
+        port: str(tag_of_individuals(port, parse_tag(tags[port]), range_))
+        for port, range_ in wanted.items()
+    }
+
+
 class IndividualStreams:
     """Acquires the streams of all individuals, on a thread of its own: that may take a while."""
 
@@ -34,7 +57,7 @@ class IndividualStreams:
         subscribe: Subscribe,
         client_id: str = "",
     ) -> None:
-        """Begin to look for individuals.
+        """Start to look for individuals.
 
         Args:
             client: of the manager.

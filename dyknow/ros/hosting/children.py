@@ -16,6 +16,7 @@ from __future__ import annotations
 import collections
 import itertools
 import logging
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -279,10 +280,10 @@ class Children:
 
     def _run(self, child: Child) -> float | None:
         """Run a child until its process ends; returns the pause before it is started again."""
-        began = time.monotonic()
+        served = 0.0
         if child.wanted:
             try:
-                self._live(child)
+                served = self._live(child)
             except (OSError, HostError, PeerTimeout, LookupError) as error:
                 child.went_down(str(error))
                 _log.error("%s: %s", child.title, error)
@@ -290,8 +291,8 @@ class Children:
                 child.went_down(str(error))
                 _log.exception("%s", child.title)
         if child.wanted:
-            self._deaths.served(child.name, time.monotonic() - began)
-            self._deaths.failed(child.name)
+            self._deaths.served(child.name, served)
+            self._deaths.failed(child.name, served)
             return self._deaths.remaining(child.name)
         self._drop(child)
         return None
@@ -309,13 +310,16 @@ class Children:
                 self._changed.notify_all()
         self._context.on_change()
 
-    def _live(self, child: Child) -> None:
+    def _live(self, child: Child) -> float:
+        """Run a process to its end; returns the seconds for which it offered its services."""
+        up = math.inf
         try:
             if child.record.process is None:
                 self._launch(child)
             found = child.record.process
             assert found is not None
             self._await_services(child, found)
+            up = time.monotonic() if child.up else math.inf
             if not child.wanted:
                 child.end()
             status = found.wait_for_rest()
@@ -336,6 +340,7 @@ class Children:
             self._notify()
         child.echo()
         self._context.on_change()
+        return max(0.0, time.monotonic() - up)
 
     def _launch(self, child: Child) -> None:
         is_taken = self._launcher.living(child.name) is not None

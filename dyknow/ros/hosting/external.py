@@ -4,7 +4,7 @@
 """Nodelet managers and re-wirable nodes that the DyKnow manager did not start, on any host.
 
 Nodelet managers that the settings name are used like our own. Those of other clients, and
-re-wirable nodes, are found by what they announce to each new subscriber of one topic, so either
+re-wirable nodes, are found by their announcements to each new subscriber of one topic, so either
 side can start first. These are foreign: nothing is loaded or unloaded there, and a foreign
 nodelet manager gets no guards.
 
@@ -186,7 +186,7 @@ class External(Peer):
         if now.responsive:
             _log.info("%s is there (%s)", self.title, now.incarnation)
         elif not self.is_foreign or now.alive:
-            _log.warning("%s cannot be asked: %s", self.title, self.presence.trouble)
+            _log.warning("%s cannot be polled: %s", self.title, self.presence.trouble)
         elif old.alive:
             _log.info("%s is gone", self.title)
         self.context.on_change()
@@ -248,7 +248,7 @@ class Externals:
     def listen(self, hear: Callable[[str, NodeletChanges], None]) -> None:
         """Listen to all processes that run nodelets from now on, and find foreign ones by that.
 
-        ``hear`` is called with the name of each process and what it announced.
+        ``hear`` is called with the name of each process and its announcement.
         """
 
         def receive(message: Any) -> None:

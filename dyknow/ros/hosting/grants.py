@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the peers of a manager share, and the lease of a process to publish on topics of claims."""
+"""The context of a manager's peers, and the lease of a process to publish on topics of claims."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Lease:
             self._answered = self._context.running()
 
     def forget_clock(self) -> None:
-        """Let it begin anew with another process, which has another clock."""
+        """Start again with another process, which has another clock."""
         self._clock = 0.0
 
     def _request(self, producers: Mapping[str, str]) -> dict[str, object]:

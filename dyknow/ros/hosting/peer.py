@@ -4,7 +4,7 @@
 """A process that runs nodelets, as the manager's node knows it and polls it.
 
 There are three sorts: children of ours (``child``), external nodelet managers and re-wirable nodes
-(both ``external``). What they announce all comes on one topic.
+(both ``external``). Their announcements all come on one topic.
 
 One key of a peer's loop alone asks its process, over one connection. A poll renews the lease,
 counts messages, and returns the nodelets with the ports that have changed. A caller that needs to
@@ -106,7 +106,7 @@ class Peer(ABC):
         self._counts: Counts = {}
         self._is_traffic_wanted = False
         self._traffic: Sequence[NodeletCounts] = ()
-        #: What its process has used; None if that is not measured.
+        #: Resources that its process has used; None if that is not measured.
         self.usage: Usage | None = None
         self._is_prompt = True
         self._meter = OffsetMeter()
@@ -125,7 +125,7 @@ class Peer(ABC):
         """Whether it may hold a lease; while it may, it must not be taken for lost."""
         return self.lease.may_be_held
 
-    # What it runs
+    # Its nodelets
 
     def wake(self) -> int:
         """Ask for a poll that begins from now on, and return its number."""

@@ -73,7 +73,7 @@ class BootWiring:
             self._load(self._data, self._path)
         except DyKnowError as error:
             if str(error) != self._said:
-                rospy.logerr("'%s' is not loaded: %s; it is tried again", self._path, error)
+                rospy.logwarn("'%s' is not loaded yet: %s; it is tried again", self._path, error)
             self._said = str(error)
             self._backoff.failed(_FACT)
             return self._backoff.remaining(_FACT)

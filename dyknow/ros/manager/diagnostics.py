@@ -34,7 +34,7 @@ _OF_CLAIMS = {ClaimState.ACTIVE: _OK, ClaimState.FAILED: _ERROR}
 
 
 class Counted(NamedTuple):
-    """What was counted of a nodelet.
+    """Counts of a nodelet.
 
     Attributes:
         dropped: messages that its in-ports have dropped.

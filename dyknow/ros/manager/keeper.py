@@ -5,8 +5,8 @@
 
 A ROS master keeps its contents in memory, and nodes of ROS 1 register once. The DyKnow manager
 looks at the master every second, and keeps a mirror of it: in memory, and in a file for its next
-life. A master that does not know the manager, or is another process than before, is new. What it
-lacks of the mirror is put back, of each node that still answers at its address: parameters first,
+life. A master that does not know the manager, or is another process than before, is new. Missing
+parts of the mirror are put back, of each node that still answers at its address: parameters first,
 then services and publishers, then subscribers. Each node lists its topics itself, so those that it
 has given up meanwhile stay away; a node that does not answer in time gets back those that it had.
 
@@ -64,7 +64,7 @@ class MasterKeeper:
         self._save_at = clock()
 
     def look(self) -> float:
-        """Put back what a new master lacks, or mirror it; returns the seconds until the next."""
+        """Complete a new master, or mirror the present one; returns the seconds until the next."""
         try:
             present = self._read()
             kept = self._kept

@@ -4,14 +4,15 @@
 """The files behind the library: those of the manager's parameters, and those of packages.
 
 A package exports ``<dyknow transformations="${prefix}/FILE.xml"/>`` and
-``<dyknow ontology="${prefix}/FILE.ttl"/>``. The manager looks at all of them again and again. What
-a file has lost goes from the library, what is wrong with it is logged once, and the library stays
-as it was. A changed ontology changes the transformations of templates too, so that every
+``<dyknow ontology="${prefix}/FILE.ttl"/>``. The manager polls all of them. Transformations
+that a file has lost go from the library. A fault in it is logged once, and the library stays as it
+was. A changed ontology changes the transformations of templates too, so that every
 specification is read again then.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from typing import TYPE_CHECKING, Callable, Collection, Mapping, Sequence
 
@@ -19,6 +20,7 @@ import rospy
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.library import Library
+from dyknow.manager.store import LABELS_OF_FILES, Store
 from dyknow.nodelet.module_files import Stamp, stamps
 from dyknow.nodelet.plugins import exports
 from dyknow.ros.hosting.installed import missing_here
@@ -27,7 +29,8 @@ from dyknow.ros.manager.manager_settings import ManagerSettings
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
 
-#: Seconds between two looks, and how many times as long as a look the pause is at least.
+#: Seconds between two looks, and how many times as long as a look the pause is at least, so that
+#: they take little of a processor. Reading what has changed, which happens once, does not count.
 LOOK_PERIOD, _REST = 1.0, 50.0
 
 #: Lists the paths that packages export, by attribute of ``<dyknow>``.
@@ -47,21 +50,28 @@ class LibraryFiles:
 
     Args:
         settings: with the files that parameters name.
+        store: keeps the labels of files, which may lose some while no manager runs.
         exported: lists those of packages.
     """
 
     def __init__(
         self,
         settings: ManagerSettings,
+        store: Store,
         exported: Exported = exported,
     ) -> None:
         self._settings = settings
+        self._store = store
+        #: Labels by file, as they are stored.
+        self._kept = store.labels_of_files()
         self._exported = exported if settings.use_exports else dict
         #: The files of the ontology that is used or refused, with their stamps.
         self._related: tuple[Sequence[str], Mapping[str, Stamp]] = ((), {})
         #: By specification file: its stamp, None if it is not there, and its labels.
         self._stamps: dict[str, Stamp | None] = {}
         self._labels: dict[str, frozenset[str]] = {}
+        #: Seconds of a processor that the last look took at which nothing was read.
+        self._took = 0.0
 
     @property
     def labels(self) -> frozenset[str]:
@@ -95,8 +105,9 @@ class LibraryFiles:
 
         ``on_change`` is called after a change, with the labels that were read again.
         """
-        began = time.monotonic()
+        began = time.thread_time()
         before = library.revision
+        read = self._related, dict(self._stamps)
         labels: set[str] = set()
         found = self._exported()
         is_related = self._relate(library, self._ontologies(found))
@@ -105,6 +116,9 @@ class LibraryFiles:
         )
         now = stamps(wanted)
         for path in wanted:
+            if path in self._kept and path not in self._stamps:  # of the manager's last life
+                self._stamps[path] = None
+                self._labels[path] = frozenset(self._kept[path])
             is_new = path not in self._stamps or self._stamps[path] != now.get(path)
             self._stamps[path] = now.get(path)
             if is_new or is_related:
@@ -112,9 +126,14 @@ class LibraryFiles:
         for path in self._stamps.keys() - wanted.keys():
             del self._stamps[path]
             self._forget(library, self._labels.pop(path, frozenset()))
+        is_read = read != (self._related, self._stamps)
+        if is_read:
+            self._keep()
         if library.revision != before:
             on_change(labels)
-        return max(LOOK_PERIOD, _REST * (time.monotonic() - began))
+        if not is_read:
+            self._took = time.thread_time() - began
+        return max(LOOK_PERIOD, _REST * self._took)
 
     def _ontologies(self, found: Mapping[str, Sequence[str]]) -> Sequence[str]:
         return tuple(dict.fromkeys((*self._settings.ontologies, *found.get("ontology", ()))))
@@ -167,6 +186,13 @@ class LibraryFiles:
         self._labels[path] = labels
         self._forget(library, gone)
         return labels
+
+    def _keep(self) -> None:
+        """Store the labels of the files, if they have changed."""
+        labels = {path: sorted(each) for path, each in sorted(self._labels.items())}
+        if labels != self._kept:
+            self._kept = labels
+            self._store.write_later({("facts", LABELS_OF_FILES): json.dumps(labels)})
 
     def _forget(self, library: Library, labels: Collection[str]) -> None:
         """Remove transformations that no file has any more."""

@@ -18,7 +18,7 @@ import contextlib
 import functools
 import os
 import sys
-from typing import Any, Callable, Collection, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Collection, Iterator, Mapping, NamedTuple, Sequence
 
 import rosgraph.names
 import rospy
@@ -40,7 +40,7 @@ from dyknow.manager.watchdog import WATCH_PERIOD, Watchdog
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
-from dyknow.periodic import ControlLoop, RunningClock, in_background
+from dyknow.periodic import ControlLoop, RunningClock, Work, in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.formulas.message_types import message_type
 from dyknow.ros.hosting.children import Children
@@ -79,17 +79,10 @@ _WORKERS = 4
 _PATIENCE = 3.0
 _ANSWER_TIMEOUT = 1.0
 _NAME = "dyknow_manager"
-#: Keys of the control loop.
+#: Keys of the control loop that are woken.
 _OBSERVE = "looking at the nodelet managers"
 _RECONCILE = "reconciling streams"
 _PUBLISH = "publishing the model"
-_BACK_UP = "backup"
-_WATCH = "watchdog"
-_SPREAD = "spreading nodelets"
-_DIAGNOSE = "diagnostics"
-_FOLLOW = "looking at the files of the library"
-_BOOT = "loading the wiring"
-_COUNT = "counting messages"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
@@ -98,7 +91,7 @@ _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 
 
 class WiringCalls(NamedTuple):
-    """What can be done with wirings, which are above this node.
+    """Operations on wirings, which are above this node.
 
     Attributes:
         check: raises SpecificationError; takes content, name and the most nodelets.
@@ -163,7 +156,7 @@ class ManagerNode(Closable):
             settings.nodelet_managers,
             lambda: loop.wake(_RECONCILE),
         )
-        self._files = LibraryFiles(settings)
+        self._files = LibraryFiles(settings, self._store)
         self._reconciler = open_reconciler(
             self._host,
             self._store,
@@ -217,35 +210,9 @@ class ManagerNode(Closable):
             self._model.publish,
         )
         self._loop.wake(_PUBLISH)
-        self._loop.add(_OBSERVE, self._observe, PERIOD)
-        self._loop.add(_RECONCILE, self._reconciler.work, 0.0)
         self._keeper.watch(self._loop)
-        self._loop.add(_DIAGNOSE, self._diagnostics.publish, 0.0)
-        self._loop.add(_BACK_UP, self._back_up, _BACKUP_PERIOD)
-        if self._settings.watchdog:
-            watchdog = Watchdog(
-                self._host,
-                self.manager.graph,
-                self.manager.restart,
-                self._settings.watchdog,
-                self._reconciler.report,
-                self._running,
-            )
-            self._loop.add(_WATCH, watchdog.look, WATCH_PERIOD)
-        if self._settings.spread:
-            self._spread = Spread(
-                self._host,
-                self.manager.graph,
-                self.manager.move,
-                self._reconciler.report,
-                self._settings.spread_load,
-                os.cpu_count() or 1,
-                self._running,
-            )
-            self._loop.add(_SPREAD, self._spread_nodelets, SPREAD_PERIOD)
-        self._loop.add(_FOLLOW, self._follow_files, LOOK_PERIOD)
-        self._loop.add(_BOOT, self._wiring.work, 0.0 if self._wiring.is_due else None)
-        self._loop.add(_COUNT, self._counts.publish, 0.0)
+        for job in self._jobs():
+            self._loop.add(*job)
         self._host.listen_to_processes()
 
     def close(self) -> None:
@@ -297,6 +264,27 @@ class ManagerNode(Closable):
 
     # Rounds and changes
 
+    def _jobs(self) -> Iterator[tuple[str, Work, float]]:
+        """Yield the periodic work: its key, a round of it, and seconds until the first one."""
+        host, manager, settings = self._host, self.manager, self._settings
+        report, running = self._reconciler.report, self._running
+        follow = functools.partial(self._files.look, manager.library, self._on_files)
+        yield _OBSERVE, self._observe, PERIOD
+        yield _RECONCILE, self._reconciler.work, 0.0
+        yield "diagnostics", self._diagnostics.publish, 0.0
+        yield "counting messages", self._counts.publish, 0.0
+        yield "loading the wiring", self._wiring.work, 0.0
+        yield "looking at the files of the library", follow, LOOK_PERIOD
+        yield "backup", self._back_up, _BACKUP_PERIOD
+        if settings.watchdog:
+            limits, restart = settings.watchdog, manager.renew
+            watchdog = Watchdog(host, manager.graph, restart, limits, report, running)
+            yield "watchdog", watchdog.look, WATCH_PERIOD
+        if settings.spread and not settings.guards.read_only:
+            limit, most = settings.spread_load, os.cpu_count() or 1
+            spread = Spread(host, manager.graph, self._move, report, limit, most, running)
+            yield "spreading nodelets", spread.look, SPREAD_PERIOD
+
     def _observe(self) -> float:
         try:
             return self.manager.look()
@@ -304,18 +292,15 @@ class ManagerNode(Closable):
             self._after_change()
             self._children.echo()
 
-    def _spread_nodelets(self) -> float:
+    def _move(self, name: str, target: str) -> None:
         try:
-            return self._spread.look()
+            self.manager.move(name, target)
         finally:
             self._after_change()
 
     def _back_up(self) -> float:
         self._store.back_up()
         return _BACKUP_PERIOD
-
-    def _follow_files(self) -> float:
-        return self._files.look(self.manager.library, self._on_files)
 
     def _on_files(self, labels: Collection[str]) -> None:
         self._host.look_for_nodes(self.manager.library.nodes())

@@ -82,7 +82,7 @@ class MasterMirror:
 class MasterLoss:
     """The registrations and parameters that a new master lacks.
 
-    What it has is newer, and stays: nodes may have registered with it already.
+    Its own contents are newer, and stay: nodes may have registered with it already.
 
     Attributes:
         kept: the contents of the master before.

@@ -31,6 +31,7 @@ from dyknow.ros.wire.messages import (
     event_message,
     host_message,
     parameters_from,
+    planned_message,
     refusal_message,
     replanned_message,
     stream_message,
@@ -127,6 +128,7 @@ class ManagerServices:
             self._replan,
             lambda r: f"replanning stream '{r.claim_id}'",
         )
+        self._offer("plan_stream", srv.PlanStream, self._plan)
         self._offer("list_streams", srv.ListStreams, self._list)
         self._offer("find_bindings", srv.FindBindings, self._find_bindings)
         self._offer("list_hosts", srv.ListHosts, self._list_hosts)
@@ -297,6 +299,11 @@ class ManagerServices:
         self._check_sizes(request.claim_id)
         acquired = self._reconciler.replan(request.claim_id, request.dry_run)
         return replanned_message(self._answers.replanned(acquired))
+
+    def _plan(self, request: Any) -> Any:
+        self._check_sizes(request.claim_id, *request.exclude, entries=len(request.exclude))
+        acquired = self._reconciler.plan(request.claim_id, request.exclude)
+        return planned_message(self._answers.replanned(acquired))
 
     def _list(self, request: Any) -> Any:
         claims = self._reconciler.claims()

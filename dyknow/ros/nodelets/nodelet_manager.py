@@ -171,7 +171,7 @@ class NodeletManager(Closable):
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
             rospy.Service("~list", srv.NodeletList, self._list),
         ]
-        self._announcer.start()  # last: managers poll what they hear of
+        self._announcer.start()  # last: managers poll it at once
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
         """Host one thing under the name of the node, which is not a nodelet manager then."""
@@ -184,7 +184,7 @@ class NodeletManager(Closable):
         self._announcer.kind = kind
         self._announcer.announce(rospy.get_name())
         self._offer_poll()
-        self._announcer.start()  # last: managers poll what they hear of
+        self._announcer.start()  # last: managers poll it at once
 
     def load(self, request: srv.NodeletLoadRequest, caller: str = "") -> None:
         """Load a nodelet; ``caller`` is the requesting node, empty when it is this one.
@@ -294,7 +294,7 @@ class NodeletManager(Closable):
         thing.on_change = lambda: self._announcer.announce(context.name)
         return ProxyServices(thing, self._guards.check_rewiring)
 
-    # What managers poll
+    # Polls by managers
 
     def _offer_poll(self) -> None:
         self._poll_service = PollService(

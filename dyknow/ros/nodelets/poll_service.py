@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a process answers the DyKnow managers that poll it, and its end beside a successor.
+"""A process's answers to the DyKnow managers that poll it, and its end beside a successor.
 
 With each poll a manager renews the lease of the process; the rules are in
 ``dyknow.nodelet.leases``. Here are the thread that watches over leases, and its probe of a
@@ -19,6 +19,7 @@ import time
 import xmlrpc.client
 from typing import Any, Callable
 
+import psutil
 import rosgraph.network
 import rospy
 from dyknow_msgs.srv import Poll, PollResponse
@@ -98,15 +99,21 @@ class PollService(Closable):
         contexts = self._loader.contexts()
         if self.is_ending:  # checked last: the end may have unloaded some
             raise rospy.ServiceException("the process ends")
+        counts = [
+            counts_message(
+                context.name, context.attached.get_statistics(), context.busy(with_running=True)
+            )
+            for context in contexts
+            if context.name in counted and isinstance(context.attached, NodeletProxy)
+        ]
+        if counts and len(contexts) == 1:
+            counts[0].cpu = time.process_time()
+            counts[0].memory = psutil.Process().memory_info().rss
         return PollResponse(
             suspended_clock(),
             [context.name for context in contexts],
             changes,
-            [
-                counts_message(context.name, context.attached.get_statistics())
-                for context in contexts
-                if context.name in counted and isinstance(context.attached, NodeletProxy)
-            ],
+            counts,
             self._stuck.remains(),
             machine_message(),
             time.process_time(),

@@ -18,6 +18,7 @@ from dyknow_msgs.msg import Guards as GuardsMessage
 
 from dyknow.errors import Denied, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards, together
+from dyknow.locks import state_lock
 from dyknow.ros.wire.messages import guards_from
 
 #: Environment variable of programs that a DyKnow manager starts: its guards bind them from their
@@ -40,6 +41,7 @@ class ProcessGuards:
     def __init__(self, rewirable: bool = True) -> None:
         """Take those of the environment; ``rewirable``: whether ports may be connected."""
         self._rewirable = rewirable
+        self._state_lock = state_lock("guards of this process")
         self._handed: Mapping[str, GuardsMessage] = {}
         self._guards: Mapping[str, Guards] = {}
         self._all = NO_GUARDS
@@ -50,9 +52,10 @@ class ProcessGuards:
 
     def hand_over(self, owner: str, guards: GuardsMessage) -> None:
         """Take the guards of a manager, in place of those that it handed over before."""
-        self._handed = {**self._handed, owner: guards}
-        self._guards = {key: guards_from(each) for key, each in self._handed.items()}
-        self._all = together(self._guards.values())
+        with self._state_lock:
+            self._handed = {**self._handed, owner: guards}
+            self._guards = {key: guards_from(each) for key, each in self._handed.items()}
+            self._all = together(self._guards.values())
 
     def current(self) -> Guards:
         """Return the guards of this moment, those of all managers together."""

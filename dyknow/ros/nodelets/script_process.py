@@ -19,6 +19,8 @@ import threading
 from dataclasses import replace
 from typing import Any, Sequence
 
+if __name__ == "__main__":
+    import dyknow.interruptible  # noqa: F401
 import rosgraph.names
 import rospy
 
@@ -83,6 +85,8 @@ class _ScriptProcess:
         sys.modules["__main__"] = self._code.module
         sys.argv = self._sandbox.argv = self._argv
         status, is_interrupted = 0, False
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # dyknow.interruptible's
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             self._code.execute()
         except SystemExit as end:

@@ -141,7 +141,7 @@ class Processes:
             self._fail(number, f"ended with exit code {code}")
 
     def output(self, number: int) -> str:
-        """Return what a process has printed so far."""
+        """Return the output of a process so far."""
         return self._log(number).read_text(errors="replace")
 
     def _fail(self, number: int, reason: str) -> None:

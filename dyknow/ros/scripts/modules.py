@@ -14,7 +14,7 @@ from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.importer import Importer, Module
 from dyknow.nodelet.module_files import Dependents, reached_from
 from dyknow.ros.scripts import process_view, rospy_view
-from dyknow.ros.scripts.sandbox import Sandbox
+from dyknow.ros.scripts.sandbox import Sandbox, SandboxEnd
 
 if TYPE_CHECKING:  # a script of its own does not wait for its parser
     from dyknow.nodelet.plugins import Package
@@ -81,12 +81,8 @@ def importer_with_libraries(context: Context, module: str, package: Package) -> 
         search=package.folders,
     )
     sandbox.begin(PlainNodeHandle(context, names.parent(context.name), concurrent=True))
-
-    def end() -> None:
-        sandbox.shut_down("unloaded")
-        sandbox.end_threads(frozenset(importer.files()))
-        sandbox.run_exits()
-
-    context.shutdown_hooks.append(end)
+    end = SandboxEnd(sandbox, importer.files)
+    context.close_with(end)  # hooks are called for a nodelet that runs
+    context.shutdown_hooks.append(end.in_order)
     context.last_hooks.append(sandbox.let_go)
     return importer

@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import functools
 import importlib
 import os
 import signal
 import sys
 import threading
 import time
+from functools import partial
 from typing import Any, Callable, Dict, NoReturn
 
 from dyknow.errors import NeedsProcess
+from dyknow.locks import flag_lock
 from dyknow.nodelet.importer import Importer, Module, View
+from dyknow.periodic import NO_THREAD
 from dyknow.ros.scripts.sandbox import Sandbox
 
 Views = Dict[str, Callable[[], Module]]
@@ -98,7 +100,11 @@ def _threading(sandbox: Sandbox) -> View:
 
         def start(self) -> None:
             sandbox.adopt(self)
-            super().start()
+            try:
+                super().start()
+            except NO_THREAD:
+                sandbox.dismiss(self)
+                raise
 
         def join(self, timeout: float | None = None) -> None:
             def is_over(seconds: float) -> bool:
@@ -113,8 +119,32 @@ def _threading(sandbox: Sandbox) -> View:
     class Condition(threading.Condition):
         """A condition whose waits end at the unload."""
 
+        _waiters: Any  # Python's own
+        _is_owned: Callable[[], bool]
+        _release_save: Callable[[], Any]
+        _acquire_restore: Callable[[Any], None]
+
         def wait(self, timeout: float | None = None) -> bool:
-            return sandbox.wait_for(functools.partial(threading.Condition.wait, self), timeout)
+            """Wait as Python does, for a lock that stays in line during all slices of the wait.
+
+            With one for each slice, a notification that comes at the end of a slice would be lost.
+            """
+            if not self._is_owned():
+                raise RuntimeError("cannot wait on un-acquired lock")
+            waiter = flag_lock()  # free once it was notified
+            waiter.acquire()
+            self._waiters.append(waiter)
+            saved, is_notified = self._release_save(), False
+            try:
+                is_notified = sandbox.wait_for(partial(waiter.acquire, True), timeout)
+            finally:
+                self._acquire_restore(saved)
+                if not is_notified:
+                    is_notified = waiter.acquire(False)  # meanwhile
+                if not is_notified:
+                    with contextlib.suppress(ValueError):  # an exception came after it was
+                        self._waiters.remove(waiter)
+            return is_notified
 
     def with_condition(base: type[Any]) -> type[Any]:
         def init(self: Any, *args: Any, **kwds: Any) -> None:
@@ -174,7 +204,7 @@ def _refusing(sandbox: Sandbox) -> Views:
     def refuse(toolkit: str) -> Callable[[], Module]:
         return lambda: _refusal(sandbox, f"the toolkit {toolkit}")()
 
-    views: Views = {name: functools.partial(_partly_refused, sandbox, name) for name in _REFUSED}
+    views: Views = {name: partial(_partly_refused, sandbox, name) for name in _REFUSED}
     return {**views, **{name: refuse(name) for name in _TOOLKITS}}
 
 

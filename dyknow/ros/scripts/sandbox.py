@@ -20,12 +20,13 @@ import traceback
 import weakref
 from functools import partial
 from types import FrameType
-from typing import Any, Callable, Collection, Mapping
+from typing import Any, Callable, Collection, Iterable, Mapping
 
 from dyknow.errors import NeedsProcess
-from dyknow.locks import state_lock
+from dyknow.locks import flag_lock, state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import attempt, current_frames, in_background
 
 #: Seconds from the end of the hooks in which threads may end by themselves.
@@ -53,8 +54,8 @@ def defer_in_finalizers() -> None:
     """Start the thread of ``outside_of_finalizers``; finalizers themselves must start none."""
     global _is_deferring
     if not _is_deferring:
-        _is_deferring = True
         in_background("calls of finalizers", _call_deferred)
+        _is_deferring = True
 
 
 def _call_deferred() -> None:
@@ -170,10 +171,18 @@ class Sandbox:
         self.shut_down(reason)
         self.unload()
 
-    def unload(self) -> None:
-        """Unload the nodelet, from a thread of its own."""
-        if self.context is not None:
-            in_background(f"unloading {self.name}", self.context.unload)
+    def unload(self, why: str = "") -> None:
+        """Unload the nodelet, from a thread of its own, once its load is complete."""
+        context = self.context
+        if context is None:
+            return
+
+        def begin() -> None:
+            if why:
+                _log.info("%s: %s", self.name, why)
+            in_background(f"unloading {self.name}", context.unload)
+
+        context.new_strand("its end").post(begin)  # whatever its callbacks do
 
     def adopt(self, thread: threading.Thread) -> None:
         """Register a thread that is about to start, and make it a daemon."""
@@ -191,6 +200,13 @@ class Sandbox:
                     self.call(run)
 
             thread.run = noted  # type: ignore[method-assign]
+
+    def dismiss(self, thread: threading.Thread) -> None:
+        """Forget a thread that could not be started."""
+        if thread.ident is None and thread in self.threads:
+            self.threads.remove(thread)
+            self._non_daemons.discard(thread)
+            vars(thread).pop("run", None)
 
     def call(self, callback: Callable[..., Any], *args: Any) -> Any:
         """Call a callback of the code; a refused call in it ends the sandbox as a whole."""
@@ -244,7 +260,8 @@ class Sandbox:
         """Wait in short slices, so that an unload ends the wait.
 
         Args:
-            condition: waits at most so many seconds, and returns whether it came true.
+            condition: waits at most so many seconds, and returns whether it came true. It is not
+                called again then.
             timeout: seconds to wait at most; None for any time.
 
         Raises:
@@ -258,7 +275,9 @@ class Sandbox:
                 return True
             if end is not None and time.monotonic() >= end:
                 return False
-            if self.closing.is_set() and not condition(0.0):
+            if self.closing.is_set():
+                if condition(0.0):
+                    return True
                 self.pause(0.0)
 
     # The end
@@ -321,7 +340,7 @@ class Sandbox:
             time.sleep(_STEP)
         self._is_over = True
         if self.context is not None:
-            self.context.late_threads = mine
+            self.context.late_threads += mine
         for thread in mine:
             where = ":".join(map(str, _place(thread)))
             _log.warning(
@@ -349,6 +368,36 @@ class Sandbox:
             call()
         except BaseException:  # the boundary: the other hooks, and the unload, go on
             _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
+
+
+class SandboxEnd(Closable):
+    """Ends a sandbox together with its nodelet, also with one whose load fails.
+
+    ``files`` returns the source files of the sandbox's own modules.
+    """
+
+    def __init__(self, sandbox: Sandbox, files: Callable[[], Iterable[str]]) -> None:
+        self._sandbox = sandbox
+        self._files = files
+        self._begun = flag_lock()
+
+    def in_order(self, patience: float = math.inf) -> None:
+        """Shut it down with its hooks, which may sleep for ``patience`` seconds, and end it."""
+        self._sandbox.shut_down("unloaded", patience)
+        if self._begun.acquire(False):
+            self._end()
+
+    def close(self) -> None:
+        """End it in the background unless it ends in order: its load failed, or hooks hang."""
+        self._sandbox.closing.set()
+        if self._begun.acquire(False):
+            thread = in_background(f"end of {self._sandbox.name}", self._end)
+            if self._sandbox.context is not None:
+                self._sandbox.context.late_threads.append(thread)  # memory is freed after it
+
+    def _end(self) -> None:
+        self._sandbox.end_threads(frozenset(self._files()))
+        self._sandbox.run_exits()
 
 
 def _place(thread: threading.Thread) -> tuple[str, int]:

@@ -15,12 +15,10 @@ import rospy
 from dyknow.errors import CannotRun, NeedsProcess, ScriptEnded
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.module_files import script_file
-from dyknow.periodic import in_background
 from dyknow.ros.process.programs import find_script
 from dyknow.ros.scripts.modules import script_importer
-from dyknow.ros.scripts.sandbox import HOOKS_PATIENCE, Sandbox
+from dyknow.ros.scripts.sandbox import HOOKS_PATIENCE, Sandbox, SandboxEnd
 from dyknow.ros.scripts.script_ports import ScriptHandle
 
 #: Seconds in which an error of the main thread makes the load fail, unless it waits before.
@@ -29,7 +27,7 @@ PATIENCE = 2.0
 _log = logging.getLogger("rosout.dyknow")
 
 
-class ScriptCode(Closable):
+class ScriptCode:
     """One script, ready to be executed once in a sandbox.
 
     Args:
@@ -60,17 +58,6 @@ class ScriptCode(Closable):
         """Execute it, on the thread that is its main one."""
         exec(self._code, vars(self.module))
 
-    def end(self) -> None:
-        """End its threads, and make its ``atexit`` calls."""
-        self._sandbox.end_threads(frozenset(self.importer.files()))
-        self._sandbox.run_exits()
-
-    def close(self) -> None:
-        """End it in the background if its load has failed, or took too long."""
-        if not self._sandbox.closing.is_set():
-            self._sandbox.closing.set()
-            in_background(f"end of {self._sandbox.name}", self.end)
-
     def let_go(self) -> None:
         """Free all that its modules hold, unless a thread does not end."""
         self._sandbox.let_go()
@@ -86,7 +73,7 @@ class ScriptNodelet(Nodelet):
     """
 
     _sandbox: Sandbox | None = None
-    _code: ScriptCode | None = None
+    _end: SandboxEnd | None = None
     _error: BaseException | None = None
 
     def bind(self, context: Context) -> None:
@@ -106,11 +93,12 @@ class ScriptNodelet(Nodelet):
         def init_node(*args: Any, **kwds: Any) -> None:
             arguments.note(args, kwds)
 
-        code = self._code = ScriptCode(sandbox, argv, init_node)
+        code = ScriptCode(sandbox, argv, init_node)
+        self._end = SandboxEnd(sandbox, code.importer.files)
         sandbox.main = threading.Thread(
             target=self._main, args=(sandbox, code), name=f"{self.name} main", daemon=True
         )
-        self.context.close_with(code)
+        self.context.close_with(self._end)
         self.context.last_hooks.append(code.let_go)
         sandbox.begin(ScriptHandle(self.mt_node_handle))
         sandbox.main.start()
@@ -122,9 +110,8 @@ class ScriptNodelet(Nodelet):
 
     def on_shutdown(self) -> None:
         """End it as the end of a process would."""
-        if self._sandbox is not None and self._code is not None:
-            self._sandbox.shut_down("unloaded", HOOKS_PATIENCE)
-            self._code.end()
+        if self._end is not None:
+            self._end.in_order(HOOKS_PATIENCE)
 
     def _main(self, sandbox: Sandbox, code: ScriptCode) -> None:
         try:
@@ -138,8 +125,7 @@ class ScriptNodelet(Nodelet):
         sandbox.join()
         sandbox.settled.set()
         if not sandbox.closing.is_set():
-            # After the load, which may not be complete yet.
-            self.context.strand.post(self._unload_ended)
+            sandbox.unload("the script has ended")
 
     def _refused(self, refusal: NeedsProcess) -> None:
         """Give up a script that runs on without a thread or a callback of its own."""
@@ -148,11 +134,7 @@ class ScriptNodelet(Nodelet):
         if not sandbox.closing.is_set():
             self._error = refusal
             sandbox.settled.set()
-            self.context.strand.post(self._unload_ended)
-
-    def _unload_ended(self) -> None:
-        _log.info("%s: the script has ended", self.name)
-        in_background(f"unloading {self.name}", self.context.unload)
+            sandbox.unload("the script has ended")
 
     def _failed(self, sandbox: Sandbox, error: BaseException) -> None:
         if sandbox.closing.is_set():

@@ -69,7 +69,7 @@ class ScriptProxy(NodeletProxy):
     def _is_misspelt(self, label: str) -> bool:
         """Whether a port to come is a port of another namespace that its load does not name.
 
-        Where the script watches who subscribes to ``~image``, it may subscribe to ``image`` then.
+        A script that watches the subscribers of ``~image`` may subscribe to ``image`` then.
         """
         return any(
             known.lstrip("~/") == label.lstrip("~/")

@@ -258,7 +258,9 @@ class Doctor:
                 problem = f"is {each.state.name}: {each.detail}"
                 yield Finding(each.name, problem, f"{info}; see the log of {each.node}")
             elif each.detail:
-                yield _warning(each.name, each.detail, info)
+                is_restarted = each.outdated and each.transformation
+                cure = f"dyknow restart {each.name}" if is_restarted else info
+                yield _warning(each.name, each.detail, cure)
         with ThreadPoolExecutor(_ASKERS) as pool:
             yield from (found for found in pool.map(self._statistics, running) if found)
 
@@ -328,10 +330,8 @@ class Doctor:
         found: dict[int, tuple[str, psutil.Process]] = {}
         for node in self.nodes.values():
             if node.name in hosts and node.pid and rosgraph.network.is_local_address(node.host):
-                try:
+                with contextlib.suppress(psutil.Error):
                     found[node.pid] = node.name, psutil.Process(node.pid)
-                except psutil.Error:
-                    continue
         return list(found.values())
 
     def versions(self) -> Iterator[Finding]:
@@ -340,35 +340,31 @@ class Doctor:
             if isinstance(answer, str) and OTHER_VERSION in answer:
                 yield Finding(name, "was started with another version of DyKnow", "restart it")
         changed = max(file.stat().st_mtime for file in self.code.rglob("*.py"))
+        moment = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(changed))
         for name, process in self._processes:
-            try:
-                started = process.create_time()
-            except psutil.Error:
-                continue
-            if started < changed:
-                yield _warning(
-                    name,
-                    f"was started before DyKnow was changed on disk (at {_moment(changed)}), and "
-                    "may be of another version",
-                    "restart it",
-                )
+            with contextlib.suppress(psutil.Error):
+                if process.create_time() < changed:
+                    yield _warning(
+                        name,
+                        f"was started before DyKnow was changed on disk (at {moment}), and may be "
+                        "of another version",
+                        "restart it",
+                    )
 
     def descriptors(self) -> Iterator[Finding]:
         """Find processes that are about to run out of file descriptors."""
         for name, process in self._processes:
-            try:
+            with contextlib.suppress(psutil.Error):
                 used = process.num_fds()
                 limit, hard = process.rlimit(psutil.RLIMIT_NOFILE)
-            except psutil.Error:
-                continue
-            if used >= _MANY_DESCRIPTORS * limit:
-                raised = f"ulimit -n {hard}" if hard > limit else "the system's limit"
-                yield Finding(
-                    name,
-                    f"uses {used} of {limit} file descriptors",
-                    f"spread the nodelets with ~num_nodelet_managers, or raise {raised} where it "
-                    "is started",
-                )
+                if used >= _MANY_DESCRIPTORS * limit:
+                    raised = f"ulimit -n {hard}" if hard > limit else "the system's limit"
+                    yield Finding(
+                        name,
+                        f"uses {used} of {limit} file descriptors",
+                        f"spread the nodelets with ~num_nodelet_managers, or raise {raised} where "
+                        "it is started",
+                    )
 
     def disks(self) -> Iterator[Finding]:
         """Find disks of the durable state and of the logs that are nearly full."""
@@ -377,7 +373,8 @@ class Doctor:
             ("the state of the DyKnow manager", os.path.dirname(self._state_path(""))),
             ("the logs of ROS", rospkg.get_log_dir()),
         ):
-            path = _existing(path)
+            while not os.path.exists(path):
+                path = os.path.dirname(path)
             device = os.stat(path).st_dev
             total, _, free = self.disk_usage(path)
             if device not in seen and free < min(_LITTLE_SPACE[0] * total, _LITTLE_SPACE[1]):
@@ -398,14 +395,3 @@ class Doctor:
             return self._master.ask("getParam", name)
         except LookupError:
             return None
-
-
-def _existing(path: str) -> str:
-    """Return the path, or the innermost folder above it that exists."""
-    while not os.path.exists(path):
-        path = os.path.dirname(path)
-    return path
-
-
-def _moment(seconds: float) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds))

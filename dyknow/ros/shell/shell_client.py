@@ -9,38 +9,36 @@ command starts fast and leaves no trace in the graph.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Callable, Collection, Sequence, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Collection, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
-import psutil
 from dyknow_msgs import msg
 from std_srvs.srv import Trigger
 
 from dyknow import names
 from dyknow.errors import ManagerUnreachable, NodeletUnreachable, PeerTimeout, Refused
-from dyknow.model.graph import Model
+from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.streams import StreamEvent
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.wire.addresses import host_of, is_here
 from dyknow.ros.wire.master import TIMEOUT, Master
 from dyknow.ros.wire.messages import event_from, model_from
 from dyknow.ros.wire.service_client import ServiceFailed, ServiceLost
 from dyknow.ros.wire.topic_reader import TopicReader
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell.load_meter import Loads
 
 T = TypeVar("T")
 _UNSET = object()
 
 #: Seconds that a node may take to say how it is connected, and nodes that are queried at once.
 _LOOK, _WORKERS = 1.0, 16
-#: Seconds over which the load of processes is measured.
-_MOMENT = 0.3
 #: The service of a black box, and seconds that a bag may take.
 _WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
@@ -134,26 +132,11 @@ class ShellClient(ManagerClient):
                     found.update(each)
         return found
 
-    def loads(self, nodes: Collection[str]) -> dict[str, tuple[float, int]]:
-        """Watch the processes of nodes for a moment.
+    def loads(self, nodelets: Sequence[NodeletStatus]) -> Loads:
+        """Measure for a moment what nodelets and their processes take."""
+        from dyknow.ros.shell.load_meter import measure  # psutil takes its time to import
 
-        Returns:
-            Share of one core, and bytes of resident memory, by node; none of a node on another
-            machine, or that does not answer.
-        """
-        found = {}
-        for node in sorted(nodes):
-            with contextlib.suppress(LookupError, PeerTimeout, OSError, psutil.Error):
-                uri = self._master.node(node)
-                if is_here(host_of(uri), _LOOK):
-                    found[node] = psutil.Process(self._master.pid(node, uri, _LOOK))
-                    found[node].cpu_percent()
-        time.sleep(_MOMENT if found else 0.0)
-        loads = {}
-        for node, process in found.items():
-            with contextlib.suppress(psutil.Error):
-                loads[node] = (process.cpu_percent() / 100.0, process.memory_info().rss)
-        return loads
+        return measure(self._master, nodelets)
 
     def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:
         """Topics that have a publisher, and topics that have a subscriber."""

@@ -87,7 +87,7 @@ class Arena:
         self._end = 0
         os.ftruncate(self._file, _LEAST)  # which takes no memory
         self._pages = mmap.mmap(self._file, _LEAST)
-        #: Regions that nobody uses, by their size: those that hold memory, and those that do not.
+        #: Free regions, by their size: those that hold memory, and those that do not.
         self._warm: dict[int, list[int]] = {}
         self._cold: dict[int, list[int]] = {}
         self._idle = 0
@@ -114,7 +114,7 @@ class Arena:
             return None
         region = ArenaRegion(self, offset, room, next(self._numbers), size)
         pages, at = self._pages, offset + _NUMBER.size
-        # The number first: who reads what was here before is to see that it is gone.
+        # The number first: a reader of the region's last message has to see that it is gone.
         pages[offset:at] = _NUMBER.pack(region.number)
         pages[at : at + size] = content
         return region
@@ -124,7 +124,7 @@ class Arena:
         self._returned.append((offset, room))
 
     def linger(self, regions: Sequence[ArenaRegion]) -> None:
-        """Keep regions for a while: somebody may be about to read them, and cannot say so."""
+        """Keep regions for a while: a subscriber may be about to read them, and cannot say so."""
         if regions:
             self._lingering.append((self._clock(), regions))
 

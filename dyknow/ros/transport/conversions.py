@@ -119,7 +119,7 @@ class TypedReceiver:
                 rospy.logwarn_throttle(
                     10.0,
                     f"{self._topic} carries {header['type']}, but {self._datatype._type} was "
-                    "asked for: dropping it",
+                    "requested: dropping it",
                 )
                 return
             message = self._datatype().deserialize(message._buff)

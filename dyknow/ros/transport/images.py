@@ -38,7 +38,7 @@ _COLOURS = {1: "mono", 3: "bgr", 4: "bgra"}
 
 
 def codec(datatype: Any, parameter: Parameter) -> Codec | None:
-    """Return what compresses and decompresses the images of a port, as its parameters say.
+    """Return the codec of a port's images, as its parameters say.
 
     Args:
         datatype: class of the port's messages; None is returned unless it is that of images.
@@ -59,7 +59,7 @@ def codec(datatype: Any, parameter: Parameter) -> Codec | None:
 
 
 class _Images:
-    """Encodes as the parameters of one port say, and decodes whatever is a picture."""
+    """Encodes as the parameters of one port say, and decodes any picture."""
 
     def __init__(self, datatype: Any, parameter: Parameter) -> None:
         try:

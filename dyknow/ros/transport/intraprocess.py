@@ -45,6 +45,7 @@ from dyknow.ros.transport.conversions import (
     serialised,
 )
 from dyknow.ros.transport.late_subscribers import Backlog
+from dyknow.ros.transport.outbound import Outbound, wider
 from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.wire.master import Master
 
@@ -106,6 +107,8 @@ class OrdinaryHandles:
         self._address = address
         self._outbound = outbound
         self._strand = Strand(executor, f"rospy subscribers of {name}")
+        #: The largest queue size of the publications of the bus; None without one.
+        self._queue_size: int | None = None
         self._refreshing = state_lock("outside listeners")
         self._publisher: Any = None  # rospy's
         self._subscriber: Any = None  # rospy's
@@ -133,6 +136,7 @@ class OrdinaryHandles:
         if self._publisher is publisher:
             return
         self._publisher = publisher
+        self._queue_size = None
         self._latches.pop(None, None)
         if publisher.latch is not None:
             self.latch(None, publisher.latch)
@@ -176,13 +180,43 @@ class OrdinaryHandles:
             # It takes the place of rospy's connection to itself, which has delivered its latch.
             self.link(subscriber, replacing=True)
 
-    def expect(self, notified: Collection[str], size: int) -> None:
+    def widen(self, queue_size: int) -> None:
+        """Keep as many messages for each subscriber as a further publication says; 0 for all.
+
+        Subscribers that are connected have the queue of the publication that was there then,
+        which may have been one for a nodelet that was yet to be loaded.
+        """
+        publisher = self._publisher
+        publisher.acquire()  # no connection is made meanwhile
+        try:
+            before = self._queue_size
+            size = self._queue_size = queue_size if before is None else wider(before, queue_size)
+            publisher.queue_size = size
+            self.backlog.widen(size)
+            for connection in publisher.connections or ():
+                if isinstance(connection, Outbound):
+                    connection.widen(size)
+        finally:
+            publisher.release()
+
+    def expect(self, notified: Collection[str]) -> None:
         """Keep messages for subscribers that were notified and have yet to connect."""
         publisher = self._publisher
         publisher.acquire()  # first: no connection comes between the question and the answer
         try:
             connected = {self._address(each.endpoint_id) for each in publisher.connections}
-            self.backlog.expect(set(notified) - connected, size)
+            self.backlog.expect(set(notified) - connected, self._queue_size or 0)
+        finally:
+            publisher.release()
+        self.refresh()
+
+    def forget_dead(self, is_dead: Callable[[str], bool]) -> None:
+        """Expect subscribers no more that are dead; to find that out may take time."""
+        dead = set(filter(is_dead, self.backlog.due))
+        publisher = self._publisher
+        publisher.acquire()
+        try:
+            self.backlog.forget(dead)
         finally:
             publisher.release()
         self.refresh()

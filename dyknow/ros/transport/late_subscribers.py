@@ -30,6 +30,8 @@ from dyknow.periodic import PeriodicWorker
 
 #: Seconds in which a subscriber that the master notified has connected, if it lives.
 LONGEST = 10.0
+#: Seconds for which a subscriber that did not connect in time is not waited for again.
+_IMPATIENCE = 5.0
 #: Messages kept at most where the publisher's own queue is unbounded.
 _MOST = 1000
 #: Seconds in which every subscriber has noticed that a topic is gone.
@@ -49,11 +51,15 @@ class Backlog:
     """Subscribers that are about to connect to one topic, and the messages that they missed.
 
     All methods but ``waiting`` are called under the lock of rospy's publisher.
+
+    A node that was killed stays registered with the master, so a subscriber that is expected may
+    be dead.
     """
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
-        self._due: set[str] = set()
+        #: Addresses of the subscribers that are expected; replaced by each change.
+        self.due: Addresses = frozenset()
         self._deadline = 0.0
         self._missed: collections.deque[Any] = collections.deque()
         #: Whether a subscriber is expected; looked at on every publish.
@@ -66,10 +72,15 @@ class Backlog:
             due: addresses of the nodes that know of the publisher and have yet to connect.
             size: messages to keep, the newest; 0 for no bound of the publisher's own.
         """
-        self._due = set(due)
+        self.due = frozenset(due)
         self._missed = collections.deque(maxlen=size or _MOST)
         self._deadline = self._clock() + LONGEST
-        self.open = bool(self._due)
+        self.open = bool(self.due)
+
+    def widen(self, size: int) -> None:
+        """Keep so many messages from now on, if that is more; 0 for no bound."""
+        if self.open and (size or _MOST) > (self._missed.maxlen or 0):
+            self._missed = collections.deque(self._missed, size or _MOST)
 
     def waiting(self) -> bool:
         """Whether a subscriber is still expected."""
@@ -83,17 +94,42 @@ class Backlog:
 
     def missed_by(self, address: str) -> list[Any]:
         """Return the messages that a subscriber missed which has connected now, oldest first."""
-        if not self.waiting() or address not in self._due:
+        if not self.waiting() or address not in self.due:
             return []
-        self._due.remove(address)
         missed = list(self._missed)
-        if not self._due:
-            self._close()
+        self.forget({address})
         return missed
+
+    def forget(self, addresses: Collection[str]) -> None:
+        """Expect these subscribers no more."""
+        self.due = self.due.difference(addresses)
+        if not self.due:
+            self._close()
 
     def _close(self) -> None:
         self.open = False
         self._missed.clear()
+
+
+class LateSubscribers:
+    """Addresses of nodes that did not connect in time lately, hung ones mostly; for any thread.
+
+    Each topic of a node that hangs, or whose host is away, would be waited for in vain else.
+    """
+
+    def __init__(self, clock: Clock = time.monotonic) -> None:
+        self._clock = clock
+        self._until: dict[str, float] = {}
+
+    def note(self, addresses: Collection[str]) -> None:
+        now = self._clock()
+        known = {each: until for each, until in self._until.items() if now < until}
+        self._until = {**known, **dict.fromkeys(addresses, now + _IMPATIENCE)}
+
+    def without(self, addresses: Collection[str]) -> Addresses:
+        """Return those of addresses that are worth a wait."""
+        now = self._clock()
+        return frozenset(each for each in addresses if now >= self._until.get(each, 0.0))
 
 
 @dataclass

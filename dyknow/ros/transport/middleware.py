@@ -36,6 +36,7 @@ from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 from dyknow.ros.wire import ages
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.sizes import size_of
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")
@@ -95,6 +96,12 @@ class RospyTransport(Transport):
             return ""
         return "" if found == "*" else found
 
+    def is_published(self, topic: str) -> bool:
+        try:
+            return bool(Master(rospy.get_name()).publishers(topic))
+        except (PeerTimeout, LookupError):
+            return False
+
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
 
@@ -107,8 +114,8 @@ class RospyTransport(Transport):
     def unpack(self, datatype: Any, content: bytes) -> Any:
         return datatype().deserialize(content)
 
-    def age_of(self, message: Any) -> float | None:
-        return ages.age_of(message)
+    def sample_of(self, message: Any) -> tuple[float | None, int]:
+        return ages.age_of(message), size_of(message)
 
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         return images.codec(datatype, parameter)

@@ -181,6 +181,10 @@ class ClockTicker(_RospyTicker):
         """Seconds of /clock, 0 before its first message."""
         return float(rospy.rostime.get_time())
 
+    def has_begun(self, now: float) -> bool:
+        """Whether /clock says the time; as in rospy, 0 is none."""
+        return now > 0.0
+
     def wait(self, until: float | None) -> None:
         with self._changed:
             if not self._woken and (until is None or self.now() < until):

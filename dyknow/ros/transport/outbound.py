@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""One subscriber outside: the queue of what it is to be sent, and what it has yet to copy.
+"""One subscriber outside: its queue of messages, and the regions that it has yet to copy.
 
 rospy gives each connection a thread, and each message waits for it. Here a message is written by
 the thread that publishes it, as far as that needs no waiting. A thread of the connection's own
-writes what is left, and ends with it.
+writes the rest, and ends with it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from rospy.exceptions import TransportTerminated
 
 from dyknow.locks import state_lock
-from dyknow.periodic import in_background
+from dyknow.periodic import NO_THREAD, in_background
 from dyknow.ros.transport.arena import Arena, ArenaRegion
 
 #: The transport of a subscriber that has our memory open.
@@ -28,6 +28,11 @@ SHMROS = "SHMROS"
 WINDOW = 1 << 20
 #: Seconds between two looks whether a connection has ended.
 _LOOK = 1.0
+
+
+def wider(one: int, another: int) -> int:
+    """Return the larger of two sizes of queues; 0 is without a bound."""
+    return max(one, another) if one and another else 0
 
 
 class Share:
@@ -55,9 +60,10 @@ class Outbound:
         self._arena = arena
         self._lock = state_lock("connection to a subscriber")
         self._queue: collections.deque[bytes | Share] = collections.deque()
-        #: What is left of a frame that was begun.
+        #: The rest of a frame that was begun.
         self._rest = memoryview(b"")
         self._is_sending = False
+        self._has_thread = False
         #: Regions that the subscriber has yet to copy, and their bytes.
         self._uncopied: collections.deque[ArenaRegion] = collections.deque()
         self._in_flight = 0
@@ -90,14 +96,23 @@ class Outbound:
                 if len(self._queue) == self._queue_size > 0:
                     self._queue.popleft()
                 self._queue.append(data)
-                return True
-            if not self._begin(data):
+                if self._has_thread:
+                    return True
+            elif not self._begin(data):
                 self._queue.append(data)
             elif not self._rest:
                 return True
-            self._is_sending = True
-        in_background(f"sending {self._connection.name}", self._send)
+            self._is_sending = self._has_thread = True
+        try:
+            in_background(f"sending {self._connection.name}", self._send)
+        except NO_THREAD:  # the next message tries again; what is logged is a message, too
+            self._has_thread = False
         return True
+
+    def widen(self, queue_size: int) -> None:
+        """Keep so many messages from now on, if that is more; 0 for any number."""
+        with self._lock:
+            self._queue_size = wider(self._queue_size, queue_size)
 
     def shares(self) -> bool:
         """Whether the subscriber has our memory open by now."""
@@ -118,7 +133,7 @@ class Outbound:
             return not self._in_flight
 
     def _send(self) -> None:
-        """Write what is queued, until it is empty or the subscriber has gone."""
+        """Write the queue, until it is empty or the subscriber has gone."""
         while True:
             with self._lock:
                 awaited = 0
@@ -129,7 +144,7 @@ class Outbound:
                     self._queue.clear()
                     self._rest = memoryview(b"")
                 if not awaited:
-                    self._is_sending = False
+                    self._is_sending = self._has_thread = False
                     return
             poll = select.poll()
             with contextlib.suppress(OSError, ValueError, AttributeError):  # closed just now
@@ -202,6 +217,6 @@ class Outbound:
             if self.is_shared:
                 self._connection.transport_type = SHMROS
             else:
-                self._greeting = self._greeting[: len(expected)]  # whatever a stranger sends
+                self._greeting = self._greeting[: len(expected)]  # a stranger may send anything
         for _ in range(min(len(said), len(self._uncopied))):
             self._in_flight -= self._uncopied.popleft().size

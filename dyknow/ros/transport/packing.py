@@ -4,7 +4,7 @@
 """A message as it lies in shared memory, and the frame that says where.
 
 The generated code of genpy copies a large field twice when it packs a message. Here the field is
-left out of what it packs: a mark takes its place, which shows where the content belongs.
+left out: a mark takes its place, which shows where the content belongs.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Packed:
     """A message, serialised once for all its connections.
 
     Attributes:
-        content: what goes into shared memory: a field of the message, or all of it.
+        content: the part for shared memory: a field of the message, or all of it.
     """
 
     def __init__(self, message: Any, number: int) -> None:
@@ -143,7 +143,7 @@ class Packed:
 
 
 def assembled(datatype: type[Any], text: bytes, place: int, number: int, content: bytes) -> Any:
-    """Make a message of what came with its frame and what was in shared memory."""
+    """Make a message of its frame and its content in shared memory."""
     message = datatype()
     if number == _ALL:
         return message.deserialize(content)

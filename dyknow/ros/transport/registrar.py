@@ -30,7 +30,7 @@ from rospy.impl.registration import (
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
-from dyknow.ros.transport.late_subscribers import Addresses, Reminders
+from dyknow.ros.transport.late_subscribers import Addresses, LateSubscribers, Reminders
 from dyknow.ros.wire.master import Master
 
 #: Seconds between two attempts while the master is down.
@@ -59,6 +59,8 @@ class Registrar:
         self._master = master or Master(rospy.get_name())
         self._uri: str = rospy.core.get_node_uri() or ""
         self._lock = state_lock("registrar")
+        #: Subscribers that are not waited for.
+        self.late = LateSubscribers()
         self._owed: dict[Key, str] = {}
         self._peers: dict[Key, Addresses] = {}
         self._worker = PeriodicWorker(

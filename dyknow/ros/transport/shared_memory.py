@@ -12,7 +12,7 @@ and sends one byte back; then its region is free for another message. So
 * a message is written once, however many processes receive it, and copied once by each of them;
 * a message that finds no memory, or a subscriber that did not get the publisher's file, is served
   by an ordinary frame at any time, in order;
-* what a slow subscriber holds is bounded by the publisher's ``queue_size`` and ``WINDOW``.
+* the memory of a slow subscriber is bounded by the publisher's ``queue_size`` and ``WINDOW``.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from dyknow.ros.transport.packing import (
 )
 
 TCPROS: str = rospy.impl.tcpros_base.TCPROS
-#: What a subscriber says of each message that it has copied.
+#: A subscriber's answer to each message that it has copied.
 _COPIED = b"\6"
 
 
@@ -239,7 +239,7 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
     # Of a publisher
 
     def outbound(self, connection: Any, queue_size: int | None) -> Outbound:
-        """Return what is to take the place of a subscriber's connection, and of its queue."""
+        """Return the replacement of a subscriber's connection, and of its queue."""
         return Outbound(connection, queue_size, self._arena)
 
     def publish(self, publisher: Any, message: Any, peer: Any, size: int) -> bool:

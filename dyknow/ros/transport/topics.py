@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import socket
 import sys
 import termios
@@ -24,11 +25,17 @@ from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTranspor
 from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.transport.shared_memory import SharedMemory
+from dyknow.ros.wire.addresses import refuses
 from dyknow.ros.wire.master import Master
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100
 _STEP = 0.002
+#: Seconds in which a peer that lives has connected, as a rule; then it is looked at once whether
+#: those that have not are dead.
+_GRACE = 0.05
+#: Seconds after which a subscriber that has not connected is late.
+_LATE = 0.25
 #: Seconds for an answer of a publisher that has not connected in time.
 _PROBE = 0.3
 
@@ -93,7 +100,9 @@ class RospyPublisher(OutsidePublisher):
             raise
         self._implementation = self._publisher.impl
         self._ordinary.adopt(self._implementation)
+        self._ordinary.widen(queue_size)
         self._notified = registrar.subscribers(topic) or frozenset()
+        self._late = registrar.late
         self._ordinary.refresh()
 
     def _connections(self) -> tuple[Any, ...]:
@@ -121,12 +130,24 @@ class RospyPublisher(OutsidePublisher):
         self._send(message)
 
     def wait(self, seconds: float) -> None:
-        """Wait for the connections of the subscribers that the master notified."""
-        deadline = time.monotonic() + seconds
+        """Wait for the connections of the subscribers that the master notified.
+
+        One that kept another topic of this process waiting gets what it misses when it connects.
+        """
+        began = time.monotonic()
+        deadline, looks_at = began + seconds, began + _GRACE
         if self._notified:
-            self._ordinary.expect(self._notified, self._implementation.queue_size)
-        while self._ordinary.backlog.waiting() and time.monotonic() < deadline:
+            self._ordinary.expect(self._notified)
+        backlog = self._ordinary.backlog
+        while backlog.waiting() and self._late.without(backlog.due):
+            if time.monotonic() >= deadline:
+                if seconds >= _LATE:
+                    self._late.note(backlog.due)
+                break
             time.sleep(_STEP)
+            if time.monotonic() >= looks_at:
+                looks_at = math.inf
+                self._ordinary.forget_dead(lambda each: _is_dead(each, deadline))
 
     def drain(self, seconds: float) -> bool:
         """Wait until rospy's sending threads have written everything, to late subscribers too.
@@ -222,7 +243,8 @@ class RospySubscriber(OutsideSubscriber):
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Wait for a first message, or until all publishers would send us one."""
-        deadline = time.monotonic() + seconds
+        began = time.monotonic()
+        deadline, looks_at = began + seconds, began + _GRACE
         expected = self._expected
         if expected is None:  # an ordinary subscriber of this process had registered
             try:
@@ -231,6 +253,9 @@ class RospySubscriber(OutsideSubscriber):
                 return
         while expected and not arrived(_STEP) and time.monotonic() < deadline:
             expected = frozenset(each for each in expected if not self._is_served(each, deadline))
+            if time.monotonic() >= looks_at:
+                looks_at = math.inf
+                expected = frozenset(each for each in expected if not _is_dead(each, deadline))
         self._missing = expected
 
     def missing(self) -> list[str]:
@@ -281,6 +306,11 @@ def _publishers(topic: str) -> frozenset[str]:
     name = rospy.get_name()
     master = Master(name)
     return frozenset(map(master.node, master.publishers(topic) - {name})) - {""}
+
+
+def _is_dead(uri: str, deadline: float) -> bool:
+    """Whether a node that has not connected has ended; the master lists it until it is told."""
+    return refuses(uri, max(0.0, deadline - time.monotonic()))
 
 
 def _is_alive(uri: str) -> bool:

@@ -127,6 +127,18 @@ def connect(host: str, port: int, timeout: float) -> socket.socket:
     raise failure or OSError(f"{host} has no address")
 
 
+def refuses(uri: str, timeout: float) -> bool:
+    """Whether the host in a node's address answers that no process listens there: it has ended."""
+    host, port = rosgraph.network.parse_http_host_and_port(uri)
+    try:
+        connect(host, port, timeout).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
 def host_of(uri: str) -> str:
     """Return the host in the address of a node or of a service, as it is written there."""
     return urlsplit(uri).netloc.rpartition(":")[0]

@@ -212,7 +212,7 @@ class Master:
         """
         found: dict[tuple[str, str, str], list[str]] = {}
         with contextlib.suppress(PeerTimeout, LookupError):
-            uri = self.node(node)
+            uri = self.ask("lookupNode", node)
             for info in self._ask_node(f"at {uri}", uri, timeout, "getBusInfo"):
                 if info[3] != "INTRAPROCESS":
                     key = (node, OUT if info[2] == "o" else IN, str(info[4]))

@@ -31,7 +31,7 @@ from dyknow.model.graph import (
     State,
 )
 from dyknow.model.hosts import UNKNOWN_MACHINE, HostStatus, Machine
-from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
+from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortCount, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
     ClaimState,
@@ -224,7 +224,8 @@ def _port_statistics_from(message: msg.PortStatistics) -> PortStatistics:
     return _value(PortStatistics, message, direction=direction)
 
 
-def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCounts:
+def counts_message(nodelet: str, statistics: NodeletStatistics, busy: float) -> msg.NodeletCounts:
+    """Make the counts of a nodelet whose callbacks have taken so many seconds."""
     ports = [
         msg.PortCount(
             port=each.port,
@@ -233,12 +234,18 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
             latched=each.latched,
             age=math.nan if each.age is None else each.age,
             dropped=each.dropped or 0,
+            size=each.size,
         )
         for each in sorted(statistics.ports, key=lambda each: each.port)
     ]
     errors = statistics.callback_errors or 0
     return _message(
-        msg.NodeletCounts, statistics, nodelet=nodelet, ports=ports, callback_errors=errors
+        msg.NodeletCounts,
+        statistics,
+        nodelet=nodelet,
+        ports=ports,
+        callback_errors=errors,
+        busy=busy,
     )
 
 
@@ -248,10 +255,20 @@ def counts_from(message: msg.Counts) -> tuple[NodeletCount, ...]:
             each.nodelet,
             each.uptime.to_sec(),
             each.reconfigurations,
-            {port.port: (port.messages, port.dropped) for port in each.ports},
+            {port.port: _port_count_from(port) for port in each.ports},
+            each.callback_errors,
+            each.recent_error,
+            each.busy,
+            each.cpu or None,
+            each.memory or None,
         )
         for each in message.nodelets
     )
+
+
+def _port_count_from(message: msg.PortCount) -> PortCount:
+    age = None if math.isnan(message.age) else message.age
+    return PortCount(message.messages, message.dropped, age, message.size)
 
 
 # Guards of one manager, which has one allow list at most
@@ -333,7 +350,8 @@ def refusal_message(refusal: StreamRefused) -> srv.AcquireStreamResponse:
 
 
 replanned_message = partial(_message, srv.ReplanStreamResponse, success=True)
+planned_message = partial(_message, srv.PlanStreamResponse, success=True)
 
 
-def replanned_from(answer: srv.ReplanStreamResponse) -> Replanned:
+def replanned_from(answer: srv.ReplanStreamResponse | srv.PlanStreamResponse) -> Replanned:
     return _value(Replanned, answer)

@@ -25,10 +25,10 @@ SERVICE = "poll"
 
 
 class PollClient:
-    """Asks one process what it runs; not for several threads at once.
+    """Polls one process for its nodelets; not for several threads at once.
 
     When the connection breaks another process may have the name by now, so there is no other
-    connection. A stock nodelet manager, which has no such service, is asked for its list.
+    connection. A stock nodelet manager, which has no such service, is queried for its list.
 
     Attributes:
         is_stock: whether it turned out to be a stock nodelet manager.
@@ -48,7 +48,7 @@ class PollClient:
     def ask(self, timeout: float, **request: object) -> PollResponse:
         """Poll it once; raises `PeerTimeout` or ``HostError``.
 
-        The ``request`` has the fields of ``Poll`` but for what was seen before.
+        The ``request`` has the fields of ``Poll`` except for the last seen change.
         """
         if not self.is_stock:
             try:

@@ -8,11 +8,13 @@ import random
 
 import pytest
 
+from dyknow_benchmark import system
 from dyknow_benchmark.arrival import report_chain
 from dyknow_benchmark.chains import KINDS, Block, Order, select
 from dyknow_benchmark.main import FAILED, main, parse
 from dyknow_benchmark.options import MEASUREMENTS, OUT
 from dyknow_benchmark.parts import SwitchedIn, SwitchedOut, payload_of
+from dyknow_benchmark.planning_libraries import LIBRARIES
 from dyknow_benchmark.results import ARRIVALS, Results, Summary, median_interval
 from dyknow_benchmark.switching import delays
 
@@ -235,10 +237,30 @@ def test_an_out_port_that_is_switched(arrivals, lost, doubled, changes):
     assert watch.collect() == [lost, doubled, *map(float, range(changes))]
 
 
-def test_each_request_is_paired_with_the_first_message_after_it():
+def test_each_request_is_paired_with_the_first_message_after_it_if_there_is_one():
     assert delays([1.0, 2.0, 3.0], [1.25, 2.5, 3.125]) == [250.0, 500.0, 125.0]
-
-
-def test_a_request_whose_topic_was_never_seen_has_no_delay():
     assert delays([1.0, 2.0, 3.0], [0.5, 1.25, 3.5]) == [250.0, 500.0]
     assert delays([1.0], []) == []
+
+
+def test_every_library_is_planned_over_for_every_sort_of_demand(tmp_path, capsys):
+    assert main(["plan", "--transformations", "400", "--out", str(tmp_path)]) == 0
+    with (tmp_path / "plan.csv").open(newline="") as file:
+        rows = {(row["library"], row["demand"]): row for row in csv.DictReader(file)}
+    assert {library for library, _ in rows} == set(LIBRARIES)
+    assert {row["transformations"] for row in rows.values()} == {"400"}
+    assert rows["deep", "ground"]["steps"] == "92"  # the last plan is for the 92nd of a chain
+    assert int(rows["dense", "ground"]["steps"]) > 92
+    assert int(rows["rules, three variables", "variable"]["steps"]) > 9
+    assert int(rows["individuals with an ontology", "class"]["steps"]) > 9
+    assert "400 transformations: slowest demand" in capsys.readouterr().out
+
+
+def test_a_library_may_have_any_size(tmp_path):
+    assert main(["plan", "--transformations", "1", "101"]) == 0
+
+
+def test_a_target_that_is_not_met_fails_a_check(monkeypatch):
+    monkeypatch.setattr(system, "_PLAN", -1.0)
+    assert main(["plan", "--transformations", "1"]) == 0
+    assert main(["plan", "--transformations", "1", "--check"]) == 1

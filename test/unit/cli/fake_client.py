@@ -19,10 +19,11 @@ from unit.manager.world import LIBRARY, World
 from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, NodeletUnreachable
-from dyknow.model.graph import Model
+from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import StreamEvent
 from dyknow.model.transformation import IN, OUT
+from dyknow.ros.shell.load_meter import Loads
 from dyknow.simulated import SimulatedManagerClient
 
 #: What changes nothing is not noted.
@@ -48,7 +49,7 @@ class FakeClient(SimulatedManagerClient):
         hung: nodelets that do not answer.
         ordinary: topics that ordinary nodes publish on.
         links: transports to other processes, by node, direction and topic.
-        loaded: share of a core and bytes of memory, by node.
+        loaded: what nodelets, and their processes, take.
     """
 
     namespace = "/"
@@ -66,7 +67,7 @@ class FakeClient(SimulatedManagerClient):
         #: Black boxes, and the bag that each writes; an error for one that cannot.
         self.boxes: dict[str, str | DyKnowError] = {}
         self.links: dict[tuple[str, str, str], list[str]] = {}
-        self.loaded: dict[str, tuple[float, int]] = {}
+        self.loaded = Loads({}, {})
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], object]] = []
 
@@ -95,8 +96,10 @@ class FakeClient(SimulatedManagerClient):
     def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
         return {key: names for key, names in self.links.items() if key[0] in nodes}
 
-    def loads(self, nodes: Collection[str]) -> dict[str, tuple[float, int]]:
-        return {name: load for name, load in self.loaded.items() if name in nodes}
+    def loads(self, nodelets: Sequence[NodeletStatus]) -> Loads:
+        nodes = {each.node for each in nodelets}
+        processes = {name: each for name, each in self.loaded.processes.items() if name in nodes}
+        return self.loaded._replace(processes=processes)
 
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)
@@ -200,3 +203,8 @@ def play(client: FakeClient | None, transcript: str) -> None:
         code = f"[{outcome.code}]" if outcome.code else ""
         printed = (outcome.out + outcome.err + code).rstrip() + "\n" * bool(step.printed)
         assert re.fullmatch(step.pattern, printed), f"$ {step.line}\n{printed}"
+
+
+def cases(table: str) -> list[list[str]]:
+    """The rows of a table, one a line, with its columns between bars."""
+    return [line.split(" | ") for line in table.strip("\n").splitlines()]

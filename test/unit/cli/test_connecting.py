@@ -6,10 +6,13 @@
 from __future__ import annotations
 
 import pytest
-from unit.cli.fake_client import play, run
+from unit.cli.fake_client import FakeClient, cases, play, run
+from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.wiring.ports import types_fit
+from dyknow.model.graph import PortRef
+from dyknow_rqt.graph.snapshot import Snapshot, plain_nodes, taken_topics
+from dyknow_rqt.graph.wiring import choose_topic
 
 #: With a camera and a relay, and an ordinary node that publishes on /lidar/scan.
 SESSIONS = {
@@ -96,18 +99,40 @@ def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(p
     assert run(pair, "disconnect lazy:image").lines == ["/lazy:image has left /raw"]
 
 
+def test_a_private_port_needs_no_tilde_unless_another_has_that_name(pair):
+    image = "sensor_msgs/Image"
+    ports = [("image", "in", image), ("~out", "out", image)]
+    pair.world.host.stock = False
+    pair.world.host.sources["pkg/Native"] = ports
+    pair.world.spawn("native", "native")
+    there = "/native:~out -> /native/out -> /robot/relay:in"
+    assert run(pair, "connect native:out robot/relay:in").lines == [there]
+    assert run(pair, "connect native:out /other").lines == ["/native:~out -> /other"]
+    assert run(pair, "disconnect native:out").lines == ["/native:~out has left /other"]
+    ports.append(("/out", "out", image))
+    pair.world.spawn("native", "two")
+    error = run(pair, "connect two:out robot/relay:in").err
+    assert "has no port 'out'; its ports: image (in), ~out (out), /out (out)" in error
+
+
 @pytest.mark.parametrize(
-    ("line", "moved"),
+    ("line", "asked", "moved"),
     [
-        ("connect cam:image robot/relay:in --topic x", ["/robot/relay, /cam"]),  # the reader first
-        ("connect robot/relay:out robot/relay:in", ["/robot/relay"]),
-        ("connect /old robot/relay:in", []),
+        ("connect cam:image robot/relay:in", 2, ["/cam"]),
+        ("connect cam:image robot/relay:in --topic x", 2, ["/robot/relay, /cam"]),  # reader first
+        ("connect robot/relay:out robot/relay:in", 2, ["/robot/relay"]),
+        ("connect /raw robot/relay:in", 1, ["/robot/relay"]),
+        ("connect /old robot/relay:in", 1, []),
+        ("disconnect cam:image robot/relay:in", 2, ["/robot/relay"]),
     ],
 )
-def test_ports_that_have_to_move_do_so_at_once(pair, line, moved):
+def test_ports_move_at_once_with_few_calls_and_no_graph(pair, line, asked, moved):
     pair.set_config("/robot/relay", {"in": "/old"})
     pair.calls.clear()
+    methods = []
+    pair.asked = methods.append
     assert run(pair, line).code == 0
+    assert methods == ["get_config"] * asked + ["connect"] * len(moved)
     assert pair.calls == [("connect", each) for each in moved]
 
 
@@ -127,23 +152,6 @@ def test_the_reader_goes_back_if_the_writer_is_refused(pair):
     assert topics(pair) == {"/robot/relay:in": "/before"}
 
 
-@pytest.mark.parametrize(
-    ("line", "calls"),
-    [
-        ("connect cam:image robot/relay:in", ["get_config", "get_config", "connect"]),
-        ("connect cam:image robot/relay:in --topic /raw", ["get_config", "get_config", "connect"]),
-        ("connect /raw robot/relay:in", ["get_config", "connect"]),
-        ("disconnect cam:image robot/relay:in", ["get_config", "get_config", "connect"]),
-    ],
-)
-def test_connecting_takes_few_calls_and_no_graph(pair, line, calls):
-    run(pair, "connect /before robot/relay:in")
-    asked = []
-    pair.asked = asked.append
-    assert run(pair, line).code == 0
-    assert asked == calls
-
-
 def test_a_nodelet_with_fixed_topics_says_how_to_get_live_ports(pair):
     pair.world.spawn("native", "fixed", config={"image": "/raw"})
     for line in ("connect cam:image fixed:image --topic /x", "disconnect fixed:image"):
@@ -155,43 +163,26 @@ def test_a_nodelet_with_fixed_topics_says_how_to_get_live_ports(pair):
     assert "Re-wiring: its topics are fixed" in run(pair, "info fixed").out
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("connect /raw cam:image", "'/cam:image' is an out-port; swap the two"),
-        ("connect robot/relay:in /raw", "'/robot/relay:in' is an in-port; swap the two"),
-        ("connect cam robot/relay:in", "'/cam' is a nodelet; expected a topic, or its port as"),
-        ("connect cam:image robot/relay", "its in-ports: in"),
-        ("connect /raw robot/relay:inn", "no port 'inn'; its ports: in (in), out (out); did you"),
-        ("connect nix:a robot/relay:in", "no nodelet named '/nix' runs; see 'dyknow list'"),
-        ("connect camm:a robot/relay:in", "no nodelet named '/camm' runs; did you mean /cam?"),
-        (
-            "connect cam:imag robot/relay:in",
-            "nodelet '/cam' has no port 'imag'; its ports: image (out); did you mean image?",
-        ),
-        (
-            "connect robot/relay:in cam:image",
-            "'/robot/relay:in' is an in-port and '/cam:image' an out-port; swap the two",
-        ),
-        (
-            "connect robot/relay:in robot/relay:in",
-            "'/robot/relay:in' is an in-port, expected an out-port first",
-        ),
-        (
-            "connect cam:image robot/relay:out",
-            "'/robot/relay:out' is an out-port, expected an in-port second",
-        ),
-        ("disconnect cam:nix", "nodelet '/cam' has no port 'nix'"),
-        (
-            "connect cam:image text:in",
-            "'/cam:image' carries sensor_msgs/Image, '/text:in' expects std_msgs/String",
-        ),
-        (
-            "connect hung:image robot/relay:in",
-            "nodelet '/hung' did not answer within 5 s; it is running",
-        ),
-    ],
-)
+#: What is wrong with the ends of a connection, before a port of another type and one that hangs.
+WRONG_ENDS = """
+connect /raw cam:image | '/cam:image' is an out-port; swap the two
+connect robot/relay:in /raw | '/robot/relay:in' is an in-port; swap the two
+connect cam robot/relay:in | '/cam' is a nodelet; expected a topic, or its port as
+connect cam:image robot/relay | its in-ports: in
+connect /raw robot/relay:inn | no port 'inn'; its ports: in (in), out (out); did you
+connect nix:a robot/relay:in | no nodelet named '/nix' runs; see 'dyknow list'
+connect camm:a robot/relay:in | no nodelet named '/camm' runs; did you mean /cam?
+connect cam:imag robot/relay:in | has no port 'imag'; its ports: image (out); did you mean image?
+connect robot/relay:in cam:image | is an in-port and '/cam:image' an out-port; swap the two
+connect robot/relay:in robot/relay:in | '/robot/relay:in' is an in-port, expected an out-port first
+connect cam:image robot/relay:out | '/robot/relay:out' is an out-port, expected an in-port second
+disconnect cam:nix | nodelet '/cam' has no port 'nix'
+connect cam:image text:in | '/cam:image' carries sensor_msgs/Image, '/text:in' expects std_msgs/S
+connect hung:image robot/relay:in | nodelet '/hung' did not answer within 5 s; it is running
+"""
+
+
+@pytest.mark.parametrize(("line", "message"), cases(WRONG_ENDS))
 def test_ends_that_do_not_fit_are_named_before_anything_is_changed(pair, line, message):
     pair.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
     text = "<transformation><label>text</label><source>pkg/Text</source></transformation>"
@@ -205,5 +196,37 @@ def test_ends_that_do_not_fit_are_named_before_anything_is_changed(pair, line, m
     assert pair.calls == []
 
 
-def test_an_unknown_type_fits_any():
-    assert types_fit("*", "a/B") and types_fit("", "a/B") and not types_fit("a/B", "a/C")
+@pytest.mark.parametrize(
+    ("topics", "ordinary", "topic"),
+    [
+        ({}, [], "/cam/image"),
+        ({"/cam": "/a", "/relay": "/b"}, [], "/a"),
+        ({"/relay": "/b"}, [], "/b"),
+        ({"/relay": "/b", "/other": "/b"}, [], "/cam/image"),
+        ({"/relay": "/b"}, ["/b"], "/cam/image"),
+        ({"/other": "/cam/image"}, [], "/cam/image_2"),
+        ({"/other": "/cam/image", "/relay": "/cam/image_2"}, ["/cam/image_2"], "/cam/image_3"),
+        ({"/relay": "/b"}, ["/b", "/cam/image"], "/cam/image_2"),
+        ({"/waiting": "/cam/image"}, [], "/cam/image_2"),
+    ],
+)
+def test_command_line_and_window_choose_the_same(topics, ordinary, topic):
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam")
+    client.world.spawn("camera", "other")
+    client.world.spawn("relay", "relay")
+    client.world.spawn("relay", "waiting")
+    client.ordinary.update(ordinary)
+    ports = {"/cam": "image", "/other": "image", "/relay": "in", "/waiting": "in"}
+    for nodelet, place in topics.items():
+        client.set_config(nodelet, {ports[nodelet]: place})
+    publishers = [(each, ["/usb_cam"]) for each in ordinary]
+    nodelets = client.get_graph().nodelets
+    connected = {port.topic for nodelet in nodelets for port in nodelet.ports}
+    snapshot = Snapshot(
+        nodelets,
+        plain_nodes(publishers, (), connected, set()),
+        taken_topics(publishers, nodelets, set()),
+    )
+    assert choose_topic(snapshot, PortRef("/cam", "image"), PortRef("/relay", "in")) == topic
+    assert run(client, "connect cam:image relay:in --json").json["topic"] == topic

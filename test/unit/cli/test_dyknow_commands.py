@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 
 import pytest
-from unit.cli.fake_client import play, run
+from unit.cli.fake_client import Outcome, play, run
 from unit.manager.world import TRACKER
 
-from dyknow.errors import ManagerUnreachable
+from dyknow.errors import ManagerUnreachable, Refused
+from dyknow.model.statistics import NodeletLoad
+from dyknow.ros.shell.load_meter import Loads
 
 #: With a camera, and a protected relay behind it.
 SESSIONS = {
@@ -25,9 +27,9 @@ $ list /
 /cam
 /robot/relay
 $ list -l
-NODELET       TRANSFORMATION  STATE              IN  OUT  MANAGER
-/cam          camera          running             0    1  /fake_0
-/robot/relay  relay           running,protected   1    1  /fake_0
+NODELET       TRANSFORMATION  STATE              IN  OUT  BUSY %  CPU %  MEMORY MB  MANAGER
+/cam          camera          running             0    1       -      -          -  /fake_0
+/robot/relay  relay           running,protected   1    1       -      -          -  /fake_0
 """,
     "info": """
 $ info cam /robot/relay
@@ -40,7 +42,8 @@ $ info cam /robot/relay
 ...    from: /cam:image
 ... * out [sensor_msgs/Image]
     topic: (disconnected)...
-$ info /camm
+$ info /camm /cam
+...Nodelet [/cam]...
 dyknow: no nodelet named '/camm' runs; did you mean /cam?
 [1]
 """,
@@ -131,26 +134,31 @@ def test_list_as_json(chain):
         "ports": [{**port, "datatype": "sensor_msgs/Image"}],
         "parameters": [],
     }
-    chain.loaded[camera["manager"]] = (0.25, 60_000_000)
-    (process,) = run(chain, "list -l --json").json["processes"]
-    assert process == {"name": "/fake_0", "cpu": 0.25, "memory": 60_000_000}
 
 
-def test_list_shows_details_below(chain):
+LOADS = """
+$ list -l
+NODELET       TRANSFORMATION  STATE              IN  OUT  BUSY %  CPU %  MEMORY MB  MANAGER
+/cam          camera          running             0    1      10    150         61  /fake_0
+/robot/relay  relay           running,protected   1    1       0      0          -  /fake_0
+/cam: a callback has been running for 12 s
+
+PROCESS  CPU %  MEMORY MB
+/fake_0     12         48
+"""
+
+
+def test_a_long_list_has_the_load_of_nodelets_and_of_the_processes_of_this_machine(chain):
     chain.host.details["/cam"] = "a callback has been running for 12 s"
     chain.world.manager.look()
-    assert run(chain, "list -l").lines[3:] == ["/cam: a callback has been running for 12 s"]
-
-
-def test_an_empty_list(client):
-    assert run(client, "list").out == ""
-    assert run(client, "list --json").json == {"nodelets": []}
-
-
-def test_info_shows_known_nodelets_beside_unknown_ones(chain):
-    outcome = run(chain, "info /camm /cam --json")
-    assert (outcome.code, outcome.err.count("\n")) == (1, 1)
-    assert [each["name"] for each in outcome.json["nodelets"]] == ["/cam"]
+    processes = {"/fake_0": (0.123, 48_500_000), "/elsewhere": (1.0, 1)}
+    cam, relay = NodeletLoad(0.096, 1.5, 61_000_000), NodeletLoad(0, 0, None)
+    chain.loaded = Loads({"/cam": cam, "/robot/relay": relay}, processes)
+    play(chain, LOADS)
+    chain.loaded = Loads({"/cam": cam}, processes)
+    value = run(chain, "list -l --json").json
+    assert [each["load"] for each in value["nodelets"]] == [cam._asdict(), None]
+    assert value["processes"] == [{"name": "/fake_0", "cpu": 0.123, "memory": 48_500_000}]
 
 
 def test_a_spawn_with_parameters(client):
@@ -293,66 +301,56 @@ def test_graph_as_json_and_of_a_namespace(chain):
     assert '"n/cam"' not in run(chain, "graph --dot --namespace robot").out
 
 
-HEAD = "NODELET PORT HZ MESSAGES DROPPED UNSENT MEAN MAX ERRORS TOPIC OUTSIDE".split()
+#: Of nodelets with messages and transports to others, that hang, have no ports, count nothing.
+STATS = """
+$ stats
+NODELET  PORT                     HZ  MESSAGES  DROPPED  UNSENT  MEAN   MAX  ERRORS  TOPIC  OUTSIDE
+/cam     image              out  5.0       300        -       4  1.00  2.50       2  /raw   SHMROS, 2 TCPROS
+/hung    (does not answer)
+/plain   (no ports)                                                               -
+/quiet   image              out    -         -        -       -     -     -       -  -      -
+/relay   in                 in   5.0       300        4       -  1.00  2.50       2  /raw   -
+/relay   out                out  5.0       300        -       4  1.00  2.50       2  -      -
+dyknow: nodelet '/hung' did not answer within 5 s
+[1]
+$ stats nobody
+dyknow: no nodelet named '/nobody' runs; see 'dyknow list'
+[1]
+"""  # noqa: E501
 
 
-def test_stats(chain):
-    head, camera, relay, _ = [line.split() for line in run(chain, "stats").lines]
-    assert head == HEAD
-    assert camera == "/cam image out 5.0 300 - 4 1.00 2.50 2 /raw -".split()
-    assert relay[4:7] == ["300", "4", "-"]
-
-
-def test_stats_of_a_nodelet_that_counts_nothing(chain):
-    chain.uncounted.add("/cam")
-    line = run(chain, "stats").lines[1].split()
-    assert line == ["/cam", "image", "out", *"-------", "/raw", "-"]
-    nodelet = run(chain, "stats --json").json["nodelets"][0]
-    assert nodelet["callback_errors"] is None
+def test_stats(client):
+    client.world.host.sources["pkg/Plain"] = []
+    plain = "<transformation><label>plain</label><source>pkg/Plain</source></transformation>"
+    client.add_transformation(plain)
+    client.spawn("camera", "/cam", {"image": "/raw"})
+    client.spawn("relay", "/relay", {"in": "/raw"})
+    for label, name in (("camera", "/hung"), ("camera", "/quiet"), ("plain", "/plain")):
+        client.spawn(label, name)
+    client.hung.update(["/hung", "/plain"])
+    client.uncounted.add("/quiet")
+    client.links["/fake_0", "out", "/raw"] = ["TCPROS", "SHMROS", "TCPROS"]
+    play(client, STATS)
+    found = run(client, "stats --json")
+    assert (found.code, found.json["silent"]) == (1, ["/hung"])
+    cam, quiet, relay = found.json["nodelets"]
+    assert [each["nodelet"] for each in (cam, quiet, relay)] == ["/cam", "/quiet", "/relay"]
+    assert cam["ports"][0]["transports"] == ["SHMROS", "TCPROS", "TCPROS"]
+    assert quiet["callback_errors"] is None
     uncounted = ("messages", "dropped", "rate", "mean_callback", "max_callback")
-    port = {"name": "image", "direction": "out", "topic": "/raw", **dict.fromkeys(uncounted)}
-    assert nodelet["ports"] == [{**port, "transports": []}]
+    port = {"name": "image", "direction": "out", "topic": "", **dict.fromkeys(uncounted)}
+    assert quiet["ports"] == [{**port, "transports": []}]
 
 
-def test_a_long_list_has_the_load_of_the_processes_of_this_machine(chain):
-    process = run(chain, "info cam --json").json["nodelets"][0]["manager"]
-    chain.loaded.update({process: (0.123, 48_500_000), "/elsewhere": (1.0, 1)})
-    *_, blank, head, row = run(chain, "list -l").lines
-    assert (blank, head.split()) == ("", ["PROCESS", "CPU", "%", "MEMORY", "MB"])
-    assert row.split() == [process, "12", "48"]
+@pytest.mark.parametrize("option", ["", "--protected"])
+def test_a_spawn_that_cannot_be_connected_leaves_nothing(chain, monkeypatch, option):
+    def refuse(moves):
+        raise Refused("topic '/r/out' is denied")
 
-
-def test_stats_show_the_transports_to_other_processes(chain):
-    process = run(chain, "info cam --json").json["nodelets"][0]["manager"]
-    chain.links[process, "out", "/raw"] = ["TCPROS", "SHMROS", "TCPROS"]
-    assert run(chain, "stats cam").lines[1].endswith("/raw   SHMROS, 2 TCPROS")
-    port = run(chain, "stats cam --json").json["nodelets"][0]["ports"][0]
-    assert port["transports"] == ["SHMROS", "TCPROS", "TCPROS"]
-
-
-def test_stats_name_a_nodelet_that_does_not_answer(chain):
-    chain.hung.add("/cam")
-    outcome = run(chain, "stats --json")
-    assert outcome.code == 1
-    assert outcome.json["silent"] == ["/cam"]
-    assert [each["nodelet"] for each in outcome.json["nodelets"]] == ["/robot/relay"]
-    assert "did not answer" in outcome.err
-    assert run(chain, "stats nobody").code == 1
-
-
-def test_stats_of_a_nodelet_without_ports_and_proxy(chain):
-    chain.world.host.sources["pkg/Plain"] = []
-    chain.add_transformation(
-        "<transformation><label>plain</label><source>pkg/Plain</source></transformation>"
-    )
-    chain.spawn("plain", "/plain")
-    chain.hung.add("/plain")
-    outcome = run(chain, "stats")
-    assert outcome.code == 0
-    assert outcome.lines[2].split() == ["/plain", "(no", "ports)", "-"]
-    answer = run(chain, "stats --json").json
-    assert answer["silent"] == []
-    assert "/plain" not in [each["nodelet"] for each in answer["nodelets"]]
+    monkeypatch.setattr(chain, "connect", refuse)
+    outcome = run(chain, f"spawn relay r {option} --connect out:/robot/relay:in")
+    assert outcome == Outcome(1, "", "dyknow: cannot connect: topic '/r/out' is denied\n")
+    assert chain.get_graph().nodelet("/r") is None
 
 
 def test_stats_are_watched_until_the_count(chain):

@@ -13,7 +13,7 @@ import pytest
 from unit.cli.fake_client import FakeClient, play, run
 from unit.manager.world import World
 
-from dyknow.cli.host_table import host_table
+from dyknow.cli.output import host_table
 from dyknow.model.hosts import ClockOffset, HostStatus, Machine
 
 ROVER = "/rover_manager"

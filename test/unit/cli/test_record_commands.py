@@ -5,22 +5,15 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
-from unit.cli import fake_client
+from unit.cli.fake_client import Outcome, run
 
 from dyknow.errors import Refused
 from dyknow.nodelets.recording import KeptMessage, write_bag
 
 DETAIL = "its process is gone"
 ACTIVE, RECOVERING = StreamStatus.ACTIVE, StreamStatus.RECOVERING
-
-
-def run(client, line):
-    outcome = fake_client.run(client, line)
-    return outcome.code, outcome.out, outcome.err
 
 
 def event(claim, before, after, reason, *nodelets):
@@ -61,9 +54,9 @@ def bag(tmp_path):
 
 def test_why_tells_the_story_of_a_claim(client, bag):
     client.boxes["/box"] = bag
-    code, out, _ = run(client, "why c1")
-    assert code == 0
-    assert [line.split(maxsplit=1)[1] for line in out.splitlines()] == [
+    told = run(client, "why c1")
+    assert told.code == 0
+    assert [line.split(maxsplit=1)[1] for line in told.lines] == [
         "/close   verdict true: distance = 0.9",
         "/camera  is lost: its process is gone",
         "c1       Ball(x) active → recovering: /camera died",
@@ -72,31 +65,50 @@ def test_why_tells_the_story_of_a_claim(client, bag):
         "c1       Ball(x) recovering → active: mended: ceiling instead",
         bag,
     ]
-    found = json.loads(run(client, f"why c2 --bag {bag} --json")[1])
+    found = run(client, f"why c2 --bag {bag} --json").json
     assert {each["subject"] for each in found["moments"]} == {"/close", "/other", "c2"}
     assert found["moments"][0]["when"] == pytest.approx(11.5)
-    subjects = {each["subject"] for each in json.loads(run(client, "why --json")[1])["moments"]}
+    subjects = {each["subject"] for each in run(client, "why --json").json["moments"]}
     assert subjects == {"/close", "/camera", "/other", "c1", "c2"}
 
 
 def test_why_says_what_a_bag_does_not_have(client, bag, tmp_path):
-    code, _, err = run(client, f"why c3 --bag {bag}")
-    assert (code, "has no event of claim 'c3'; it has c1, c2" in err) == (1, True)
     (tmp_path / "no.bag").write_text("nothing")
-    for name in ("no.bag", "gone.bag"):
-        code, _, err = run(client, f"why c1 --bag {tmp_path / name}")
-        assert (code, f"{name}' cannot be read" in err) == (1, True)
+    for claim, path, said in (
+        ("c3", bag, "has no event of claim 'c3'; it has c1, c2"),
+        ("c1", tmp_path / "no.bag", "no.bag' cannot be read"),
+        ("c1", tmp_path / "gone.bag", "gone.bag' cannot be read"),
+    ):
+        told = run(client, f"why {claim} --bag {path}")
+        assert (told.code, said in told.err) == (1, True)
 
 
 def test_record_writes_the_bags_of_all_or_of_some(client):
     refused = "'/b' writes no bag: disk full"
     client.boxes = {"/a": "/bags/a.bag", "/b": Refused(refused)}
-    assert run(client, "record") == (1, "wrote /bags/a.bag\n", f"dyknow: {refused}\n")
-    assert run(client, "record a") == (0, "wrote /bags/a.bag\n", "")
+    assert run(client, "record") == Outcome(1, "wrote /bags/a.bag\n", f"dyknow: {refused}\n")
+    assert run(client, "record a") == Outcome(0, "wrote /bags/a.bag\n", "")
+
+
+def test_a_black_box_is_started_for_some_topics_or_for_none(client):
+    client.host.sources["dyknow/BlackBox"] = ()
+    for topics, kept in (("'/camera/*' /odom", ["/camera/*", "/odom"]), ("", [])):
+        said = "spawned /black_box from black box in /fake_0\n"
+        assert run(client, f"record --black-box {topics}") == Outcome(0, said, "")
+        assert client.world.host.parameters["/black_box/topics"] == kept
+        assert client.world.host.parameters["/black_box/manager"] == client.manager
+        client.destroy("/black_box")
+    assert [call for call, _ in client.calls].count("add_transformation") == 1
+
+
+def test_a_black_box_is_started_without_a_name(client, capsys):
+    with pytest.raises(SystemExit):
+        run(client, "record box --black-box")
+    assert "expected it without names" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["record", "why"])
 def test_without_a_black_box_the_way_to_one_is_named(client, command):
-    code, _, err = run(client, command)
-    assert code == 1
-    assert "no black box runs; load one: rosrun dyknow nodelet load dyknow/BlackBox" in err
+    told = run(client, command)
+    assert told.code == 1
+    assert "no black box runs; start one: dyknow record --black-box '/camera/*'" in told.err

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import pytest
 from unit.cli.fake_client import play, run
-from unit.manager.world import LIBRARY
 
 from dyknow.cli.shell import UNREACHABLE
 from dyknow.errors import ManagerUnreachable
+from dyknow.model.graph import Restarted
 
 #: With a camera, and a protected relay behind it.
 SESSIONS = {
@@ -61,30 +61,29 @@ def test_what_is_wrong_in_the_line_is_named(chain, capsys, line, problem):
     assert problem in capsys.readouterr().err
 
 
-def make_outdated(client):
-    client.core.add_transformation(LIBRARY.replace(">30<", ">10<"))
-    client.core.look()
+def test_a_watched_nodelet_that_stays_outdated_is_restarted_once(chain, monkeypatch):
+    """A shared nodelet in C++ runs its old library until its nodelet manager ends."""
+    chain.host.code["pkg/Camera"] = "1"
+    chain.core.restart("cam")
+    chain.host.code["pkg/Camera"] = "2"
+    looks, restarted = [1, 2, 3], []
 
+    def wait(condition):
+        if not looks:
+            raise ManagerUnreachable("the manager is gone")
+        looks.pop()
+        chain.core.look()
+        model = chain.get_graph()
+        return model if condition(model) else None
 
-def test_what_is_outdated_is_shown_and_restarted(chain):
-    make_outdated(chain)
-    why = "its specification changed since it was loaded"
-    assert f"/cam: outdated: {why}" in run(chain, "list -l").lines
-    assert "running,outdated" in run(chain, "list -l").out
-    assert f"State: running (outdated: {why})" in run(chain, "info cam").lines
-    (cam,) = run(chain, "info cam --json").json["nodelets"]
-    assert (cam["state"], cam["outdated"]) == ("running", why)
-    done = run(chain, "restart --all-outdated --json").json
-    assert done == {"restarted": ["/cam"], "failed": []}
-    assert run(chain, "restart --all-outdated --json").json == {"restarted": [], "failed": []}
+    def restart(name):
+        restarted.append(name)
+        return Restarted((name,), "it is still outdated")
 
-
-def test_a_nodelet_that_reads_its_parameters_at_once(chain):
-    chain.host.reconfigurable.add("/cam")
-    chain.calls.clear()
-    done = run(chain, "set cam rate 5 --restart --json").json
-    assert done == {"nodelet": "/cam", "name": "rate", "value": "5", "is_read": True}
-    assert chain.calls == [("set_parameter", "/cam")]
+    monkeypatch.setattr(chain, "wait_for_model", wait)
+    monkeypatch.setattr(chain, "restart", restart)
+    run(chain, "restart --watch cam")
+    assert restarted == ["/cam"]
 
 
 def test_what_is_watched_is_restarted_once_for_each_change(chain, monkeypatch):

@@ -68,14 +68,6 @@ def test_programs_that_cannot_be_made_rewirable(tmp_path, text, why):
     assert obstacle(sys.executable) == ""
 
 
-def test_a_python_script_is_run_by_our_host(tmp_path):
-    script = tmp_path / "script"
-    script.write_text(f"#!/usr/bin/env python3\n{SHOW}")
-    script.chmod(0o755)
-    answer = run(str(script), "a", tmp_path=tmp_path)
-    assert answer == "7  ['a']\n"
-
-
 def test_without_the_library_a_program_runs_as_it_is(tmp_path):
     answer = run(sys.executable, "-c", SHOW, library=False, tmp_path=tmp_path)
     assert "runs as it is: libdyknow_roscpp.so is not there" in answer

@@ -83,6 +83,31 @@ $ replan nonesuch
 dyknow: ...
 [1]
 """,
+    "quantifiers": """
+$ holds 'every ?c: Camera (battery.data > 1)' --bag no.bag
+dyknow: a bag has no individuals ?c: expected a formula without 'every' and 'some', or live streams
+[1]
+$ holds 'every ?c (battery.data > 1)'
+dyknow: the port 'battery' has a stream for each individual: give its tag, as ...
+[1]
+$ holds 'every ?c (battery.data > 1)' --port 'battery=Battery(?x)'
+dyknow: the tag Battery(?x) of the port 'battery' has the variable ?x; ...the quantifier's, ?c
+[1]
+$ holds 'every ?c (battery.data > 1)' --port 'battery=Battery(nao)'
+dyknow: the tag Battery(nao) of the port 'battery' has no variable; ...the quantifier's, ?c
+[1]
+$ holds 'every ?c: Camera (image)' --port 'image=Image(?c: Lidar)'
+dyknow: ...?c with the concept Lidar; expected the quantifier's, Camera
+[1]
+$ holds 'every ?c (image) and some ?d (image)' --port 'image=Image(?c)'
+dyknow: formula, line 1, column 22: the port 'image' has a stream for each ?c...
+...
+[1]
+$ holds 'every ?c (image) and image' --port 'image=Image(?c)'
+dyknow: formula, line 1, column 1: ?c has no individuals...
+...
+[1]
+""",
 }
 
 

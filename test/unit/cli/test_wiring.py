@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from specification_strategies import labels, texts, transformations
+from unit.cli.fake_client import cases
 
 from dyknow.errors import SpecificationError
 from dyknow.model.graph import SpawnRequest
@@ -17,8 +18,12 @@ from dyknow.wiring.wiring import Wiring, read_wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
 ports = st.sampled_from(["in", "~image", "/a/b", "x<&'\"y", "é"])
+blanks = st.text(" \t\r\n", max_size=2)
 parameters = st.builds(
-    Parameter, st.sampled_from(["rate", "?camera"]), st.sampled_from(["", "string"]), texts
+    Parameter,
+    st.sampled_from(["rate", "?camera"]),
+    st.sampled_from(["", "string"]),
+    st.builds("{}{}{}".format, blanks, texts, blanks),
 )
 nodelets = st.builds(
     SpawnRequest,
@@ -51,51 +56,31 @@ def test_reading_gives_back_what_was_written(wiring: Wiring) -> None:
     assert again.to_xml() == text
 
 
-def problems(text: str | bytes) -> list[str]:
-    data = text if isinstance(text, bytes) else text.encode("utf-8")
-    with pytest.raises(SpecificationError) as refused:
-        read_wiring(data, "w.xml")
-    return [str(problem) for problem in refused.value.problems]
+#: What is no wiring, and what is said of its first line; WIRING is the beginning of one.
+NO_WIRINGS = r"""
+ | no element found at column 1; expected well-formed XML
+<wiring | unclosed token
+<other/> | unexpected <other> as the root; expected <wiring>
+<wiring/> | <wiring> has no attribute version; expected one, '1'
+<wiring version="2"/> | <wiring version="2">: expected '1'
+WIRING\xff</wiring> | the byte 0xff is not UTF-8; expected UTF-8
+<!DOCTYPE wiring [<!ENTITY a "b">]>WIRING</wiring> | a DOCTYPE is refused; expected <wiring> alone
+WIRING<node/></wiring> | unexpected <node> in <wiring>; expected <nodelets> or <transformations>
+WIRING<nodelets/><nodelets/></wiring> | a second <nodelets>; expected one
+WIRING!</wiring> | text '!' directly in <wiring>; expected <nodelets> or <transformations>
+"""
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "w.xml:1: no element found at column 1; expected well-formed XML"),
-        ("<wiring", "w.xml:1: unclosed token"),
-        ("<other/>", "w.xml:1: unexpected <other> as the root; expected <wiring>"),
-        ("<wiring/>", "w.xml:1: <wiring> has no attribute version; expected one, '1'"),
-        ('<wiring version="2"/>', "w.xml:1: <wiring version=\"2\">: expected '1'"),
-        (
-            b'<wiring version="1">\xff</wiring>',
-            "w.xml:1: the byte 0xff is not UTF-8; expected UTF-8",
-        ),
-        (
-            '<!DOCTYPE wiring [<!ENTITY a "b">]><wiring version="1"/>',
-            "w.xml:1: a DOCTYPE is refused; expected <wiring> alone",
-        ),
-        (
-            '<wiring version="1"><node/></wiring>',
-            "w.xml:1: unexpected <node> in <wiring>; expected <nodelets> or <transformations>",
-        ),
-        (
-            '<wiring version="1"><nodelets/><nodelets/></wiring>',
-            "w.xml:1: a second <nodelets>; expected one",
-        ),
-        (
-            '<wiring version="1">text</wiring>',
-            "w.xml:1: text 'text' directly in <wiring>; expected <nodelets> or <transformations>",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), cases(NO_WIRINGS))
 def test_what_is_no_wiring_is_refused(text: str, said: str) -> None:
-    found = problems(text)
-    assert any(problem.startswith(said) for problem in found), found
+    data = text.replace("WIRING", '<wiring version="1">').encode()
+    with pytest.raises(SpecificationError) as refused:
+        read_wiring(data.replace(rb"\xff", b"\xff"), "w.xml")
+    found = list(map(str, refused.value.problems))
+    assert any(problem.startswith(f"w.xml:1: {said}") for problem in found), found
 
 
-def test_every_problem_is_told_with_its_line() -> None:
-    found = problems(
-        """<wiring version="1">
+BROKEN = """<wiring version="1">
 <transformations>
   <transformation>
     <label>a</label>
@@ -112,7 +97,12 @@ def test_every_problem_is_told_with_its_line() -> None:
   <nodelet name="/b" transformation="t"><what><ever/></what></nodelet>
 </nodelets>
 </wiring>"""
-    )
+
+
+def test_every_problem_is_told_with_its_line() -> None:
+    with pytest.raises(SpecificationError) as refused:
+        read_wiring(BROKEN.encode(), "w.xml")
+    found = list(map(str, refused.value.problems))
     lines = [int(problem.split(":")[1]) for problem in found]
     assert lines == sorted(lines)
     text = "\n".join(found)

@@ -51,25 +51,15 @@ def test_the_page_tells_the_numbers_of_the_files():
 
 
 #: Lines of the nodelet that search and replace does not give.
+INIT = ["    def on_init(self):", "        self.nh = dyknow.NodeHandle(self.node_handle)"]
 BY_HAND = {
-    "ball finder": [
-        "import dyknow",
-        "class BallFinder(dyknow.Nodelet):",
-        "    def on_init(self):",
-        "        self.nh = dyknow.NodeHandle(self.node_handle)",
-    ],
-    "ball bearing": [
-        "import dyknow",
-        "class BallBearing(dyknow.Nodelet):",
-        "    def on_init(self):",
-        "        self.nh = dyknow.NodeHandle(self.node_handle)",
-    ],
+    "ball finder": ["import dyknow", "class BallFinder(dyknow.Nodelet):", *INIT],
+    "ball bearing": ["import dyknow", "class BallBearing(dyknow.Nodelet):", *INIT],
     "velocity guard": [
         "import copy",
         "import dyknow",
         "class VelocityGuard(dyknow.Nodelet):",
-        "    def on_init(self):",
-        "        self.nh = dyknow.NodeHandle(self.node_handle)",
+        *INIT,
         '        period = self.nh.Duration(1.0 / self.nh.get_param("~rate", 20))',
         "        self.timer = self.nh.Timer(period, self.step)",
         "        command = copy.deepcopy(command)",

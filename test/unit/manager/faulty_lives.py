@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Callable, List, Sequence
 
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from unit.manager.field import Field, counted_ids
 
 from dyknow.errors import DyKnowError
@@ -49,18 +49,24 @@ class FaultyLife(RuleBasedStateMachine):
         host.fail = lambda operation, argument: None
         host.silent.clear()
         host.slow.clear()
-        for manager in list(host.processes):
+        for manager in filter(host.is_hung, list(host.processes)):
             host.wake(manager)
+            self.after_hang()
 
     def holds(self) -> None:
         """Called after each step: check what must hold."""
         raise NotImplementedError
+
+    @invariant()
+    def holds_for_claims(self) -> None:
+        self.field.check_claims()
 
     def relive(self, *steps: Sequence[Any]) -> None:
         """Take steps, each a rule and the values that it is called with, and end."""
         for name, *values in steps:
             getattr(self, name)(*values)
             self.holds()
+            self.holds_for_claims()
         self.teardown()
 
     def close(self) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 from unittest import mock
 
@@ -72,17 +73,12 @@ FIRST_MESSAGE = "its first message has come"
 
 def transformation(label: str, source: str, ports: str, tags: str, cost: int = 1) -> str:
     """Write a specification: ports as ``in NAME`` or ``out NAME``, tags as ``NAME Tag(x)``."""
-    lines = [
-        f'<transformation cost="{cost}"><label>{label}</label><source>{source}</source><ports>'
-    ]
-    for port in ports.split(","):
-        direction, name = port.split()
-        lines.append(f'<port type="{direction}">{name}</port>')
-    lines.append("</ports><tags>")
+    ways = (port.split() for port in ports.split(","))
+    named: Dict[str, Tuple[str, List[str]]] = {name: (way, []) for way, name in ways}
     for tag in tags.split(";"):
         name, term = tag.split(maxsplit=1)
-        lines.append(f'<tag port="{name}">{term}</tag>')
-    return "".join([*lines, "</tags></transformation>"])
+        named[name][1].append(term)
+    return specification(label, source, named, cost)
 
 
 def specification(
@@ -90,15 +86,13 @@ def specification(
     source: str,
     ports: Mapping[str, Tuple[str, Sequence[str]]],
     cost: int,
-    datatype: str,
+    datatype: str = "",
 ) -> str:
     """Write a specification: for each port its direction and its tags."""
+    carried = f' datatype="{datatype}"' if datatype else ""
     lines = [f'<transformation cost="{cost}"><label>{label}</label><source>{source}</source>']
     lines.append("<ports>")
-    lines += [
-        f'<port type="{way}" datatype="{datatype}">{name}</port>'
-        for name, (way, _) in ports.items()
-    ]
+    lines += [f'<port type="{way}"{carried}>{name}</port>' for name, (way, _) in ports.items()]
     lines.append("</ports><tags>")
     for name, (_, tags) in ports.items():
         lines += [f'<tag port="{name}">{tag}</tag>' for tag in tags]
@@ -131,6 +125,8 @@ class Field:
         self.path = path
         self.by_hand: Dict[str, bool] = {}
         self.moving: set[str] = set()
+        self.ended: set[str] = set()
+        self.claim_topics: Dict[str, str] = {}
         self.open()
         if library:
             self.manager.add_transformation(library)
@@ -217,11 +213,34 @@ class Field:
                     topic = f"{name}/disconnected/{port.name}"
                 assert topic == port.topic
         assert set(self.by_hand) <= set(records), "nothing that was made by hand is removed"
+        owners = {key.rpartition("/")[0] for key in self.host.parameters}
+        assert owners <= set(records), "no parameter is left behind"
+        self.check_claims()
         for claim in self.living():
-            assert claim.state is ClaimState.ACTIVE or claim.detail, "a reason is given"
             if claim.state is ClaimState.ACTIVE and claim.goal[0]:
                 publishers = self.host.publishers(claim.topic)
                 assert publishers == [claim.goal[0]], "one publisher on a claimed topic"
+
+    def check_claims(self) -> None:
+        """Check what is written, told and used of claims, whatever state they are in."""
+        made = {each.name: each.label for each in self.manager.graph.all() if each.claimed}
+        living = {claim.claim_id for claim in self.living()}
+        assert set(self.store.read("claims", lambda key, text: text)) == living
+        assert not self.ended & living, "what has ended stays ended"
+        self.ended |= {claim.claim_id for claim in self.reconciler.claims()} - living
+        last: Dict[str, Claim] = {}
+        for event in self.events:
+            known = last.get(event.after.claim_id)
+            if known is not None:
+                assert replace(event.before, deadline=known.deadline) == known, event.reason
+            last[event.after.claim_id] = event.after
+        for claim in self.living():
+            parts = {made.get(name, "") for name in claim.nodelets}
+            assert not parts & set(claim.request.exclude), "nothing excluded is made for it"
+            assert claim.state is ClaimState.ACTIVE or claim.detail, "a reason is given"
+            if claim.topic:
+                topic = self.claim_topics.setdefault(claim.claim_id, claim.topic)
+                assert claim.topic == topic, "its client listens where it did"
 
     # What is there
 
@@ -233,6 +252,12 @@ class Field:
 
     def state(self, claim_id: str) -> ClaimState:
         return self.claim(claim_id).state
+
+    def check_flows(self, *claims: Claim) -> None:
+        """Each claim is whole, and its client listens where it did."""
+        for claim in claims:
+            assert self.state(claim.claim_id) is ClaimState.ACTIVE, self.reasons()
+            assert self.claim(claim.claim_id).topic == claim.topic in self.moving
 
     def labels(self) -> List[str]:
         return sorted(record.label for record in self.manager.graph.all())

@@ -18,7 +18,6 @@ from typing import Any, Callable, Dict, Optional, Tuple, cast
 import pytest
 from unit.manager.faulty_lives import counted_ids
 from unit.manager.field import LIBRARY, SOURCES, Field
-from unit.manager.mortal import ON_DISK, ON_HOST, Killed, Life, Mortal
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.claims.reconciler import open_reconciler
@@ -27,6 +26,62 @@ from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
+
+#: What a manager changes through its host, and what it writes to its store.
+ON_HOST = ("ensure", "retire", "renew", "load", "unload", "forget", "connect", "set_parameter")
+ON_DISK = ("write", "write_later", "write_pending", "end")
+
+
+class Killed(BaseException):
+    """The manager is killed here; nothing that it does from now on has an effect."""
+
+
+class Life:
+    """One life of a manager, which ends at a moment; there are two for each effect.
+
+    Attributes:
+        moments: how many have gone by.
+        end: the moment at which it ends; None for never.
+    """
+
+    def __init__(self, end: Optional[int] = None) -> None:
+        self.moments = 0
+        self.end = end
+
+    def go_on(self) -> None:
+        """Raise if this life has ended."""
+        if self.end is not None and self.moments >= self.end:
+            raise Killed
+
+    def pass_moment(self) -> None:
+        self.moments += 1
+        self.go_on()
+
+
+class Mortal:
+    """Stands for a host or a store as long as a life goes on."""
+
+    def __init__(self, real: object, life: Life, effects: Tuple[str, ...]) -> None:
+        self._real = real
+        self._life = life
+        self._effects = effects
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._real, name)
+        if not callable(found):
+            return found
+
+        def call(*args: Any, **kwds: Any) -> Any:
+            self._life.go_on()
+            if name in self._effects:
+                self._life.pass_moment()
+            result = found(*args, **kwds)
+            if name in self._effects:
+                self._life.pass_moment()
+            return result
+
+        return call
+
 
 IMAGE = "sensor_msgs/Image"
 #: Label, and whether it gets a process of its own.
@@ -81,8 +136,14 @@ class Lives(Field):
         mortal = cast(Store, Mortal(store, self.life, ON_DISK))
         host: Any = Mortal(self.host, self.life, ON_HOST)
         library = Library(mortal, self.ontology)
+        self.events = []
         self.reconciler = open_reconciler(
-            host, mortal, library, clock=self.clock, sleep=self.sleep
+            host,
+            mortal,
+            library,
+            clock=self.clock,
+            sleep=self.sleep,
+            on_event=self.events.append,
         )
         self.manager = self.reconciler.manager
         self.manager.start()

@@ -6,18 +6,18 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import random
-from pathlib import Path
-from typing import List
+from typing import Any, List, Optional
 
 import pytest
-from unit.manager.field import LIBRARY, POINT, Field, specification, transformation
+from unit.manager.field import IMAGE, LIBRARY, POINT, Field, specification, transformation
 
-from dyknow.errors import BadParameter, NoPlanFound
+from dyknow.errors import BadParameter, InvalidParameters, NoPlanFound, UnknownTransformation
 from dyknow.manager.claims.claim_planner import OwnNodelet, assigned
 from dyknow.manager.planning.problem import Action, Demand, Instance, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import ClaimState, StreamRequest
 
 # A plan is cheaper only if all claims together cost less
 
@@ -189,13 +189,6 @@ def test_what_is_both_preferred_and_avoided_is_refused(field: Field) -> None:
         field.acquire(prefer=("x", "y"), avoid=("x",))
 
 
-def test_wishes_are_kept_over_a_restart(tmp_path: Path) -> None:
-    field = Field(str(tmp_path / "state.db"))
-    claim = field.acquire(prefer=("ceiling camera",), avoid=("x",)).claim
-    field.kill_manager()
-    assert field.claim(claim.claim_id).request == claim.request
-
-
 # Which nodelet is used for which step of a plan
 
 
@@ -210,23 +203,34 @@ def plan(*instances: Instance) -> Plan:
     return Plan(demand, New(label, "out", bindings), tuple(steps), len(steps))
 
 
-def test_each_nodelet_is_used_once_and_the_preferred_one_first() -> None:
-    own = [OwnNodelet("/b", "t"), OwnNodelet("/a", "t"), OwnNodelet("/u", "u")]
-    assert assigned(plan(("t", LEFT)), own, NO_ONTOLOGY) == {("t", LEFT): "/b"}
-    both = plan(("t", LEFT), ("t", RIGHT), ("v", ()))
-    assert assigned(both, own, NO_ONTOLOGY) == {("t", LEFT): "/b", ("t", RIGHT): "/a"}
+FREE = [OwnNodelet("/b", "t"), OwnNodelet("/a", "t"), OwnNodelet("/u", "u")]
+BOUND = [OwnNodelet("/r", "t", RIGHT, RIGHT), OwnNodelet("/l", "t", LEFT, LEFT)]
+KEPT = [OwnNodelet("/r", "t", (), RIGHT), OwnNodelet("/new", "t")]
+MOVED = [OwnNodelet("/any", "t", (), LEFT), OwnNodelet("/l", "t", LEFT, LEFT)]
 
 
-def test_what_is_kept_has_to_be_what_the_plan_needs() -> None:
-    own = [OwnNodelet("/r", "t", RIGHT, RIGHT), OwnNodelet("/l", "t", LEFT, LEFT)]
-    assert assigned(plan(("t", LEFT)), own, NO_ONTOLOGY) == {("t", LEFT): "/l"}
-    assert assigned(plan(("t", (("?c", "up"),))), own, NO_ONTOLOGY) == {}
-
-
-def test_a_nodelet_that_need_not_change_is_not_taken_for_another_step() -> None:
-    own = [OwnNodelet("/r", "t", (), RIGHT), OwnNodelet("/new", "t")]
-    found = assigned(plan(("t", LEFT), ("t", RIGHT)), own, NO_ONTOLOGY)
-    assert found == {("t", RIGHT): "/r", ("t", LEFT): "/new"}
+@pytest.mark.parametrize(
+    ("own", "needed", "expected"),
+    [
+        # Each is used once, the preferred one first.
+        (FREE, [("t", LEFT)], ["/b"]),
+        (FREE, [("t", LEFT), ("t", RIGHT), ("v", ())], ["/b", "/a", None]),
+        # What is kept has to be what the plan needs.
+        (BOUND, [("t", LEFT)], ["/l"]),
+        (BOUND, [("t", (("?c", "up"),))], [None]),
+        # One that need not change is not taken for another step.
+        (KEPT, [("t", LEFT), ("t", RIGHT)], ["/new", "/r"]),
+        # But it is taken rather than that a new one is made.
+        (MOVED, [("t", LEFT), ("t", RIGHT)], ["/l", "/any"]),
+        (MOVED, [("t", RIGHT), ("t", LEFT)], ["/any", "/l"]),
+    ],
+)
+def test_nodelets_are_used_again(
+    own: List[OwnNodelet], needed: List[Instance], expected: List[Optional[str]]
+) -> None:
+    found = assigned(plan(*needed), own, NO_ONTOLOGY)
+    assert [found.get(each) for each in needed] == expected
+    assert set(found) <= set(needed)
 
 
 def test_names_of_one_individual_are_the_same() -> None:
@@ -239,3 +243,139 @@ def test_names_of_one_individual_are_the_same() -> None:
 
     own = [OwnNodelet("/l", "t", (("?c", "urn:x/left"),))]
     assert assigned(plan(("t", LEFT)), own, Names()) == {("t", LEFT): "/l"}
+
+
+# Several nodelets of one transformation, each for one camera
+
+SIDE = '<params><param name="side" type="string">${?c}</param></params>'
+RECTIFY = transformation(
+    "rectify", "test/Rectify", "in raw,out rect", "raw Raw(?c);rect Rect(?c)", 10
+).replace("<ports>", f"{SIDE}<ports>")
+
+
+def camera(side: str) -> str:
+    return transformation(f"camera {side}", "test/Camera", "out image", f"image Raw({side})")
+
+
+def other(side: str) -> str:
+    """What makes rectified images without ``RECTIFY``, and costs less than it."""
+    return transformation(f"other {side}", "test/Camera", "out image", f"image Rect({side})", 7)
+
+
+STEREO = transformation(
+    "stereo",
+    "test/Stereo",
+    "in left,in right,out out",
+    "left Rect(left);right Rect(right);out Depth(field)",
+)
+
+
+@pytest.fixture
+def cameras(field: Field) -> Field:
+    field.host.sources["test/Camera"] = [("image", "out", IMAGE)]
+    field.host.sources["test/Rectify"] = [("raw", "in", IMAGE), ("rect", "out", IMAGE)]
+    sides = [("left", "in", IMAGE), ("right", "in", IMAGE)]
+    field.host.sources["test/Stereo"] = [*sides, ("out", "out", IMAGE)]
+    for text in (RECTIFY, STEREO, *map(camera, SIDES)):
+        field.manager.add_transformation(text)
+    return field
+
+
+SIDES = ("left", "right")
+
+
+def test_whichever_of_the_idle_nodelets_fits_costs_nothing(cameras: Field) -> None:
+    claims = [cameras.acquire(f"Rect({side})").claim for side in SIDES]
+    cameras.settle()
+    for side, claim in zip(SIDES, claims):
+        cameras.manager.add_transformation(other(side))
+        cameras.reconciler.release(claim.claim_id)
+    cameras.tick()
+    for side, claim in zip(SIDES, claims):
+        got = cameras.reconciler.acquire(StreamRequest(f"Rect({side})"), dry_run=True)
+        assert got.plan is not None
+        assert (got.plan.cost, got.plan.least_cost, got.spawned) == (0, 0, ())
+        assert got.reused == claim.nodelets
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_what_is_healthy_on_the_other_side_stays(cameras: Field, side: str) -> None:
+    claim = cameras.acquire("Depth(field)").claim
+    cameras.settle()
+    for each in SIDES:
+        cameras.manager.add_transformation(other(each))
+    cameras.manager.destroy(f"/camera_{side}_1")
+    cameras.settle(5.0)
+    assert cameras.state(claim.claim_id) is ClaimState.ACTIVE
+    kept = set(claim.nodelets) - {f"/camera_{side}_1"}
+    assert set(cameras.claim(claim.claim_id).nodelets) == kept | {f"/camera_{side}_2"}
+
+
+# The library changes while a plan is made: another client has no part in the lock of the claims
+
+
+@pytest.mark.parametrize("label", ["bottom camera", "detector", "localization"])
+@pytest.mark.parametrize("read", ["own", "_saved", "situation", "_searched", "transformations"])
+def test_what_is_removed_while_plans_are_compared(
+    field: Field, monkeypatch: pytest.MonkeyPatch, read: str, label: str
+) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    planner = field.reconciler._planner
+    method = getattr(planner, read)
+
+    def removing(*args: Any, **kwds: Any) -> Any:
+        found = method(*args, **kwds)
+        if label in field.manager.library:
+            field.manager.remove_transformation(label)
+        return found
+
+    monkeypatch.setattr(planner, read, removing)
+    with contextlib.suppress(NoPlanFound):
+        field.reconciler.replan(claim.claim_id, dry_run=True)
+    assert label not in field.manager.library
+    field.manager.add_transformation(LIBRARY)
+    field.settle()
+    assert label not in field.manager.library, "a round compares too"
+    monkeypatch.undo()
+    field.manager.add_transformation(LIBRARY)
+    field.settle(10.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_what_is_replaced_each_time_before_a_plan_is_used(
+    cameras: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third plan is used as it is, with a variable that is gone."""
+    planner = cameras.reconciler._planner
+    searched, texts = planner._searched, itertools.cycle([RECTIFY.replace("?c", "?d"), RECTIFY])
+
+    def replacing(situation: Any) -> Any:
+        found = searched(situation)
+        cameras.manager.add_transformation(next(texts))
+        return found
+
+    monkeypatch.setattr(planner, "_searched", replacing)
+    with pytest.raises(InvalidParameters, match="nothing says what"):
+        cameras.acquire("Rect(left)")
+    cameras.tidy()
+    assert cameras.labels() == [], "nothing is left of it"
+
+
+def test_a_topic_that_is_no_topic_any_more_when_the_plan_is_used(
+    field: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    repair = field.reconciler._repair
+    make = repair.make
+
+    def replacing(*args: Any, **kwds: Any) -> Any:
+        field.manager.add_transformation(
+            "<transformation><label>joints</label><source>soccer/Camera</source></transformation>"
+        )
+        return make(*args, **kwds)
+
+    monkeypatch.setattr(repair, "make", replacing)
+    with pytest.raises(UnknownTransformation, match="joints"):
+        field.acquire()
+    field.tidy()
+    assert field.labels() == [], "nothing is left of it"

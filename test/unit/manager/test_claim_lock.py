@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, Dict, List, Optional
 
 import pytest
 from unit.manager.field import GOAL, LINGER, Field, transformation
 
-from dyknow.errors import DyKnowError, HostError
+from dyknow.errors import DyKnowError, HostError, NoPlanFound
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.claim_table import ClaimLock
 from dyknow.manager.planning.planner import Planner
@@ -54,26 +54,6 @@ def test_a_stream_is_mended_while_another_one_is_being_made(field: Field) -> Non
     assert field.labels() == ["bottom camera", "detector", "localization", "subsampler"]
 
 
-def test_a_lost_part_that_is_being_made_for_another_stream_gets_a_name_of_its_own(
-    field: Field,
-) -> None:
-    field.manager.remove_transformation("bottom camera")
-    first = field.acquire("YUV(field)").claim
-
-    def lose_it() -> None:
-        field.destroy_by_hand("/ceiling_camera_1")
-        field.tick()
-        assert field.state(first.claim_id) is ClaimState.ACTIVE
-
-    field.manager.add_transformation(
-        transformation("second view", "soccer/Ceiling", "out image", "image Planes(field)")
-    )
-    done = meanwhile(field, "/second_view_1", lose_it)
-    field.acquire("Planes(field)", exclude=("subsampler",))
-    assert done
-    field.tidy()
-
-
 @pytest.mark.parametrize("is_idle", [False, True])
 def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) -> None:
     """Neither those that it has made so far, nor an idle one that it counts on."""
@@ -95,28 +75,6 @@ def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) ->
     assert ("/bottom_camera_1" in acquired.reused) is is_idle
     field.settle()
     assert acquired.claim.topic in field.moving
-
-
-def test_a_request_that_fails_leaves_what_a_mended_stream_uses_by_now(field: Field) -> None:
-    planes = field.acquire("Planes(field)").claim
-
-    def lose_the_camera() -> None:
-        field.manager.remove_transformation("bottom camera")
-        field.destroy_by_hand("/bottom_camera_1")
-        field.tick()
-        assert field.state(planes.claim_id) is ClaimState.ACTIVE
-        assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
-        raise HostError("the localization does not start")
-
-    done = meanwhile(field, "/localization_1", lose_the_camera)
-    with pytest.raises(DyKnowError, match="does not start"):
-        field.acquire(GOAL, exclude=("bottom camera",))
-    assert done
-    field.settle()
-    assert planes.topic in field.moving
-    assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
-    field.tidy()
-    assert not {"detector", "localization"} & set(field.labels())
 
 
 def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
@@ -167,24 +125,46 @@ def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
     assert len(field.living()) == 1
 
 
-def test_a_round_lets_nobody_pass() -> None:
-    claim_lock = ClaimLock()
-    order: List[str] = []
+def test_a_lost_part_that_is_being_made_for_another_stream_gets_a_name_of_its_own(
+    field: Field,
+) -> None:
+    field.manager.remove_transformation("bottom camera")
+    first = field.acquire("YUV(field)").claim
 
-    def ask() -> None:
-        with claim_lock.request():
-            order.append("request")
+    def lose_it() -> None:
+        field.destroy_by_hand("/ceiling_camera_1")
+        field.tick()
+        assert field.state(first.claim_id) is ClaimState.ACTIVE
 
-    thread = threading.Thread(target=ask)
-    with claim_lock.round():
-        claim_lock.reserve(["/nodelet"])
-        assert not claim_lock.reserved
-        thread.start()
-        with claim_lock.pause():
-            thread.join(0.05)
-            order.append("round")
-    thread.join(10.0)
-    assert order == ["round", "request"]
+    field.manager.add_transformation(
+        transformation("second view", "soccer/Ceiling", "out image", "image Planes(field)")
+    )
+    done = meanwhile(field, "/second_view_1", lose_it)
+    field.acquire("Planes(field)", exclude=("subsampler",))
+    assert done
+    field.tidy()
+
+
+def test_a_request_that_fails_leaves_what_a_mended_stream_uses_by_now(field: Field) -> None:
+    planes = field.acquire("Planes(field)").claim
+
+    def lose_the_camera() -> None:
+        field.manager.remove_transformation("bottom camera")
+        field.destroy_by_hand("/bottom_camera_1")
+        field.tick()
+        assert field.state(planes.claim_id) is ClaimState.ACTIVE
+        assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
+        raise HostError("the localization does not start")
+
+    done = meanwhile(field, "/localization_1", lose_the_camera)
+    with pytest.raises(DyKnowError, match="does not start"):
+        field.acquire(GOAL, exclude=("bottom camera",))
+    assert done
+    field.settle()
+    assert planes.topic in field.moving
+    assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
+    field.tidy()
+    assert not {"detector", "localization"} & set(field.labels())
 
 
 def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
@@ -257,34 +237,23 @@ class Slow:
         return result
 
 
-def dry_run(field: Field, claim_id: str) -> Any:
-    return field.reconciler.acquire(StreamRequest(GOAL, budget=60.0), dry_run=True)
+ASKS: Dict[str, Callable[[Field, str], Any]] = {
+    "acquire": lambda field, _: field.acquire(GOAL, budget=60.0),
+    "dry run": lambda field, _: field.reconciler.acquire(StreamRequest(GOAL), dry_run=True),
+    "replan": lambda field, claim_id: field.reconciler.replan(claim_id),
+    "dry replan": lambda field, claim_id: field.reconciler.replan(claim_id, dry_run=True),
+    "find bindings": lambda field, _: field.reconciler.find_bindings("YUV(?where)"),
+}
 
 
-def acquire(field: Field, claim_id: str) -> Any:
-    return field.acquire(GOAL, budget=60.0)
-
-
-def replan(field: Field, claim_id: str) -> Any:
-    return field.reconciler.replan(claim_id)
-
-
-def dry_replan(field: Field, claim_id: str) -> Any:
-    return field.reconciler.replan(claim_id, dry_run=True)
-
-
-def find_bindings(field: Field, claim_id: str) -> Any:
-    return field.reconciler.find_bindings("YUV(?where)")
-
-
-@pytest.mark.parametrize("ask", [dry_run, acquire, replan, dry_replan, find_bindings])
+@pytest.mark.parametrize("ask", ASKS)
 def test_a_stream_is_repaired_while_a_client_waits_for_a_plan(
-    field: Field, monkeypatch: pytest.MonkeyPatch, ask: Callable[[Field, str], Any]
+    field: Field, monkeypatch: pytest.MonkeyPatch, ask: str
 ) -> None:
     lost = field.acquire("YUV(field)").claim
     other = field.acquire("Planes(field)", exclude=("ceiling camera",)).claim
-    slow = Slow(monkeypatch, "bindings" if ask is find_bindings else "plan")
-    slow.start(lambda: ask(field, other.claim_id))
+    slow = Slow(monkeypatch, "bindings" if ask == "find bindings" else "plan")
+    slow.start(lambda: ASKS[ask](field, other.claim_id))
     field.host.vanish(lost.goal[0])
     field.tick()
     assert field.state(lost.claim_id) is ClaimState.ACTIVE
@@ -293,22 +262,12 @@ def test_a_stream_is_repaired_while_a_client_waits_for_a_plan(
     field.settle()
 
 
-def test_other_clients_are_served_while_one_waits_for_a_plan(
-    field: Field, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow = Slow(monkeypatch, "plan")
-    slow.start(lambda: acquire(field, ""))
-    assert len(field.acquire("Planes(field)").spawned) == 2
-    assert field.reconciler.find_bindings("YUV(?where)") == ([(("?where", "field"),)], True)
-    assert slow.result().claim.state is ClaimState.ACTIVE
-
-
 def test_a_plan_is_made_again_if_what_it_uses_has_gone(
     field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = field.acquire("YUV(field)").claim
     slow = Slow(monkeypatch, "plan")
-    slow.start(lambda: acquire(field, ""))
+    slow.start(field.acquire)
     field.manager.remove_transformation("bottom camera")
     field.host.vanish(camera.goal[0])
     field.tick()
@@ -322,7 +281,7 @@ def test_a_plan_is_made_again_if_what_it_uses_has_gone(
 def test_a_refusal_is_checked_too(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
     field.manager.remove_transformation("localization")
     slow = Slow(monkeypatch, "plan")
-    slow.start(lambda: acquire(field, ""))
+    slow.start(field.acquire)
     field.manager.add_transformation(
         transformation(
             "localization",
@@ -332,3 +291,12 @@ def test_a_refusal_is_checked_too(field: Field, monkeypatch: pytest.MonkeyPatch)
         )
     )
     assert slow.result().claim.state is ClaimState.ACTIVE
+
+
+def test_a_plan_without_a_transformation_keeps_the_claims_own_limits(field: Field) -> None:
+    claim_id = field.acquire("Planes(field)", exclude=("ceiling camera",)).claim.claim_id
+    before = list(field.host.running)
+    with pytest.raises(NoPlanFound, match="bottom camera, ceiling camera are excluded$"):
+        field.reconciler.plan(claim_id, ("bottom camera",))
+    assert field.host.running == before
+    assert field.state(claim_id) is ClaimState.ACTIVE

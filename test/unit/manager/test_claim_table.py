@@ -16,7 +16,17 @@ import pytest
 from faulty_disk import kept_aside
 from unit.manager.field import Field
 
+from dyknow.errors import (
+    Denied,
+    HostError,
+    InvalidTag,
+    NoPlanFound,
+    PeerTimeout,
+    Result,
+    SpawnFailed,
+)
 from dyknow.manager.claim import Claim, ClaimEvent, Moment
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -30,27 +40,6 @@ def table() -> ClaimTable:
 
 def active(claim_id: str) -> Claim:
     return Claim(claim_id, StreamRequest("A"), "/a", state=ClaimState.ACTIVE)
-
-
-def test_a_claim_that_is_released_while_its_making_is_told_is_told_released_afterwards() -> None:
-    claims = table()
-    told: List[ClaimState] = []
-    telling, released = threading.Event(), threading.Event()
-
-    def listen(event: ClaimEvent) -> None:
-        if event.after.state is ClaimState.ACTIVE:
-            telling.set()
-            assert released.wait(20.0)
-        told.append(event.after.state)
-
-    claims.events.listener = listen
-    maker = threading.Thread(target=claims.add, args=(active("a"), "requested"))
-    maker.start()
-    assert telling.wait(20.0)
-    claims.end("a", ClaimState.RELEASED, "released")
-    released.set()
-    maker.join(20.0)
-    assert told == [ClaimState.ACTIVE, ClaimState.RELEASED]
 
 
 def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -> None:
@@ -79,19 +68,6 @@ def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -
     assert len(events) == 602
     for before, after in zip(events[1:], events[2:]):
         assert after.before == before.after
-
-
-def test_who_changes_a_claim_when_told_of_it_is_told_of_that_next() -> None:
-    claims = table()
-    told: List[ClaimState] = []
-
-    def listen(event: ClaimEvent) -> None:
-        told.append(event.after.state)
-        claims.end("a", ClaimState.EXPIRED, "its client is gone")
-
-    claims.events.listener = listen
-    claims.add(active("a"), "requested")
-    assert told == [ClaimState.ACTIVE, ClaimState.EXPIRED]
 
 
 def test_a_listener_that_raises_does_not_silence_the_others() -> None:
@@ -126,6 +102,30 @@ def test_a_lease_that_ended_while_the_manager_was_stopped_can_still_be_renewed()
         running[0] += 1.0
         claims.expire_late()
     assert [each.claim_id for each in claims.living] == ["renewed"]
+
+
+def test_a_lease_that_ended_without_a_manager_can_still_be_renewed(
+    tmp_path: Path,
+) -> None:
+    now, stopped = [0.0], [0.0]
+    with closing(Store(str(tmp_path / "state"))) as store:
+        claims = ClaimTable(store, lambda: now[0], lambda: now[0])
+        for claim_id in ("left", "renewed"):
+            request = StreamRequest("A", lease=30.0)
+            claims.add(Claim(claim_id, request, "/a", state=ClaimState.ACTIVE), "requested")
+    now[0] = 100.0
+    with closing(Store(str(tmp_path / "state"))) as store:
+        claims = ClaimTable(store, lambda: now[0], lambda: now[0] - stopped[0])
+        claims.expire_late()
+        now[0] += 2.0
+        stopped[0] = 1.5
+        claims.expire_late()
+        now[0] += 8.5
+        claims.expire_late()
+        claims.renew("renewed", 30.0)
+        now[0] += 1.0
+        claims.expire_late()
+        assert [each.claim_id for each in claims.living] == ["renewed"]
 
 
 # Leases across the death of the manager: they go on, and never get longer
@@ -164,21 +164,6 @@ def test_a_lease_that_was_written_without_its_moment_is_as_long_as_it_was() -> N
     body = json.loads(claim.body(WRITTEN))
     del body["written"]
     assert Claim.from_body("c", json.dumps(body), Moment(5.0, 1.0, "later")).deadline == 13.0
-
-
-def test_a_lease_goes_on_while_the_manager_is_dead(tmp_path: Path) -> None:
-    field = Field(str(tmp_path / "state"))
-    claim = field.acquire(lease=20.0).claim
-    assert claim.deadline is not None
-    field.settle(4.0)
-    field.store.close()
-    field.clock.time += 6.0
-    field.open()
-    assert field.reconciler.claims()[0].deadline == pytest.approx(claim.deadline)
-    field.settle(9.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    field.settle(2.0)
-    assert field.state(claim.claim_id) is ClaimState.EXPIRED
 
 
 @pytest.mark.parametrize(
@@ -229,3 +214,67 @@ def test_clients_hear_that_a_backup_took_the_place_of_the_state(tmp_path: Path) 
     assert field.reasons() == [field.store.complaint]
     field.settle()
     assert field.claim(claim.claim_id).request.tag == "FieldPosition(ball)"
+
+
+# Claims as shown to clients, and the causes of refusals
+
+CLAIM = Claim(
+    "id",
+    StreamRequest("Position(ball)", client_id="me", lease=30.0),
+    "/position",
+    "std_msgs/Header",
+    ClaimState.ACTIVE,
+    "why",
+    wiring={"/b": {}, "/a": {}},
+    deadline=15.0,
+)
+
+
+def answers() -> StreamAnswers:
+    """Answers of a manager whose steady clock says 5 and whose clients' says 1000."""
+    return StreamAnswers(lambda: 1000.0, lambda: 5.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "result"),
+    [
+        (NoPlanFound("none", "id"), Result.NO_PLAN),
+        (InvalidTag("x(", "expected more"), Result.INVALID_TAG),
+        (Denied("x", "because"), Result.DENIED),
+        (HostError("gone"), Result.SPAWN_FAILED),
+        (ValueError("a fault of ours"), Result.SPAWN_FAILED),
+    ],
+)
+def test_each_cause_has_its_number(error: Exception, result: Result) -> None:
+    refusal = refusal_of(error)
+    assert (refusal.result, str(refusal)) == (result, str(error))
+    assert refusal.claim_id == ("id" if result is Result.NO_PLAN else "")
+
+
+def test_a_cause_is_found_behind_others() -> None:
+    try:
+        try:
+            raise PeerTimeout("load", 10.0)
+        except PeerTimeout as cause:
+            raise HostError("not up in time") from cause
+    except HostError as late:
+        wrapped = SpawnFailed("/a", late)
+        wrapped.__cause__ = late
+    assert refusal_of(wrapped).result is Result.TIMEOUT
+
+
+def test_a_claim_is_shown_on_the_clock_of_its_clients() -> None:
+    shown = answers().status(CLAIM)
+    assert (shown.claim_id, shown.client_id, shown.tag) == ("id", "me", "Position(ball)")
+    assert (shown.topic, shown.datatype) == ("/position", "std_msgs/Header")
+    assert (shown.state, shown.detail) == (ClaimState.ACTIVE, "why")
+    assert shown.nodelets == ("/a", "/b")
+    assert shown.expires == 1010.0
+
+
+def test_an_event_of_a_new_claim_has_nothing_before() -> None:
+    event = ClaimEvent(CLAIM, CLAIM, "requested")
+    new, old = (answers().event(event, is_new) for is_new in (True, False))
+    assert new.before is None
+    assert old.before == old.after == new.after
+    assert (new.reason, new.stamp) == ("requested", 1000.0)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Dict, Mapping
 
 import pytest
-from unit.manager.field import IMAGE, POINT, Field
+from unit.manager.field import IMAGE, POINT, Field, transformation
 
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
 from dyknow.manager.record import Record
-from dyknow.model.graph import NodeletKind, SpawnRequest, State
+from dyknow.model.graph import NodeletKind, SpawnRequest
 from dyknow.model.streams import ClaimState
 
 CAMERA = """<transformation type="node" node="/robot/camera"><label>driver</label>
@@ -27,7 +27,24 @@ PROGRAMS = {
     "robot/camera": [("image", "out", IMAGE), ("camera_info", "out", "sensor_msgs/CameraInfo")],
     "robot/where": [("ball", "in", POINT), ("position", "out", POINT)],
     "robot/smooth": [("in", "in", IMAGE), ("out", "out", IMAGE)],
+    "robot/stereo": [("left", "in", IMAGE), ("right", "in", IMAGE), ("depth", "out", IMAGE)],
 }
+SMOOTH = transformation("smooth", "x", "in in,out out", "in Image(?camera);out Smooth(?camera)")
+STEREO = "".join(
+    [
+        "<transformations>",
+        SMOOTH.replace('cost="1"', 'type="node" node="/smooth"').replace("<source>x</source>", ""),
+        transformation("left", "soccer/Camera", "out image", "image Image(left)"),
+        transformation("right", "soccer/Ceiling", "out image", "image Image(right)"),
+        transformation(
+            "stereo",
+            "robot/stereo",
+            "in left,in right,out depth",
+            "left Smooth(left);right Smooth(right);depth Depth(field)",
+        ),
+        "</transformations>",
+    ]
+)
 
 
 class Robot(Field):
@@ -134,54 +151,6 @@ def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) ->
     robot.tidy()
 
 
-def test_one_that_hangs_is_lost_and_replaced(robot: Robot) -> None:
-    robot.manager.add_transformation(CAMERA)
-    robot.run_camera()
-    claim_id = robot.acquire("YUV(field)").claim.claim_id
-    robot.settle()
-    robot.host.cut("/robot/camera")
-    robot.manager.look()
-    assert robot.manager.graph.get("/robot/camera").state is State.LOST
-    for _ in range(10):
-        robot.tick()
-    assert robot.claim(claim_id).nodelets == ("/bottom_camera_1",)
-    robot.host.mend("/robot/camera")
-    robot.settle()
-    assert robot.manager.graph.get("/robot/camera").state is State.RUNNING
-    assert robot.claim(claim_id).nodelets == ("/bottom_camera_1",)
-
-
-def test_it_is_connected_to_what_it_demands_and_again_when_that_dies(robot: Robot) -> None:
-    robot.manager.remove_transformation("localization")
-    robot.manager.add_transformation(LOCALIZATION)
-    robot.run("/robot/where", "robot/where", {"ball": "/nobody", "position": "/position"})
-
-    acquired = robot.acquire()
-    claim_id = acquired.claim.claim_id
-    assert acquired.reused == ("/robot/where",)
-    assert acquired.claim.topic == "/position"
-    ball = robot.topics("/robot/where")["ball"]
-    assert robot.host.publishers(ball) == ["/detector_1"]
-    robot.settle()
-
-    robot.host.kill(robot.manager.graph.get("/detector_1").manager)
-    robot.settle(5.0)
-    assert robot.state(claim_id) is ClaimState.ACTIVE
-    assert robot.host.publishers(robot.topics("/robot/where")["ball"]) != []
-    assert robot.host.calls.count(("load", "/robot/where")) == 0
-
-    robot.end("/robot/where")
-    robot.settle()
-    assert robot.state(claim_id) is ClaimState.PENDING
-    robot.run("/robot/where", "robot/where", {"ball": "/nobody", "position": "/position"})
-    robot.settle(10.0)
-    assert robot.state(claim_id) is ClaimState.ACTIVE
-
-    robot.reconciler.release(claim_id)
-    robot.tidy()
-    assert robot.host.running == ["/robot/where"]
-
-
 def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
     robot.manager.remove_transformation("localization")
     robot.manager.add_transformation(LOCALIZATION)
@@ -197,30 +166,7 @@ def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
 
 
 def test_it_is_one_thing_at_a_time(robot: Robot) -> None:
-    robot.manager.add_transformation(
-        """<transformations>
-        <transformation type="node" node="/smooth"><label>smooth</label>
-          <ports><port type="in">in</port><port type="out">out</port></ports>
-          <tags><tag port="in">Image(?camera)</tag><tag port="out">Smooth(?camera)</tag></tags>
-        </transformation>
-        <transformation><label>left</label><source>soccer/Camera</source>
-          <ports><port type="out">image</port></ports>
-          <tags><tag port="image">Image(left)</tag></tags></transformation>
-        <transformation><label>right</label><source>soccer/Ceiling</source>
-          <ports><port type="out">image</port></ports>
-          <tags><tag port="image">Image(right)</tag></tags></transformation>
-        <transformation><label>stereo</label><source>robot/stereo</source>
-          <ports><port type="in">left</port><port type="in">right</port>
-            <port type="out">depth</port></ports>
-          <tags><tag port="left">Smooth(left)</tag><tag port="right">Smooth(right)</tag>
-            <tag port="depth">Depth(field)</tag></tags></transformation>
-        </transformations>"""
-    )
-    robot.host.sources["robot/stereo"] = [
-        ("left", "in", IMAGE),
-        ("right", "in", IMAGE),
-        ("depth", "out", IMAGE),
-    ]
+    robot.manager.add_transformation(STEREO)
     robot.run("/smooth", "robot/smooth", {"out": "/smoothed"})
     with pytest.raises(NoPlanFound):
         robot.acquire("Depth(field)")
@@ -231,6 +177,19 @@ def test_it_is_one_thing_at_a_time(robot: Robot) -> None:
         robot.acquire("Smooth(right)")
     robot.reconciler.release(first.claim_id)
     assert robot.acquire("Smooth(right)").reused == ("/smooth",)
+
+
+def test_it_is_used_for_one_thing_beside_something_else(robot: Robot) -> None:
+    robot.manager.add_transformation(STEREO)
+    robot.run("/smooth", "robot/smooth", {"out": "/smoothed"})
+    for side in ("left", "right"):
+        robot.manager.add_transformation(
+            transformation(f"own {side}", "soccer/Camera", "out image", f"image Smooth({side})", 7)
+        )
+    got = robot.acquire("Depth(field)")
+    assert (got.reused, got.cost) == (("/smooth",), 9)
+    assert got.plan is not None and got.plan.least_cost == 9
+    robot.settle()
 
 
 def test_it_stays_on_its_topic_and_a_relay_brings_it_to_the_client(robot: Robot) -> None:

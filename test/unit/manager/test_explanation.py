@@ -61,20 +61,6 @@ def prices(text: str) -> int:
     return sum(map(int, re.findall(r"\(new, cost (\d+)\)", text)))
 
 
-def test_prices_add_up_where_a_leaf_is_shared() -> None:
-    camera, left, right, both = (
-        PlanStep(Action("camera", 5), ()),
-        PlanStep(Action("left", 1), (("in", New("camera", "image")),)),
-        PlanStep(Action("right", 2), (("in", New("camera", "image")),)),
-        PlanStep(Action("both", 1), (("l", New("left", "out")), ("r", New("right", "out")))),
-    )
-    answer = Plan(demand("X"), New("both", "out"), (camera, left, right, both), 9)
-    text = as_tree(answer)
-    assert prices(text) == 9
-    assert text.endswith("      └─ in ← camera.image (shared, see above)")
-    assert tree_as_dot(text).count('"camera" [') == 1
-
-
 def test_without_a_plan_the_missing_tags_are_named() -> None:
     missing = NoPlan(demand("A"), (demand("B(x)", "pkg/T"), demand("C")), False)
     assert as_tree(missing) == (

@@ -13,7 +13,6 @@ from dyknow.errors import HostError, LimitExceeded, NameTaken, NotOurs
 from dyknow.guards import Guards
 from dyknow.manager.host import LoadRequest
 from dyknow.manager.record import Record
-from dyknow.manager.watchdog import Watchdog, WatchdogLimits
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 
@@ -41,23 +40,13 @@ def test_it_is_in_the_model_with_its_owner(world: World) -> None:
     assert {each.state for each in shown.values()} == {State.RUNNING}
     assert shown["/b"].origin == "(by /robot/dyknow_manager)"
     assert [port.name for port in shown["/a"].ports] == ["in", "out"]
+    world.manager.connect([("/a", {"in": "/image"})])
+    assert world.host.nodelet("/a").ports["in"].topic == "/image"
     world.spawn("relay", "mine")
     assert world.manager.graph.get("/mine").owner == ""
-
-
-def test_the_owner_follows_the_one_that_loaded_it_last(world: World) -> None:
-    load(world, "/a", "/first")
-    world.host.loaders["/a"] = "/second"
+    world.host.loaders["/b"] = "/who_loaded_it_last"
     world.manager.look()
-    assert world.manager.graph.get("/a").owner == "/second"
-
-
-def test_it_is_connected(world: World) -> None:
-    load(world, "/a")
-    world.spawn("camera", "c", config={"image": "/image"})
-    world.manager.connect([("/a", {"in": "/image"})])
-    assert world.manager.graph.get("/a").ports[0].topic == "/image"
-    assert world.host.nodelet("/a").ports["in"].topic == "/image"
+    assert world.manager.graph.get("/b").owner == "/who_loaded_it_last"
 
 
 def test_it_is_neither_destroyed_nor_restarted_nor_set_nor_protected(world: World) -> None:
@@ -116,16 +105,6 @@ def test_it_does_not_count_for_the_limit_of_nodelets() -> None:
     world.spawn("relay", "mine")
     with pytest.raises(LimitExceeded):
         world.spawn("relay", "another")
-
-
-def test_the_watchdog_leaves_it_alone(world: World) -> None:
-    load(world, "/a")
-    world.host.taken[THEIRS] = 10**9
-    restarted: list[str] = []
-    limits = WatchdogLimits(memory=1.0)
-    watchdog = Watchdog(world.host, world.manager.graph, restarted.append, limits, print)
-    watchdog.look()
-    assert restarted == []
 
 
 def test_claims_do_not_use_it(field: Field) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, Tuple
+from typing import Dict, Tuple, Type
 
 import pytest
 from unit.manager.witness import Concepts
@@ -72,12 +72,9 @@ def test_what_overrides_is_plain_and_needs_no_variable() -> None:
 
 def test_a_type_that_is_left_out_is_the_transformations_or_follows_from_the_text() -> None:
     done = completed(TRANSFORMATION, given(v_camera="a", v_number="1", rate="5", new="true"))
-    assert {each.name: each.type for each in done} == {
-        "?camera": "string",
-        "?number": "string",
-        "rate": "double",
-        "new": "bool",
-    }
+    types = {each.name: each.type for each in done}
+    expected = {"?camera": "string", "?number": "string", "rate": "double", "new": "bool"}
+    assert types == expected
 
 
 def test_all_problems_are_named_at_once() -> None:
@@ -150,13 +147,13 @@ def test_a_nodelet_keeps_what_it_was_given_for_life(world: World) -> None:
     assert world.host.parameters == {}
 
 
-def test_nothing_is_left_of_one_that_cannot_be_filled(world: World) -> None:
-    with pytest.raises(InvalidParameters, match="give it, as in"):
-        world.spawn("tracker", "n")
-    assert (world.states(), world.host.parameters) == ({}, {})
-
-
-def test_nothing_is_left_of_one_that_does_not_come_up(world: World) -> None:
-    with pytest.raises(SpawnFailed):
-        world.spawn("wrong ports", "n", parameters=given(rate="5"))
+@pytest.mark.parametrize(
+    ("label", "parameters", "error"),
+    [("tracker", (), InvalidParameters), ("wrong ports", given(rate="5"), SpawnFailed)],
+)
+def test_nothing_is_left_of_one_that_does_not_come_up(
+    world: World, label: str, parameters: Tuple[Parameter, ...], error: Type[Exception]
+) -> None:
+    with pytest.raises(error):
+        world.spawn(label, "n", parameters=parameters)
     assert (world.states(), world.host.parameters) == ({}, {})

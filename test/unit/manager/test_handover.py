@@ -78,31 +78,6 @@ def test_nobody_waits_where_nothing_flows_anyway(field: Field) -> None:
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
-def test_a_cheaper_way_is_told_once_and_taken_on_request(field: Field) -> None:
-    field.manager.remove_transformation("bottom camera")
-    claim = field.acquire().claim
-    field.settle()
-    field.manager.add_transformation(LIBRARY)
-    field.settle(10.0)
-    field.manager.add_transformation(OTHER)
-    field.settle(10.0)
-    news = [reason for reason in field.reasons() if "cheaper" in reason]
-    assert len(news) == 1 and "bottom camera" in news[0]
-    assert "ceiling camera" in field.labels()
-    gaps = watch(field, claim.topic)
-    intended = field.reconciler.replan(claim.claim_id, dry_run=True)
-    assert (intended.spawned, intended.cost) == (("bottom camera",), 1)
-    assert len(intended.reused) == 4
-    done = field.reconciler.replan(claim.claim_id)
-    assert (done.spawned, done.cost) == (("/bottom_camera_1",), 1)
-    field.tidy()
-    assert gaps == []
-    assert field.labels() == CHAIN
-    again = field.reconciler.replan(claim.claim_id)
-    assert (again.spawned, again.cost, again.claim.state) == ((), 0, ClaimState.ACTIVE)
-    assert field.labels() == CHAIN
-
-
 def break_at(field: Field, operation: str, part: str) -> Callable[[], None]:
     def fail(what: str, argument: str) -> None:
         if what == operation and part in argument:
@@ -162,17 +137,6 @@ def test_a_request_that_fails_leaves_nothing(field: Field, operation: str, part:
     mend()
     field.acquire()
     field.settle()
-
-
-def test_what_fails_to_come_up_gives_way_to_another(field: Field) -> None:
-    claim = field.acquire().claim
-    field.settle(20.0)
-    field.manager.add_transformation(OTHER)
-    break_at(field, "load", "/localization")
-    field.manager.destroy("/localization_1")
-    field.settle(5.0)
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert "other localization" in field.labels()
 
 
 def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:

@@ -14,12 +14,11 @@ from clocks import HandClock
 from unit.manager.field import Field
 from unit.manager.world import World
 
-from dyknow.errors import DyKnowError, SpawnFailed
+from dyknow.errors import DyKnowError
 from dyknow.manager.hosts import HostTable
 from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, SpawnRequest
 from dyknow.model.hosts import ClockOffset, HostStatus, Machine, pins
-from dyknow.model.streams import ClaimState
 from dyknow.simulated.host import FakeHost
 
 ROVER, SCOUT = "/rover_manager", "/scout_manager"
@@ -53,23 +52,13 @@ def hosts(world: World) -> dict[str, HostStatus]:
 
 def test_a_spawn_may_name_a_host(world: World) -> None:
     for name in ("rover", "scout", "desk"):
-        world.spawn("camera", f"/on_{name}", manager=f"@{name}")
+        world.spawn("camera", f"/on_{name}", manager=f"@{name}", isolated=name == "desk")
         assert host_of(world, f"/on_{name}") == name
     world.spawn("relay", "/free", config={"in": "/x"})
     assert pins(world.manager.hosts()) == {f"/on_{n}": n for n in ("desk", "rover", "scout")}
     world.kill_manager()
     assert pins(world.manager.hosts()) == {f"/on_{n}": n for n in ("desk", "rover", "scout")}
     assert Record.from_body("/a", world.manager.graph.get("/free").body()).pinned == ""
-
-
-def test_what_is_pinned_waits_for_its_host(world: World) -> None:
-    world.spawn("camera", "/a", manager="@rover")
-    world.host.cut(ROVER)
-    world.manager.look()
-    assert world.states() == {"/a": "LOST"}
-    world.host.mend(ROVER)
-    world.manager.look()
-    assert (world.states(), host_of(world, "/a")) == ({"/a": "RUNNING"}, "rover")
 
 
 def test_another_nodelet_manager_of_its_host_takes_what_is_pinned(world: World) -> None:
@@ -98,12 +87,6 @@ def test_what_a_host_cannot_run_is_refused(
     with pytest.raises(DyKnowError, match=why):
         world.spawn(label, "/a", manager=place, isolated=isolated)
     assert world.states() == {}
-
-
-def test_its_own_host_runs_everything(world: World) -> None:
-    for label, isolated in (("camera", True), ("native", False)):
-        world.spawn(label, f"/{label}", manager="@desk", isolated=isolated)
-        assert host_of(world, f"/{label}") == "desk"
 
 
 # Free
@@ -254,26 +237,3 @@ def test_new_parts_of_a_claim_leave_a_host_that_flaps(field: Field) -> None:
         field.host.mend(ROVER)
         field.tick()
     assert places == ["rover", "rover", "scout"]
-
-
-def test_a_source_that_is_only_on_a_paused_host_is_used(field: Field) -> None:
-    equip(field.host)
-    field.settle()
-    field.spawn("bottom camera", "/rover_camera", manager="@rover")
-    for label in ("bottom camera", "ceiling camera"):
-        field.manager.remove_transformation(label)
-    claim_id = field.acquire("YUV(field)").claim.claim_id
-    for _ in range(3):
-        field.host.cut(ROVER)
-        field.settle(2.0)
-        assert field.state(claim_id) is ClaimState.PENDING
-        field.host.mend(ROVER)
-        field.settle(2.0)
-        assert field.claim(claim_id).nodelets == ("/rover_camera",)
-
-
-def test_a_spawn_that_fails_leaves_nothing(world: World) -> None:
-    world.host.fail_at("load", "/a", "no such class")
-    with pytest.raises(SpawnFailed, match="no such class"):
-        world.spawn("camera", "/a", manager="@rover")
-    assert world.states() == {}

@@ -12,7 +12,6 @@ from clocks import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import (
-    Busy,
     Denied,
     DyKnowError,
     FixedTopics,
@@ -21,7 +20,6 @@ from dyknow.errors import (
     InvalidConfiguration,
     InvalidName,
     LimitExceeded,
-    NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
@@ -30,6 +28,7 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.model.graph import NodeletKind, State
+from dyknow.model.transformation import Parameter
 
 
 @pytest.fixture
@@ -101,42 +100,6 @@ def test_a_failure_at_any_step_leaves_nothing(world: World, step: str, isolated:
     assert nothing_left(world, "/x")
     world.spawn("camera", "x", isolated=isolated)
     assert world.states() == {"/x": "RUNNING"}
-
-
-def test_the_nodelet_manager_dying_during_the_spawn_leaves_nothing(world: World) -> None:
-    world.spawn("camera", "other")
-
-    def die(operation: str, argument: str) -> None:
-        if (operation, argument) == ("loaded", "/x"):
-            world.host.recover()
-            world.host.kill("/fake_0")
-
-    world.host.fail = die
-    with pytest.raises(SpawnFailed, match="does not answer"):
-        world.spawn("relay", "x", config={"in": "/i"})
-    assert nothing_left(world, "/x")
-    world.manager.look()
-    assert world.states() == {"/other": "RUNNING"}
-
-
-def test_a_name_is_taken_by_what_runs_and_by_what_is_being_made(world: World) -> None:
-    world.spawn("camera", "a")
-    with pytest.raises(NameTaken, match="/a"):
-        world.spawn("camera", "/a")
-    seen = []
-
-    def again(operation: str, argument: str) -> None:
-        if operation == "load":
-            world.host.recover()
-            with pytest.raises(NameTaken):
-                world.spawn("camera", "b")
-            with pytest.raises(Busy):
-                world.manager.destroy("b")
-            seen.append(argument)
-
-    world.host.fail = again
-    world.spawn("camera", "b")
-    assert seen == ["/b"]
 
 
 @pytest.mark.parametrize("name", ["", "a b", "1x", "a//b", "~"])
@@ -292,22 +255,11 @@ def test_guards_refuse_topics_numbers_and_every_change_in_read_only_mode() -> No
         lambda: frozen.manager.add_transformation("<x/>"),
         lambda: frozen.manager.remove_transformation("a"),
         lambda: frozen.manager.connect([("a", {})]),
+        lambda: frozen.manager.restart("a"),
+        lambda: frozen.manager.set_parameter("a", Parameter("rate", "", "5")),
     ):
         with pytest.raises(Denied, match="read_only"):
             change()
-
-
-def test_replaced_transformations_leave_running_nodelets_as_they_are(world: World) -> None:
-    world.spawn("camera", "a")
-    world.manager.add_transformation(
-        "<transformation><label>camera</label><source>pkg/Relay</source></transformation>"
-    )
-    transformation = world.manager.graph.get("/a").transformation
-    assert transformation is not None and transformation.source == "pkg/Camera"
-    world.manager.remove_transformation("camera")
-    world.host.kill("/fake_0")
-    world.manager.look()
-    assert world.host.nodelet("/a").request.source == "pkg/Camera"
 
 
 def test_ports_of_several_nodelets_are_connected_as_one(world: World) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Callable, Dict, List, Tuple
 
 import pytest
@@ -96,7 +95,7 @@ LIMITS = {
         {"max_age": AGE},
         delay,
         lambda field: [name for name, each in field.delays.items() if each and each > 0.01],
-        r"{} delays the stream by 2 s: it is 2[.0-9]* s old, at most 0.1 s was asked for",
+        r"{} delays the stream by 2 s: it is 2[.0-9]* s old, at most 0.1 s is demanded",
         r"nodelet (\S+) delays",
     ),
 }
@@ -117,13 +116,6 @@ def field() -> LimitField:
 
 
 # All limits
-
-
-def test_a_stream_within_its_limits_is_left_alone(field: LimitField) -> None:
-    field.acquire(min_rate=10.0, max_age=AGE)
-    field.delays["soccer/Camera"] = 0.05
-    field.pass_time(60.0)
-    assert field.reasons() == ["requested", FIRST_MESSAGE]
 
 
 @pytest.mark.parametrize("label", CHAIN)
@@ -210,18 +202,6 @@ def test_clients_without_the_limit_go_on_with_the_part(
     assert field.claim(easy.claim_id).nodelets == easy.nodelets
     assert not {*easy.nodelets} & {*field.claim(keen.claim_id).nodelets}
     assert field.state(keen.claim_id) is ClaimState.ACTIVE
-
-
-def test_a_claim_keeps_its_limits_over_a_restart(tmp_path: Path, limit: Limit) -> None:
-    field = LimitField(str(tmp_path / "state.db"))
-    claim = field.acquire(**limit.request, budget=1.5).claim
-    field.pass_time(5.0)
-    field.kill_manager()
-    assert field.claim(claim.claim_id).request == claim.request
-    field.pass_time(10.0)
-    limit.spoil(field, "/bottom_camera_1", 5)
-    field.pass_time(15.0)
-    assert len(field.mended()) == 1
 
 
 TURNS = st.tuples(st.sampled_from(CHAIN), st.integers(0, 5), st.integers(2, 15))
@@ -322,26 +302,16 @@ def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
 
 
 def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: LimitField) -> None:
-    camera = """<transformation cost="{}"><label>{}</label><source>soccer/Camera</source>
-        <ports><port type="out" rate="{}">image</port></ports>
-        <tags><tag port="image">Thermal(field)</tag></tags></transformation>"""
-    smoother = transformation(
-        "smoother", "dyknow/Relay", "in in, out out", "in Thermal(field); out Smooth(field)"
-    )
-    field.manager.add_transformation(smoother)
-    field.manager.add_transformation(camera.format(1, "slow", 5))
-    field.acquire("Smooth(field)")
-    with pytest.raises(NoPlanFound, match="it is stated at 5 Hz, below 10 Hz"):
-        field.acquire("Smooth(field)", min_rate=10.0)
-    for cost, label, rate in ((3, "fast", 30), (2, "medium", 10)):
-        field.manager.add_transformation(camera.format(cost, label, rate))
-    found = [
-        field.acquire("Thermal(field)", min_rate=rate, exclude=("smoother",)).claim.nodelets
-        for rate in (0.0, 10.0, 10.5)
-    ]
-    assert found == [("/slow_1",), ("/medium_1",), ("/fast_1",)]
-    with pytest.raises(NoPlanFound, match="it is stated at 30 Hz, below 31 Hz"):
-        field.acquire("Thermal(field)", min_rate=31.0)
+    known = field.manager.library.get("bottom camera")
+    slow = known.ports[0]._replace(rate=5.0)
+    field.manager.add_transformation(known._replace(ports=(slow,)).to_xml())
+    field.acquire(min_rate=10.0)
+    assert "ceiling camera" in field.labels()
+    field.manager.remove_transformation("ceiling camera")
+    field.tidy()
+    for tag in ("YUV(field)", "Planes(field)"):
+        with pytest.raises(NoPlanFound, match="it is stated at 5 Hz, below 10 Hz"):
+            field.acquire(tag, min_rate=10.0)
 
 
 # Ages
@@ -415,8 +385,7 @@ def test_the_claim_says_that_an_age_is_not_known(field: LimitField) -> None:
     assert not field.mended()
 
 
-@pytest.mark.parametrize("dry_run", [False, True])
-@pytest.mark.parametrize("datatype", ["", IMAGE])
+@pytest.mark.parametrize(("dry_run", "datatype"), [(True, ""), (False, ""), (False, IMAGE)])
 def test_types_without_a_header_are_refused(
     field: LimitField, dry_run: bool, datatype: str
 ) -> None:
@@ -425,10 +394,9 @@ def test_types_without_a_header_are_refused(
     port = known.ports[0]._replace(datatype=IMAGE)
     field.manager.add_transformation(known._replace(ports=(port,)).to_xml())
     field.manager.remove_transformation("ceiling camera")
-    request = StreamRequest("YUV(field)", datatype, max_age=AGE)
-    expected = f"carries {IMAGE}, but a type that begins with a header .* was asked for"
+    expected = f"carries {IMAGE}, but a type that begins with a header .* was requested"
     with pytest.raises(StreamTypeMismatch, match=expected):
-        field.reconciler.acquire(request, dry_run)
+        field.reconciler.acquire(StreamRequest("YUV(field)", datatype, max_age=AGE), dry_run)
     assert not field.living()
     assert ("load", "/bottom_camera_1") not in field.host.calls
 

@@ -9,55 +9,38 @@ from pathlib import Path
 
 import pytest
 from clocks import HandClock
-from unit.manager.field import Field
 from unit.manager.world import World
 
 from dyknow.errors import Denied, HostError, NameTaken, SpawnFailed
 from dyknow.guards import Guards
 from dyknow.model.graph import NodeletKind
-from dyknow.model.streams import ClaimState
-from dyknow.model.transformation import Parameter
 
 COPIER = "topic_tools/relay words copy"
 SCRIPT = "pkg/filter.py"
 PORTS = [("words", "in", "std_msgs/String"), ("copy", "out", "std_msgs/String")]
-NODES = f"""
-<transformations>
-  <transformation type="node">
-    <label>copier</label>
-    <source>{COPIER}</source>
-    <params><param name="rate">5</param></params>
-    <ports><port type="in">words</port><port type="out">copy</port></ports>
-  </transformation>
-  <transformation type="node">
-    <label>script</label>
-    <source>{SCRIPT}</source>
-    <ports><port type="in">words</port><port type="out">copy</port></ports>
-  </transformation>
-  <transformation type="node" isolated="true">
-    <label>lone script</label>
-    <source>{SCRIPT}</source>
-    <ports><port type="in">words</port><port type="out">copy</port></ports>
-  </transformation>
-  <transformation isolated="true">
-    <label>lone camera</label>
-    <source>pkg/Camera</source>
-  </transformation>
-  <transformation type="node">
-    <label>absent</label>
-    <source>pkg/absent</source>
-  </transformation>
-  <transformation type="node">
-    <label>ending</label>
-    <source>pkg/ending</source>
-  </transformation>
-  <transformation type="node">
-    <label>misnamed</label>
-    <source>{COPIER}</source>
-    <ports><port type="in">sentences</port></ports>
-  </transformation>
-</transformations>
-"""
+RATE = '<params><param name="rate">5</param></params>'
+BOTH = '<ports><port type="in">words</port><port type="out">copy</port></ports>'
+OTHER = '<ports><port type="in">sentences</port></ports>'
+
+
+def described(label: str, source: str, ports: str = "", kind: str = 'type="node"') -> str:
+    parts = f"<label>{label}</label><source>{source}</source>{ports}"
+    return f"<transformation {kind}>{parts}</transformation>"
+
+
+NODES = "<transformations>{}</transformations>".format(
+    "".join(
+        [
+            described("copier", COPIER, RATE + BOTH),
+            described("script", SCRIPT, BOTH),
+            described("lone script", SCRIPT, BOTH, 'type="node" isolated="true"'),
+            described("lone camera", "pkg/Camera", kind='isolated="true"'),
+            described("absent", "pkg/absent"),
+            described("ending", "pkg/ending"),
+            described("misnamed", COPIER, OTHER),
+        ]
+    )
+)
 
 
 @pytest.fixture
@@ -86,10 +69,6 @@ def test_a_node_is_a_process_of_its_own(world: World) -> None:
     assert world.host.parameters == {"/second/rate": 5}
 
 
-def rate(value: int) -> Parameter:
-    return Parameter("rate", "int", str(value))
-
-
 def test_a_script_runs_beside_nodelets(world: World) -> None:
     camera = world.spawn("camera", "/camera")
     made = world.spawn("script", "/filter", config={"words": "/a"})
@@ -107,18 +86,6 @@ def test_a_script_runs_beside_nodelets(world: World) -> None:
     world.manager.look()
     assert world.states() == {"/camera": "RUNNING", "/filter": "RUNNING"}
     assert world.manager.graph.get("/filter").kind is NodeletKind.SCRIPT
-
-
-def test_a_script_in_a_process_of_its_own_is_a_node(world: World) -> None:
-    made = world.spawn("lone script", "/alone", config={"words": "/a"})
-    assert (made.kind, made.manager, made.status.manager) == (NodeletKind.NODE, "/alone", "")
-
-    world.host.kill("/alone")
-    world.manager.look()
-    assert world.states() == {"/alone": "RUNNING"}
-    assert world.manager.graph.get("/alone").status.connections == {"words": "/a"}
-    world.manager.destroy("/alone")
-    assert "/alone" not in world.host.processes
 
 
 @pytest.mark.parametrize("label", ["lone script", "lone camera"])
@@ -207,42 +174,3 @@ def test_ports_are_waited_for_until_the_first_ones_are_there(
     made = world.spawn("copier", "/copier", config={"words": "/a", "copy": "/b"})
     assert least <= world.clock.now() < most
     assert made.status.connections == {"words": "/a", "copy": "/b"}
-
-
-SEEN = """<transformations>
-  <transformation type="node"><label>grabber</label><source>robot/grabber --fast</source>
-    <ports><port type="out">image</port></ports>
-    <tags><tag port="image">Raw(field)</tag></tags></transformation>
-  <transformation type="node"><label>filter</label><source>robot/filter.py</source>
-    <ports><port type="in">image</port><port type="out">edges</port></ports>
-    <tags><tag port="image">Raw(field)</tag><tag port="edges">Edges(field)</tag></tags>
-  </transformation>
-</transformations>"""
-
-
-def test_claims_are_made_and_mended_with_nodes_and_scripts(tmp_path: Path) -> None:
-    field = Field(str(tmp_path / "state.db"))
-    image = "sensor_msgs/Image"
-    field.host.sources["robot/grabber --fast"] = [("image", "out", image)]
-    field.host.sources["robot/filter.py"] = [("image", "in", image), ("edges", "out", image)]
-    field.host.scripts.add("robot/filter.py")
-    field.manager.add_transformation(SEEN)
-
-    claim_id = field.acquire("Edges(field)").claim.claim_id
-    kinds = {record.label: record.kind for record in field.manager.graph.all()}
-    assert kinds == {"grabber": NodeletKind.CPP_NODE, "filter": NodeletKind.SCRIPT}
-    grabber = field.host.nodelet("/grabber_1").request
-    assert grabber.remappings == {"/image": "/grabber_1/image"}  # connected from its start
-    field.settle()
-
-    field.host.kill("/grabber_1")
-    field.settle(5.0)
-    assert field.state(claim_id) is ClaimState.ACTIVE
-    assert field.labels() == ["filter", "grabber"]
-    field.host.kill(field.manager.graph.get("/filter_1").manager)
-    field.settle(5.0)
-    assert field.state(claim_id) is ClaimState.ACTIVE
-
-    field.reconciler.release(claim_id)
-    field.tidy()
-    assert field.host.running == []

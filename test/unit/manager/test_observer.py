@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from typing import Dict, Tuple
+from typing import Callable, Dict, Tuple
 
 import pytest
 from unit.manager.world import World
 
-from dyknow.errors import HostError, NameTaken
+from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.manager.observer import PERIOD
 from dyknow.model.graph import NodeletKind, State
@@ -52,7 +52,9 @@ def test_what_came_back_during_a_look_is_not_lost_by_it(world: World) -> None:
 
 
 @pytest.mark.parametrize("fault", ["hang", "kill"])
-def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: str) -> None:
+def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(
+    world: World, fault: str, caplog: pytest.LogCaptureFixture
+) -> None:
     for name in ("a", "b", "c"):
         world.spawn("camera", name)
     seen: list[set[str]] = []
@@ -63,6 +65,9 @@ def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: s
     assert seen[0] == {"LOST"}
     if fault == "hang":
         assert (len(seen), world.manager.graph.revision) == (1, before + 1)
+    for _ in range(20):
+        world.manager.look()
+    assert sum("/a is lost" in each.getMessage() for each in caplog.records) == 1
 
 
 @pytest.mark.parametrize("goes_on", [False, True])
@@ -89,17 +94,6 @@ def test_ports_of_a_busy_nodelet_are_followed_by_the_next_look_which_comes_soon(
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/i"}
     assert world.manager.look() == PERIOD
     assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
-
-
-def test_a_deliberate_unload_by_others_is_followed(world: World) -> None:
-    world.spawn("camera", "a")
-    world.spawn("camera", "b")
-    world.host.vanish("/a")
-    world.manager.look()
-    assert world.states() == {"/b": "RUNNING"}
-    world.kill_manager()
-    assert world.states() == {"/b": "RUNNING"}
-    assert world.host.running == ["/b"]
 
 
 def test_what_a_process_unloads_as_it_ends_is_brought_back(world: World) -> None:
@@ -158,15 +152,22 @@ def test_a_crash_is_remembered_while_its_nodelet_is_busy(world: World) -> None:
     assert world.states() == {}
 
 
-def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> None:
+@pytest.mark.parametrize(
+    ("error", "state", "words"),
+    [
+        (HostError("the camera is unplugged"), State.FAILED, "unplugged"),
+        (NameTaken("/a", "running", "another node"), State.STARTING, "named '/a' is running"),
+    ],
+)
+def test_one_that_cannot_come_back_says_why_and_is_tried_again(
+    world: World, error: HostError, state: State, words: str
+) -> None:
     world.spawn("camera", "a")
-
-    world.host.fail_at("load", error="the camera is unplugged")
+    world.host.fail_at("load", error=error)
     world.host.kill("/fake_0")
     world.manager.look()
-    record = world.manager.graph.get("/a")
-    assert record.state is State.FAILED
-    assert "unplugged" in record.detail
+    assert detail(world)[0] is state
+    assert words in detail(world)[1]
     world.host.recover()
     world.manager.look()
     assert world.states() == {"/a": "RUNNING"}
@@ -205,15 +206,6 @@ def test_whatever_is_starting_says_why(world: World) -> None:
     ]
 
 
-def test_what_cannot_come_back_since_its_name_is_taken_says_so(world: World) -> None:
-    world.spawn("camera", "a")
-
-    world.host.fail_at("load", error=NameTaken("/a", "running", "another node"))
-    world.host.kill("/fake_0")
-    world.manager.look()
-    assert detail(world) == (State.STARTING, "another node named '/a' is running")
-
-
 def test_what_a_killed_manager_was_bringing_back_says_why_it_is_not_up(world: World) -> None:
     world.spawn("camera", "a", config={"image": "/i"})
 
@@ -240,25 +232,6 @@ def detail(world: World) -> Tuple[State, str]:
     return record.state, record.detail
 
 
-def test_a_manager_that_was_killed_adopts_what_runs_and_restores_what_does_not(
-    world: World,
-) -> None:
-    world.spawn("camera", "a", config={"image": "/i"})
-    world.spawn("relay", "b", config={"in": "/i"})
-    calls = len(world.host.calls)
-    revision = world.manager.graph.revision
-    world.kill_manager()
-    changing = {"load", "unload", "connect", "retire"}
-    assert not [call for call in world.host.calls[calls:] if call[0] in changing]
-    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
-    assert world.manager.graph.revision > revision
-    world.store.close()
-    world.host.kill("/fake_0")
-    world.open()
-    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
-    assert world.host.nodelet("/b").ports["in"].topic == "/i"
-
-
 def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: World) -> None:
     world.spawn("camera", "a", is_protected=True)
     world.spawn("camera", "alone", isolated=True)
@@ -267,34 +240,6 @@ def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: Wor
     world.kill_manager()
     assert world.states() == {}
     assert len(world.manager.library) == 7
-
-
-def test_an_unchanged_picture_is_no_new_revision(world: World) -> None:
-    world.spawn("camera", "a")
-    changes = []
-    world.manager.graph.on_change = lambda: changes.append(1)
-    revision = world.manager.graph.revision
-    for _ in range(5):
-        world.manager.look()
-    assert (world.manager.graph.revision, changes) == (revision, [])
-
-
-def test_a_nodelet_that_is_lost_is_logged_once(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
-    world.spawn("camera", "a")
-
-    def said() -> int:
-        return sum("/a is lost" in each.getMessage() for each in caplog.records)
-
-    for times in (1, 2):
-        world.host.hang("/fake_0")
-        for _ in range(20):
-            world.manager.look()
-        assert said() == times
-        world.host.wake("/fake_0")
-        world.manager.look()
-    assert all(each.getMessage().count("/fake_0") <= 1 for each in caplog.records)
 
 
 def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:
@@ -307,3 +252,98 @@ def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:
     world.host.details.clear()
     world.manager.look()
     assert world.manager.get_model().nodelets[0].detail == ""
+
+
+# Nodelet managers on unreachable hosts: nothing unknown is stated, and work is done later
+
+FAR = "/far"
+
+
+@pytest.fixture
+def far(world: World) -> World:
+    world.host.add(FAR)
+    world.spawn("camera", "/a", manager=FAR)
+    return world
+
+
+def kill_manager(far: World) -> None:
+    far.host.cut(FAR, known=False)
+    far.kill_manager()
+
+
+def kill_process(far: World) -> None:
+    far.host.kill(FAR)
+    far.host.add(FAR)
+    far.host.cut(FAR)
+
+
+def refuse(far: World) -> None:
+    far.host.mend(FAR)
+    far.host.fail_at("unload", error="not now")
+    far.manager.look()
+    far.host.recover()
+    far.host.cut(FAR)
+
+
+@pytest.mark.parametrize(
+    "happens",
+    [World.states, World.open, kill_manager, kill_process, refuse],
+    ids=lambda f: f.__name__,
+)
+def test_a_destroy_that_nobody_can_verify_is_refused_and_made_good(
+    far: World, happens: Callable[[World], object]
+) -> None:
+    far.host.cut(FAR)
+    with pytest.raises(HostTimeout, match="'/a' is not destroyed yet: .* as soon as /far answers"):
+        far.manager.destroy("/a")
+    far.manager.look()
+    happens(far)
+    assert far.states() == {"/a": "LOST"}
+    assert "as soon as /far answers" in far.manager.graph.get("/a").detail
+    far.host.mend(FAR)
+    before = len(far.host.calls)
+    for _ in range(2):
+        far.manager.look()
+        assert (far.states(), far.host.running) == ({}, [])
+    calls = far.host.calls[before:]
+    assert [call for call in calls if call[0] in ("load", "unload")] == [("unload", "/a")]
+
+
+def test_what_is_certainly_gone_is_destroyed_at_once(far: World) -> None:
+    far.host.kill(FAR)
+    far.manager.destroy("/a")
+    assert far.states() == {}
+
+
+def test_what_nobody_has_looked_for_yet_is_taken_to_be_as_it_was(far: World) -> None:
+    far.host.cut(FAR, known=False, unseen=True)
+    far.kill_manager()
+    assert far.states() == {"/a": "RUNNING"}
+    far.host.cut(FAR, known=False)
+    far.manager.look()
+    assert far.manager.graph.get("/a").state is State.LOST
+    far.host.mend(FAR)
+    far.manager.look()
+    assert far.states() == {"/a": "RUNNING"}
+
+
+def test_a_nodelet_manager_that_is_away_is_said_to_be(far: World) -> None:
+    far.host.cut(FAR, known=False)
+    with pytest.raises(HostError, match="'/far' does not answer"):
+        far.spawn("camera", "/b", manager=FAR)
+
+
+def test_what_others_loaded_is_destroyed_as_soon_as_its_process_answers(world: World) -> None:
+    world.spawn("camera", "/a")
+    host = world.manager.graph.get("/a").manager
+    world.host.load(host, LoadRequest("/x", "pkg/Camera"), 1.0)
+    world.manager.look()
+    world.host.hang(host)
+    with pytest.raises(HostTimeout, match="it is destroyed as soon as"):
+        world.manager.destroy("/x")
+    world.manager.look()
+    assert world.states()["/x"] == "LOST"
+    world.host.wake(host)
+    for _ in range(3):
+        world.manager.look()
+    assert world.host.running == ["/a"] and set(world.states()) == {"/a"}

@@ -28,12 +28,6 @@ def test_a_text_that_is_too_large_is_refused_unread(convert):
     ]
 
 
-def test_too_many_transformations_end_the_reading():
-    text = "<transformations>" + GOOD * 5 + "</transformations>"
-
-    assert (1, "more than 2 transformations in one text") in problems_of(text, transformations=2)
-
-
 def test_values_that_are_too_long_are_refused_in_elements_and_attributes():
     text = (
         f"<transformation><label>{'x' * 11}</label>\n<source>p/A</source>\n"

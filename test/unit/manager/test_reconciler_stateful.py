@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from typing import Set, Tuple
 
+from charged_robot import CHARGED, FORMULAS
 from hypothesis import HealthCheck
 from hypothesis import strategies as st
 from hypothesis.stateful import invariant, precondition, rule
 from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
 from unit.manager.field import Field, transformation
-from unit.manager.test_requirements import CHARGED, FORMULAS, requiring
+from unit.manager.test_requirements import requiring
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.model.streams import ClaimState
@@ -168,4 +169,15 @@ def test_a_request_that_fails_leaves_nothing_of_the_name_of_a_dead_part() -> Non
         ("silence", "/joint_states", True),
         ("kill", 24),
         ("acquire", "FieldPosition(ball)", ("bottom camera",), 0.0, "present(it)"),
+    )
+
+
+def test_a_replaced_part_that_is_to_be_destroyed_goes_as_soon_as_its_process_answers() -> None:
+    """Attempts on a nodelet manager that hangs are no failures, which pauses would follow."""
+    Claims().relive(
+        ("acquire", "RelativePosition(ball)", (), 0.0, ""),
+        ("hang", 0, True),
+        ("destroy", 4),
+        ("wait", 1.0),
+        ("hang", 0, False),
     )

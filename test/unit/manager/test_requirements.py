@@ -6,38 +6,26 @@
 from __future__ import annotations
 
 import random
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Dict, List
+from typing import Collection, Dict, List
 
 import pytest
-from unit.manager.field import CHAIN, LIBRARY, POINT, SOURCES, Field
+from charged_robot import CHARGED, FORMULAS
+from unit.manager.field import CHAIN, LIBRARY, POINT, SOURCES, Field, transformation
 
 from dyknow.errors import BadParameter, FormulaError, NoPlanFound
 from dyknow.formulas import Truth, parse
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.requirements import CLIENT, is_own
+from dyknow.manager.host import HeardVerdict
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import VERDICT
 
-CHARGED = "Holds(charged, nao)"
-FORMULAS = """
-<transformations>
-  <transformation type="topic"><label>battery</label><source>/battery</source>
-    <ports><port type="out" datatype="sensor_msgs/BatteryState">out</port></ports>
-    <tags><tag port="out">Battery(nao)</tag></tags></transformation>
-  <transformation type="formula"><label>charged</label>
-    <ports><port type="in" datatype="sensor_msgs/BatteryState">battery</port>
-    <port type="out">holds</port></ports>
-    <tags><tag port="battery">Battery(?robot)</tag>
-    <tag port="holds">Holds(charged, ?robot)</tag></tags>
-    <formula>battery.percentage &gt; 0.2</formula></transformation>
-</transformations>
-"""
 
-
-def requiring(label: str, *tags: str, initially: bool = True) -> str:
+def requiring(label: str, *tags: str, initially: bool = True, library: str = LIBRARY) -> str:
     """The specification of the library with a label that requires verdicts."""
-    lines = LIBRARY.split("</transformation>")
+    lines = library.split("</transformation>")
     at = next(n for n, each in enumerate(lines) if f"<label>{label}</label>" in each)
     attribute = "" if initially else ' initially="false"'
     lines[at] += "".join(f"<requires{attribute}>{tag}</requires>" for tag in tags)
@@ -176,7 +164,10 @@ def test_before_the_first_verdict(field: Field, initially: bool) -> None:
     assert cameras(field) == ["bottom camera"], "at once: it was never FALSE"
 
 
-def test_without_anything_else_the_stream_goes_on_degraded(field: Field) -> None:
+@pytest.mark.parametrize("label", ["bottom camera", "joints"])
+def test_without_anything_else_the_stream_goes_on_degraded(field: Field, label: str) -> None:
+    """Not only what is loaded, but a topic too may require a verdict."""
+    field.manager.add_transformation(requiring(label, CHARGED))
     field.manager.remove_transformation("ceiling camera")
     claim = field.acquire().claim
     field.settle()
@@ -184,7 +175,7 @@ def test_without_anything_else_the_stream_goes_on_degraded(field: Field) -> None
     field.settle()
     degraded = field.claim(claim.claim_id)
     assert degraded.state is ClaimState.DEGRADED
-    assert "/bottom_camera_1 is not available: Holds(charged, nao) is FALSE" in degraded.detail
+    assert "is not available: Holds(charged, nao) is FALSE" in degraded.detail
     assert claim.topic in field.moving
     decide(field, True)
     field.settle(1.0)
@@ -193,34 +184,19 @@ def test_without_anything_else_the_stream_goes_on_degraded(field: Field) -> None
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
-def test_a_topic_may_require_a_verdict(field: Field) -> None:
-    field.manager.add_transformation(requiring("joints", CHARGED))
-    claim = field.acquire().claim
-    field.settle()
-    decide(field, False)
-    field.settle()
-    degraded = field.claim(claim.claim_id)
-    assert degraded.state is ClaimState.DEGRADED
-    assert "is not available" in degraded.detail
-
-
 def test_only_the_individual_that_a_verdict_is_about_is_concerned() -> None:
-    eyes = "".join(
-        f"""<transformation type="topic"><label>eye of {robot}</label><source>/{robot}/eye</source>
-        <ports><port type="out" datatype="{POINT}">out</port></ports>
-        <tags><tag port="out">Eye({robot})</tag></tags></transformation>"""
-        for robot in ("nao", "pepper")
-    )
     field = Field(
         sources={**SOURCES, "soccer/Seer": [("eye", "in", POINT), ("seen", "out", POINT)]},
-        library=f"""<transformations>{eyes}
-        <transformation><label>seer</label><source>soccer/Seer</source>
-        <ports><port type="in">eye</port><port type="out">seen</port></ports>
-        <tags><tag port="eye">Eye(?robot)</tag><tag port="seen">Seen(?robot)</tag></tags>
-        <requires>Holds(charged, ?robot)</requires></transformation></transformations>""",
+        library=transformation(
+            "seer", "soccer/Seer", "in eye, out seen", "eye Eye(?robot); seen Seen(?robot)"
+        ).replace("</tags>", "</tags><requires>Holds(charged, ?robot)</requires>"),
     )
-    field.host.topics |= {"/nao/eye", "/pepper/eye", "/nao/battery", "/pepper/battery"}
     for robot in ("nao", "pepper"):
+        eye = transformation(f"eye of {robot}", f"/{robot}/eye", "out out", f"out Eye({robot})")
+        field.manager.add_transformation(
+            eye.replace("<transformation", '<transformation type="topic"')
+        )
+        field.host.topics |= {f"/{robot}/eye", f"/{robot}/battery"}
         field.manager.add_transformation(
             FORMULAS.replace("(nao)", f"({robot})")
             .replace("<label>battery", f"<label>battery of {robot}")
@@ -281,6 +257,71 @@ def test_verdicts_are_heard_again_after_a_restart(field: Field, tmp_path: object
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.tidy()
     assert cameras(field) == ["ceiling camera"]
+
+
+CALM = "Holds(calm, nao)"
+
+
+def heard_one_by_one(field: Field, monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+    """Let a restarted manager hear nothing in its first round, and then one verdict alone."""
+    topic, verdicts = own(field)[first].topic, field.host.verdicts
+    rounds = iter([set(), {topic}])
+    field.kill_manager()
+
+    def heard(topics: Collection[str]) -> Dict[str, HeardVerdict]:
+        some = next(rounds, topics)
+        return {each: verdict for each, verdict in verdicts(topics).items() if each in some}
+
+    monkeypatch.setattr(field.host, "verdicts", heard)
+
+
+@pytest.mark.parametrize("first", [CHARGED, CALM])
+@pytest.mark.parametrize("label", ["detector", "joints"])
+def test_a_part_in_use_is_kept_until_its_verdict_is_heard_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, label: str, first: str
+) -> None:
+    field = Field(path=f"{tmp_path}/state")
+    field.host.topics.add("/battery")
+    field.manager.add_transformation(FORMULAS)
+    field.manager.add_transformation(FORMULAS.replace("charged", "calm"))
+    library = requiring("bottom camera", CHARGED, initially=False)
+    field.manager.add_transformation(requiring(label, CALM, initially=False, library=library))
+    with pytest.raises(NoPlanFound) as refused:
+        field.acquire()
+    field.settle()
+    for tag in (CHARGED, CALM):
+        decide(field, True, tag)
+    field.settle(5.0)
+    claim = field.claim(refused.value.claim_id)
+    assert claim.state is ClaimState.ACTIVE and cameras(field) == ["bottom camera"]
+    heard_one_by_one(field, monkeypatch, first)
+    for _ in range(6):
+        field.tick()
+        assert field.claim(claim.claim_id) == claim
+    assert field.reasons() == []
+    decide(field, False)
+    field.settle()
+    assert "/ceiling_camera_1" in field.claim(claim.claim_id).nodelets
+
+
+@pytest.mark.parametrize("is_other_known", [True, False])
+def test_a_topic_waits_for_its_first_verdict(field: Field, is_other_known: bool) -> None:
+    """Whether another verdict is known or not."""
+    if is_other_known:
+        field.acquire("Planes(field)")
+        field.settle()
+        decide(field, True)
+        field.settle()
+    field.manager.add_transformation(FORMULAS.replace("charged", "calm"))
+    library = requiring("bottom camera", CHARGED)
+    field.manager.add_transformation(requiring("joints", CALM, initially=False, library=library))
+    with pytest.raises(NoPlanFound) as refused:
+        field.acquire()
+    field.settle()
+    assert field.state(refused.value.claim_id) is ClaimState.PENDING
+    decide(field, True, CALM)
+    field.settle()
+    assert field.state(refused.value.claim_id) is ClaimState.ACTIVE
 
 
 # Formulas of requests
@@ -380,6 +421,8 @@ def test_clients_share_a_topic_if_they_require_the_same(field: Field) -> None:
         ("it.point.x <", FormulaError, "expected"),
         ("other.point.x < 3", BadParameter, "reads 'it' alone"),
         ("1 < 2", FormulaError, "reads no port"),
+        ("every ?c (it.data < 0.05)", BadParameter, "without 'every' and 'some'.*individuals ?"),
+        ("present(it) and some ?c (it.data < 1)", BadParameter, "without 'every' and 'some'"),
     ],
 )
 def test_formulas_that_are_refused(

@@ -18,7 +18,7 @@ REFEREE = (
     f'<ports><port type="out" datatype="{POINT}">position</port></ports>'
     '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
 )
-UNKNOWN = "not known whether messages come: the publisher of {} cannot be asked"
+UNKNOWN = "not known whether messages come: the publisher of {} cannot be queried"
 
 
 def called(field: Field, operation: str) -> bool:
@@ -70,14 +70,14 @@ def test_a_bad_network_makes_no_part_silent(field: Field, is_lossy: bool) -> Non
     assert field.host.running == before
 
 
-@pytest.mark.parametrize("service", [1.0, 3.0, 7.0])
+@pytest.mark.parametrize("service", [1.0, 7.0])
 def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
     field: Field, service: float
 ) -> None:
     """A part that has served between two failures is paused no longer than it has served."""
     claim = field.acquire("YUV(field)", max_silence=1.0).claim
     field.settle(10.0)
-    for _ in range(16):
+    for _ in range(8):
         (camera,) = field.claim(claim.claim_id).nodelets
         field.host.silent.add(camera)
         begin = field.now
@@ -198,25 +198,6 @@ def test_messages_before_the_request_do_not_count_but_a_latched_one_does(field: 
     field.host.nodelet("/localization_1").latched.add("position")
     field.settle(2.0)
     assert details(field) == ["", ""]
-
-
-def test_a_stream_that_is_whole_again_says_so(field: Field) -> None:
-    field.spawn("localization", "/mine", isolated=True, config={"position": "/mine/position"})
-    field.manager.remove_transformation("localization")
-    planes = field.acquire("RelativePosition(ball)").claim
-    field.manager.host.connect("/mine", {"ball": planes.topic})
-    field.manager.look()
-    field.acquire()
-    field.settle(2.0)
-    assert details(field) == ["", ""]
-    manager = field.manager.graph.get("/mine").manager
-    field.host.hang(manager)
-    field.settle(5.0)
-    field.host.silent.add("/mine")
-    field.host.wake(manager)
-    field.settle(5.0)
-    assert field.reasons()[-1] == "it can be made now"
-    assert details(field) == ["", NO_MESSAGE]
 
 
 def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field: Field) -> None:

@@ -3,6 +3,7 @@
 
 """Parsing specifications: what is accepted, what is refused, and what is said about it."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -49,124 +50,133 @@ def test_the_examples_are_clean(name):
     assert check(str(EXAMPLES / name)) == ((), ())
 
 
-def test_children_may_stand_in_any_order():
-    text = """<?xml version="1.0" encoding="utf-8"?>
-    <!-- a comment -->
-    <transformation cost="7">
-      <tags><tag port=" in ">A(b)</tag></tags>
-      <ports><port type="in" datatype="p/T">in</port></ports>
-      <params><param name="x">1.5</param><param name="y" type="string"/></params>
-      <source>p/<!-- in the middle -->A</source>
-      <label><![CDATA[<a>]]></label>
-    </transformation>"""
-
-    assert parse(text).transformations == (
-        Transformation(
-            "<a>",
-            "p/A",
-            cost=7,
-            parameters=(Parameter("x", "double", "1.5"), Parameter("y", "string", "")),
-            ports=(Port("in", "in", "p/T", ("A(b)",)),),
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (  # children in any order
+            """<?xml version="1.0" encoding="utf-8"?><!-- a comment -->
+            <transformation cost="7">
+            <tags><tag port=" in ">A(b)</tag><tag port="in">A(b)</tag></tags>
+            <ports><port type="in" datatype="p/T">in</port></ports>
+            <params><param name="x">1.5</param><param name="y" type="string"/></params>
+            <source>p/<!-- in the middle -->A</source>
+            <label><![CDATA[<a>]]></label></transformation>""",
+            Transformation(
+                "<a>",
+                "p/A",
+                cost=7,
+                parameters=(Parameter("x", "double", "1.5"), Parameter("y", "string", "")),
+                ports=(Port("in", "in", "p/T", ("A(b)",)),),
+            ),
         ),
-    )
-
-
-def test_a_topic_is_a_transformation_with_one_out_port():
-    text = """<transformation type="topic" cost="0"><label>joints</label>
-      <source>/joint_states</source><ports><port type="out">joint_states</port></ports>
-      <params><param name="x">1</param></params></transformation>"""
-
-    found = parse(text, "x.xml")
-
-    assert found.transformations[0].type == "topic"
-    assert found.warnings == (
-        Problem("x.xml", 1, "a topic has no parameters; these will never be set"),
-    )
-
-
-def test_a_node_has_a_program_with_arguments():
-    text = """<transformation type="node" isolated="true"><label>copier</label>
-      <source>topic_tools/relay /scan '/a copy'</source></transformation>"""
-
-    (found,) = parse(text).transformations
-
-    assert found == Transformation(
-        "copier", "topic_tools/relay /scan '/a copy'", "node", isolated=True
-    )
-    assert Program.of(found.source) == Program("topic_tools", "relay", ("/scan", "/a copy"))
-
-
-def test_a_node_that_others_start_needs_no_source_and_takes_no_parameters():
-    text = """<transformation type="node" node="/robot/camera" isolated="true">
-      <label>camera</label><ports><port type="out">image</port></ports>
-      <params><param name="x">1</param></params></transformation>"""
-
-    found = parse(text, "x.xml")
-
-    assert found.transformations[0].node == "/robot/camera"
-    assert found.transformations[0].is_described
-    assert [warning.message for warning in found.warnings] == [
-        "a node that others start is as they start it; isolated has no effect",
-        "a node that others start has no parameters; these will never be set",
-    ]
-
-
-def test_names_that_are_no_ros_names_are_accepted_with_a_warning():
-    text = """<transformation><label>a</label><source>p/A</source>
-      <params><param name="config-path" type="string">x</param></params>
-      <ports><port type="in">raw-camera</port></ports></transformation>"""
-
-    found = parse(text)
-
-    assert [(w.line, w.message.split(" is ")[0]) for w in found.warnings] == [
-        (2, "the parameter 'config-path'"),
-        (3, "the port 'raw-camera'"),
-    ]
-    assert found.transformations[0].parameters[0].name == "config-path"
-
-
-def test_a_tag_that_stands_twice_counts_once():
-    text = """<transformation><label>a</label><source>p/A</source>
-      <ports><port type="in">in</port></ports>
-      <tags><tag port="in">A(b)</tag>
-        <tag port="in">A(b)</tag></tags></transformation>"""
-
-    found = parse(text)
-
-    assert found.transformations[0].ports[0].tags == ("A(b)",)
-    assert [warning.line for warning in found.warnings] == [4]
-
-
-def test_a_tag_that_the_planner_cannot_use_is_accepted_with_a_warning():
-    text = """<transformation><label>a</label><source>p/A</source>
-      <ports><port type="in">in</port><port type="out">out</port></ports><tags>
-        <tag port="in">Image(?camera)</tag>
-        <tag port="in">Image(camera</tag>
-        <tag port="out">http://dyknow.example.org/soccer#Ball</tag></tags></transformation>"""
-
-    found = parse(text)
-
-    assert [(warning.line, warning.message) for warning in found.warnings] == [
         (
-            4,
-            "the tag 'Image(camera' is passed over by the planner: "
-            "expected Functor or Functor(arg, …)",
+            """<transformation type="topic" cost="0"><label>joints</label>
+            <source>/states</source><ports><port type="out">s</port></ports></transformation>""",
+            Transformation("joints", "/states", "topic", cost=0, ports=(Port("s", "out"),)),
         ),
-    ]
-    assert found.transformations[0].ports[0].tags == ("Image(?camera)", "Image(camera")
+        (
+            """<transformation type="node" isolated="true"><label>copier</label>
+            <source>topic_tools/relay /scan '/a copy'</source></transformation>""",
+            Transformation("copier", "topic_tools/relay /scan '/a copy'", "node", isolated=True),
+        ),
+        (  # others start it
+            """<transformation type="node" node="/robot/camera"><label>camera</label>
+            </transformation>""",
+            Transformation("camera", "", "node", node="/robot/camera"),
+        ),
+    ],
+)
+def test_each_kind_of_transformation_is_read(text, expected):
+    assert parse(text).transformations == (expected,)
+
+
+def test_a_program_has_arguments():
+    source = "topic_tools/relay /scan '/a copy'"
+
+    assert Program.of(source) == Program("topic_tools", "relay", ("/scan", "/a copy"))
+
+
+SOURCE = "<label>a</label><source>p/A</source>"
+IMAGE = f'<transformation>{SOURCE}<ports><port type="in">in</port></ports>'
+
+
+@pytest.mark.parametrize(
+    ("text", "warnings"),
+    [
+        (
+            """<transformation type="topic"><label>a</label><source>/a</source>
+            <ports><port type="out">a</port></ports>
+            <params><param name="x">1</param></params></transformation>""",
+            [(1, "a topic has no parameters; these will never be set")],
+        ),
+        (
+            """<transformation type="node" node="/a" isolated="true"><label>a</label>
+            <params><param name="x">1</param></params></transformation>""",
+            [
+                (1, "a node that others start is as they start it; isolated has no effect"),
+                (1, "a node that others start has no parameters; these will never be set"),
+            ],
+        ),
+        (
+            f"""<transformation>{SOURCE}
+            <params><param name="config-path" type="string">x</param></params>
+            <ports><port type="in">raw-camera</port></ports></transformation>""",
+            [(2, "the parameter 'config-path' is"), (3, "the port 'raw-camera' is")],
+        ),
+        (
+            f"""{IMAGE}<tags><tag port="in">A(b)</tag>
+            <tag port="in">A(b)</tag></tags></transformation>""",
+            [(2, "")],
+        ),
+        (
+            f"""{IMAGE}<tags><tag port="in">Image(?camera)</tag>
+            <tag port="in">http://dyknow.example.org/soccer#Ball</tag>
+            <tag port="in">Image(camera</tag></tags></transformation>""",
+            [
+                (
+                    3,
+                    "the tag 'Image(camera' is passed over by the planner: "
+                    "expected Functor or Functor(arg, …)",
+                )
+            ],
+        ),
+    ],
+)
+def test_what_has_no_effect_is_accepted_with_a_warning(text, warnings):
+    found = parse(text).warnings
+
+    assert [warning.line for warning in found] == [line for line, _ in warnings]
+    assert all(each.message.startswith(said) for each, (_, said) in zip(found, warnings))
 
 
 def test_a_type_that_is_no_class_is_accepted_with_a_warning():
-    text = """<transformation><label>a</label><source>p/A</source>
-      <ports><port type="in">in</port></ports><tags>
+    text = f"""{IMAGE}<tags>
         <tag port="in">Image(?camera: Camera, ?lens: ball)</tag></tags></transformation>"""
-
     ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
 
     assert parse(text).warnings == ()
     assert [each.message for each in parse(text, ontology=ontology).warnings] == [
         "the tag 'Image(?camera: Camera, ?lens: ball)' has the type 'ball', which is no class of "
         "the ontology"
+    ]
+
+
+def test_the_concept_of_a_quantifier_restricts_the_tags_of_its_ports():
+    text = """<transformation type="formula"><label>all</label>
+        <ports><port type="in" datatype="std_msgs/Bool">image</port>
+        <port type="in" datatype="std_msgs/Bool">scan</port><port type="out">holds</port></ports>
+        <tags><tag port="image">Image(?c)</tag><tag port="scan">Scan(?d: Laser)</tag></tags>
+        <formula>every ?c: Camera (image) and some ?c (image) and every ?d (scan)</formula>
+        </transformation>"""
+    (found,) = parse(text).transformations
+    given = {each.name: each.text for each in found.parameters}
+    tags = {"image": "Image(?c: Camera)", "scan": "Scan(?d: Laser)"}
+    assert json.loads(given["individuals"]) == tags
+
+    ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
+    text = text.replace("Camera", "Camra").replace("?d: Laser", "?d")
+    assert [each.message for each in parse(text, ontology=ontology).warnings] == [
+        "a quantifier has the concept 'Camra', which is no class of the ontology"
     ]
 
 

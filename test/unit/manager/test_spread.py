@@ -95,38 +95,46 @@ def test_one_of_two_that_share_a_core_moves_and_then_both_stay():
     assert robot.places() == {"/a": second, "/b": robot.first, "/c": robot.first}
     text = f"/a is moved from {robot.first} to {second}: it takes "
     assert robot.told == [f"{text}0.48 of the 1.00 cores that {robot.first} takes"]
-    robot.run(3600)
+    robot.run(600)
     assert len(robot.told) == 1
     assert set(robot.world.states().values()) == {"RUNNING"}
 
 
-def test_the_one_moves_that_helps_most():
-    robot = Robot(small=0.15, middle=0.4, large=0.5)
-    robot.run(WINDOW + 1)
-    assert {n: len(way) for n, way in robot.ways.items()} == {
-        "/small": 1,
-        "/middle": 1,
-        "/large": 2,
-    }
+def only_wait(robot):
+    robot.computes = False
+
+
+def be_elsewhere(robot):
+    process = robot.host.processes[robot.others[0]]
+    process.state = replace(process.state, host="elsewhere")
+
+
+def not_answer(robot):
+    robot.host.hang(robot.others[0])
+
+
+def do_nothing(robot):
+    pass
 
 
 @pytest.mark.parametrize(
-    "wanted",
-    [{"a": 0.3, "b": 0.3}, {"a": 1.0}, {"a": 0.95, "b": 0.05}],
-    ids=["below the limit", "alone", "nothing to gain"],
+    ("managers", "wanted", "happens"),
+    [
+        (2, {"a": 0.3, "b": 0.3}, do_nothing),  # below the limit
+        (2, {"a": 1.0}, do_nothing),  # alone
+        (2, {"a": 0.95, "b": 0.05}, do_nothing),  # nothing to gain
+        (1, {"a": 0.95, "b": 0.05}, do_nothing),  # by another nodelet manager either
+        (2, {"a": 0.9, "b": 0.9}, only_wait),
+        (2, {"a": 0.8, "b": 0.8}, be_elsewhere),
+        (2, {"a": 0.8, "b": 0.8}, not_answer),
+    ],
 )
-def test_what_would_gain_nothing_stays(wanted):
-    robot = Robot(**wanted)
-    robot.run(600)
+def test_what_would_gain_nothing_stays(managers, wanted, happens):
+    robot = Robot(managers, **wanted)
+    happens(robot)
+    robot.run(300)
     assert robot.told == []
-    assert len(robot.host.processes) == 2
-
-
-def test_a_process_that_only_waits_is_not_busy():
-    robot = Robot(a=0.9, b=0.9)
-    robot.computes = False
-    robot.run(60)
-    assert robot.told == []
+    assert len(robot.host.processes) == managers
 
 
 @pytest.mark.parametrize("protected", [True, False])
@@ -158,27 +166,6 @@ def test_nodelet_managers_are_started_up_to_the_number_of_cores():
     robot.run(300)
     assert len(robot.host.processes) == 3
     assert sorted(len(p.nodelets) for p in robot.host.processes.values()) == [1, 1, 2]
-
-
-def test_none_is_started_where_it_would_not_help():
-    robot = Robot(managers=1, a=0.95, b=0.05)
-    robot.run(300)
-    assert len(robot.host.processes) == 1
-
-
-def test_another_host_is_no_target():
-    robot = Robot(a=0.8, b=0.8)
-    process = robot.host.processes[robot.others[0]]
-    process.state = replace(process.state, host="elsewhere")
-    robot.run(60)
-    assert robot.told == []
-
-
-def test_while_one_does_not_answer_nothing_moves():
-    robot = Robot(a=0.8, b=0.8)
-    robot.host.hang(robot.others[0])
-    robot.run(60)
-    assert robot.told == []
 
 
 @pytest.mark.parametrize("step", ["note", "park", "give"])
@@ -213,21 +200,6 @@ def test_one_that_does_not_come_up_is_back_where_it_was(step, caplog):
     assert robot.places()["/a"] == robot.first
     assert robot.world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
     assert robot.host.nodelet("/a").ports["in"].topic == "/images"
-
-
-def test_one_that_is_killed_in_the_middle_runs_once():
-    robot = Robot(a=0.8, b=0.8)
-
-    def fail(operation, argument):
-        if operation == "load" and argument == "/a":
-            robot.host.recover()
-            robot.host.kill(robot.others[0])
-
-    robot.host.fail = fail
-    robot.run(WINDOW + 1)
-    robot.run(30)
-    assert robot.host.running == ["/a", "/b"]
-    assert robot.world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
 
 
 @pytest.mark.parametrize("step", ["give", "load"])

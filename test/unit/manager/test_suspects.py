@@ -138,18 +138,6 @@ def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> N
     assert [each.label for each in field.manager.graph.all() if each.isolated] == ["subsampler"]
 
 
-def test_one_that_crashes_before_its_stream_is_made_leaves_the_others_in_peace() -> None:
-    field = Field()
-    wait_for_one_that_crashes(field)
-    field.settle(60.0)
-    before, calls = field.host.processes[SHARED].state.incarnation, len(field.host.calls)
-    for _ in range(3):
-        field.settle(120.0)
-    attempts = [name for step, name in field.host.calls[calls:] if step == "load"]
-    assert any("subsampler" in name for name in attempts)
-    assert field.host.processes[SHARED].state.incarnation == before != ""
-
-
 def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() -> None:
     field = Field()
     ports = "in yuv,out planes"

@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
 import pytest
-from unit.manager.field import CHAIN, IMAGE, Field, specification, transformation
+from unit.manager.field import CHAIN, IMAGE, Field, specification
 
-from dyknow.errors import SpawnFailed
+from dyknow.errors import NoPlanFound, SpawnFailed
 from dyknow.manager.claim import ClaimEvent
 from dyknow.model.streams import ClaimState
 
-JOINTS = "sensor_msgs/JointState"
 
-
-def described(label: str, topic: str, tag: str, datatype: str = JOINTS) -> str:
+def described(label: str, topic: str, tag: str, datatype: str) -> str:
     return (
         f'<transformation type="topic"><label>{label}</label><source>{topic}</source>'
         f'<ports><port type="out" datatype="{datatype}">out</port></ports>'
@@ -101,79 +99,7 @@ def test_what_lingers_keeps_no_wires_and_is_used_again(field: Field) -> None:
     assert field.host.running == running
 
 
-def test_what_a_waiting_claim_shares_goes_on_for_the_other(field: Field) -> None:
-    whole = field.acquire().claim
-    planes = field.acquire("Planes(field)").claim
-    field.host.topics.clear()
-    field.settle()
-    assert field.state(whole.claim_id) is ClaimState.PENDING
-    assert field.state(planes.claim_id) is ClaimState.ACTIVE
-    assert planes.topic in field.moving and whole.topic not in field.moving
-
-
-# Topics of ordinary nodes
-
-
-def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> None:
-    claim = field.acquire().claim
-    field.manager.remove_transformation("joints")
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.PENDING
-    assert "nothing supplies Joints(?robot)" in field.claim(claim.claim_id).detail
-    assert field.host.publishers(claim.topic) == []
-    assert "joints" not in connected(field, "/detector_1")
-    field.host.topics.add("/other/joints")
-    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert connected(field, "/detector_1")["joints"] == "/other/joints"
-
-
-def test_a_client_of_an_ordinary_topic_is_not_served_by_what_is_described_no_more(
-    field: Field,
-) -> None:
-    claim = field.acquire("Joints(?robot)").claim
-    assert (claim.topic, claim.sources) == ("/joint_states", ("/joint_states",))
-    field.manager.remove_transformation("joints")
-    field.settle()
-    assert field.state(claim.claim_id) is ClaimState.PENDING
-    field.host.topics.add("/other/joints")
-    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
-    field.settle()
-    now = field.claim(claim.claim_id)
-    assert (now.state, now.sources) == (ClaimState.ACTIVE, ("/other/joints",))
-
-
-@pytest.mark.parametrize("is_first", [True, False])
-def test_no_part_publishes_where_an_ordinary_node_does(lab: Field, is_first: bool) -> None:
-    text = described("node", "/ceiling_1/image", "RawYUV(bottom)", IMAGE)
-    if is_first:
-        lab.manager.add_transformation(text)
-        lab.host.topics.add("/ceiling_1/image")
-    claim = lab.acquire("BGR(ceiling)").claim
-    lab.settle()
-    lab.host.topics.add("/ceiling_1/image")
-    lab.manager.add_transformation(text)
-    lab.settle(3.0)
-    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
-    assert claim.topic in lab.moving
-    assert lab.host.publishers("/ceiling_1/image") == []
-
-
 # What people do
-
-
-def test_who_sends_something_else_on_a_claim_s_topic_is_taken_off(field: Field) -> None:
-    field.manager.add_transformation(
-        transformation("noise", "soccer/Localization", "in ball, out position", "position Noise")
-    )
-    claim = field.acquire().claim
-    field.spawn("noise", "/noise", config={"position": "/noise/position"})
-    field.host.connect("/noise", {"position": claim.topic})
-    field.manager.look()
-    field.settle()
-    assert field.host.publishers(claim.topic) == [claim.goal[0]]
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
 def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> None:
@@ -196,18 +122,30 @@ def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> 
 
 def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field) -> None:
     other = {"image": ("out", ["RawYUV(bottom)"])}
-    lab.manager.add_transformation(specification("other", "lab/ceiling", other, 1, IMAGE))
+    for label in ("other", "mine"):
+        lab.manager.add_transformation(specification(label, "lab/ceiling", other, 1, IMAGE))
     claim = lab.acquire("RawYUV(bottom)", exclude=("bottom",)).claim
-    lab.spawn("bottom", "/mine", config={"image": "/image"})
+    lab.spawn("mine", "/mine", config={"image": "/image"})
     tags = '<tag port="out">RawYUV(front)</tag><tag port="out">'
     text = described("front", "/image", "RawYUV(bottom)", IMAGE)
     lab.manager.add_transformation(text.replace('<tag port="out">', tags))
     lab.host.topics.add("/image")
-    lab.manager.remove_transformation("other")
+    for label in ("other", "mine"):
+        lab.manager.remove_transformation(label)
     lab.settle(3.0)
     assert lab.state(claim.claim_id) is ClaimState.ACTIVE
     assert lab.host.publishers(claim.topic) == ["/relay_of_image_1"]
     assert claim.topic in lab.moving
+
+
+def test_what_is_excluded_has_no_part_in_a_described_topic_either(lab: Field) -> None:
+    lab.spawn("bottom", "/mine", config={"image": "/image"})
+    lab.manager.add_transformation(described("seen", "/image", "RawYUV(bottom)", IMAGE))
+    lab.host.topics.add("/image")
+    assert lab.acquire("RawYUV(bottom)").claim.state is ClaimState.ACTIVE
+    with pytest.raises(NoPlanFound):
+        lab.acquire("RawYUV(bottom)", exclude=("bottom",))
+    assert lab.acquire("RawYUV(bottom)", exclude=("ceiling",)).claim.state is ClaimState.ACTIVE
 
 
 # Plain nodelets, which come up again when they are connected elsewhere

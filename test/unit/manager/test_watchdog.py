@@ -9,6 +9,8 @@ import pytest
 from clocks import HandClock
 from unit.manager.world import World
 
+from dyknow.errors import Denied, HostTimeout
+from dyknow.guards import Guards
 from dyknow.manager.watchdog import Watchdog, WatchdogLimits
 from dyknow.model.graph import STUCK
 
@@ -33,7 +35,7 @@ class Watched:
 
         def restart(name):
             self.restarted.append(name)
-            manager.restart(name)
+            manager.renew(name)
 
         self.watchdog = Watchdog(
             self.host, manager.graph, restart, limits, self.told.append, self.clock.now
@@ -58,9 +60,30 @@ def watched():
     return Watched()
 
 
-def test_what_is_well_is_left_alone(watched):
+def take_less_than_the_limit(watched):
     watched.host.taken = {watched.shared: 499_000_000}
     watched.pass_time(100)
+
+
+def answer_again_in_time(watched):
+    for _ in range(3):
+        watched.host.hang(watched.shared)
+        watched.pass_time(9)
+        watched.host.wake(watched.shared)
+        watched.pass_time(1)
+
+
+def be_external(watched):
+    for name, is_foreign in (("/external", False), ("/theirs", True)):
+        watched.host.add(name, foreign=is_foreign)
+        watched.host.taken[name] = 10**9
+    watched.host.hang("/external")
+    watched.pass_time(60)
+
+
+@pytest.mark.parametrize("do", [take_less_than_the_limit, answer_again_in_time, be_external])
+def test_what_is_well_or_external_is_left_alone(watched, do):
+    do(watched)
     assert watched.restarted == watched.told == []
 
 
@@ -76,15 +99,6 @@ def test_a_nodelet_manager_that_hangs_is_restarted_with_its_nodelets(watched):
     ]
     assert watched.incarnation(watched.shared) != before
     assert watched.all_run
-
-
-def test_one_that_answers_again_in_time_is_left_alone(watched):
-    for _ in range(3):
-        watched.host.hang(watched.shared)
-        watched.pass_time(9)
-        watched.host.wake(watched.shared)
-        watched.pass_time(1)
-    assert watched.restarted == []
 
 
 def test_a_callback_that_does_not_return_ends_with_its_process(watched):
@@ -127,14 +141,6 @@ def test_what_cannot_be_restarted_is_logged_and_tried_later(watched, caplog):
     assert f"could not restart {watched.shared}: it is broken" in caplog.text
 
 
-def test_external_nodelet_managers_are_left_alone(watched):
-    watched.host.add("/theirs")
-    watched.host.hang("/theirs")
-    watched.host.taken["/theirs"] = 10**9
-    watched.pass_time(60)
-    assert watched.restarted == []
-
-
 @pytest.mark.parametrize("limits", [WatchdogLimits(hung=10.0), WatchdogLimits(memory=500.0)])
 def test_a_limit_of_zero_is_none(limits):
     watched = Watched(limits)
@@ -145,3 +151,31 @@ def test_a_limit_of_zero_is_none(limits):
     watched.pass_time(60)
     assert watched.restarted == []
     assert not WatchdogLimits()
+
+
+def test_a_nodelet_that_was_to_be_destroyed_does_not_keep_a_hung_process(watched):
+    watched.host.hang(watched.shared)
+    watched.pass_time(3)
+    with pytest.raises(HostTimeout):
+        watched.world.manager.destroy("/a")
+    watched.pass_time(20)
+    assert watched.restarted == [watched.shared]
+    assert watched.world.states() == {"/b": "RUNNING", "/c": "RUNNING"}
+
+
+def test_a_read_only_manager_has_a_watchdog(tmp_path):
+    clock = HandClock()
+    world = World(str(tmp_path / "state"), clock=clock)
+    world.spawn("camera", "/a")
+    world.guards = Guards(read_only=True)
+    world.open()
+    manager = world.manager
+    watchdog = Watchdog(world.host, manager.graph, manager.renew, LIMITS, list, clock.now)
+    world.host.hang(manager.graph.get("/a").manager)
+    for _ in range(20):
+        clock.time += 1.0
+        manager.look()
+        watchdog.look()
+    assert world.states() == {"/a": "RUNNING"}
+    with pytest.raises(Denied, match="read-only"):
+        manager.restart("/a")

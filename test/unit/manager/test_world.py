@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
+from typing import Dict, List, Optional, Sequence, Set, Tuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from unit.manager.field import Field
 from unit.manager.witness import Concepts, satisfies
 
 from dyknow.errors import WrongStream
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims import world as world_module
-from dyknow.manager.claims.ends import Ends, Inlet, ends_of, relay, supplied, ways_to_bind
+from dyknow.manager.claims.ends import Inlet, relay, supplied, ways_to_bind
 from dyknow.manager.claims.world import World
 from dyknow.manager.planning.problem import Demand
 from dyknow.manager.record import Record
@@ -250,24 +248,3 @@ def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
     streams = world(*records).live(records, ())
     found = {stream.nodelet: stream.latency for stream, _ in streams}
     assert found == {"/tracker": 0.3, "/left": 0.02, "/poses": 0.2, "/right": 0.0}
-
-
-def test_a_record_is_read_again_only_when_it_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    read: List[str] = []
-
-    def counted(record: Record, *args: Any) -> Ends:
-        read.append(record.name)
-        return ends_of(record, *args)
-
-    monkeypatch.setattr(world_module, "ends_of", counted)
-    field = Field()
-    claim = field.acquire("YUV(field)").claim
-    look = field.reconciler._context.connector.world
-    look()
-    del read[:]
-    assert [each.nodelet for each in look().producers(claim.topic)] == [claim.goal[0]]
-    assert read == []
-    field.spawn("bottom camera", "/by_hand", config={"image": claim.topic})
-    del read[:]
-    assert {each.nodelet for each in look().producers(claim.topic)} == {claim.goal[0], "/by_hand"}
-    assert read == ["/by_hand"]

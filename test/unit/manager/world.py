@@ -23,20 +23,22 @@ SOURCES = {
     "pkg/Native": [("image", "in", "sensor_msgs/Image"), ("out", "out", "sensor_msgs/Image")],
 }
 
-LIBRARY = """
-<transformations>
-  <transformation>
+CAMERA = """<transformation>
     <label>camera</label>
     <source>pkg/Camera</source>
     <params><param name="rate" type="double">30</param></params>
     <ports><port type="out" datatype="sensor_msgs/Image">image</port></ports>
     <tags><tag port="image">Raw(camera)</tag></tags>
-  </transformation>
-  <transformation>
+  </transformation>"""
+RELAY = """<transformation>
     <label>relay</label>
     <source>pkg/Relay</source>
     <ports><port type="in">in</port><port type="out">out</port></ports>
-  </transformation>
+  </transformation>"""
+LIBRARY = f"""
+<transformations>
+{CAMERA}
+{RELAY}
   <transformation>
     <label>native</label>
     <source>pkg/Native</source>

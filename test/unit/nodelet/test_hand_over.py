@@ -5,18 +5,20 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections import deque
 from contextlib import contextmanager
 from typing import ClassVar
 
 import pytest
+from clocks import in_thread, join
 from hypothesis import given
 from hypothesis import strategies as st
 from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 
 import dyknow
-from dyknow.errors import CannotMove, UnknownNodelet
+from dyknow.errors import CannotMove, DyKnowError, UnknownNodelet, UnloadedMeanwhile
 from dyknow.nodelet import hand_over
 from dyknow.nodelet.hand_over import HandOvers
 from dyknow.nodelet.parked import LATENESS
@@ -190,30 +192,22 @@ def finish(place, topics):
     place.world.drain()
 
 
-def test_what_waits_is_all_delivered_and_then_the_queue_has_its_limit():
+@pytest.mark.parametrize(
+    ("runs_meanwhile", "expected"), [(True, [*range(5), 8, 9]), (False, list(range(3, 10)))]
+)
+def test_what_waits_has_room_beside_the_limit_of_the_queue(runs_meanwhile, expected):
     place, topics, received = parked(size=2)
     for number in range(5):
         place.send(number)
     place.moves.take(NAME, topics)
     place.load()
-    place.world.drain()
-    assert received == list(range(5))
+    if runs_meanwhile:
+        place.world.drain()
+        assert received == list(range(5))
     for number in range(5, 10):
         place.send(number)
     place.world.drain()
-    assert received == [*range(5), 8, 9]
-
-
-def test_what_comes_while_the_rest_waits_has_room_beside_it():
-    place, topics, received = parked(size=2)
-    for number in range(5):
-        place.send(number)
-    place.moves.take(NAME, topics)
-    place.load()
-    for number in range(5, 10):
-        place.send(number)
-    place.world.drain()
-    assert received == list(range(3, 10))
+    assert received == expected
 
 
 def test_equal_messages_are_counted_from_the_first_that_came_here():
@@ -270,10 +264,6 @@ def test_a_move_that_is_given_up_leaves_nothing():
             new.moves.take(NAME, [])
         with pytest.raises(CannotMove, match="connected elsewhere meanwhile"):
             old.moves.give(NAME)
-
-
-def test_one_that_was_connected_elsewhere_meanwhile_stays():
-    with places(FakeClock(), []) as (old, _):
         old.moves.note(NAME)
         old.loader.get(NAME).context.attached.set_config([("in", "/elsewhere")])
         with pytest.raises(CannotMove, match="connected elsewhere meanwhile"):
@@ -304,7 +294,7 @@ def test_what_waits_for_a_busy_nodelet_moves_with_it(monkeypatch, ends):
         assert received == list(range(6))
 
 
-def test_unknown_nodelets_and_types_are_refused():
+def test_what_is_unknown_there_and_a_publisher_that_does_not_connect_are_named():
     with places(FakeClock(), []) as (old, new):
         with pytest.raises(UnknownNodelet):
             new.moves.note(NAME)
@@ -313,14 +303,228 @@ def test_unknown_nodelets_and_types_are_refused():
         with pytest.raises(CannotMove, match="carries test/Unknown, unknown there"):
             new.moves.park(NAME, renamed)
         assert new.world.registrations == []
-
-
-def test_a_publisher_that_does_not_connect_is_named():
-    with places(FakeClock(), []) as (old, new):
-        topics = old.moves.note(NAME)
         new.world.transport.on_made = lambda made: setattr(
             made, "missing", lambda: ["http://absent:1"]
         )
         with pytest.raises(CannotMove, match="http://absent:1"):
             new.moves.park(NAME, topics)
         assert new.world.registrations == []
+
+
+# A move that fails, or whose manager dies
+
+
+class Unserialisable(Message):
+    """A message with a field of a wrong type, which passes by reference alone."""
+
+    def __repr__(self):
+        raise ValueError("a field")
+
+    def __reduce__(self):
+        raise ValueError("a field")
+
+
+def test_a_message_that_cannot_be_serialised_is_dropped_and_the_move_goes_on(caplog, monkeypatch):
+    monkeypatch.setattr(hand_over, "LONGEST_END", 0.0)  # nothing is received in the old process
+    opened, received = threading.Event(), []
+    with places(FakeClock(), received) as (old, new):
+        topics = old.moves.note(NAME)
+        new.moves.park(NAME, topics)
+        new.world.publisher("/t").publish(Unserialisable("there"))
+        old.loader.find(NAME).strand.post(opened.wait)
+        publisher = old.world.publisher("/t")
+        for message in (Message(1), Unserialisable(2), Message(3)):
+            publisher.publish(message)
+        given = old.moves.give(NAME)
+        opened.set()
+        new.moves.take(NAME, given)
+        new.load()
+        new.moves.end(NAME)
+        new.world.drain()
+        assert received == [1, 3, "there"]
+        assert caplog.text.count("a message on /t is lost in its move: a field") == 1
+
+
+@pytest.mark.parametrize("fails", ["stop", "endpoints"])
+def test_a_nodelet_that_cannot_be_given_away_is_unloaded(monkeypatch, fails):
+    with places(FakeClock(), []) as (old, _):
+        old.moves.note(NAME)
+        context = old.loader.find(NAME)
+        works = getattr(context, fails)
+        calls = itertools.count()
+
+        def fail(*arguments):
+            if next(calls) == 0:
+                raise RuntimeError("no memory")
+            return works(*arguments)
+
+        monkeypatch.setattr(context, fails, fail)
+        with pytest.raises(RuntimeError, match="no memory"):
+            old.moves.give(NAME)
+        assert old.loader.list() == []
+        assert old.world.registrations == []
+        old.load()  # its manager brings it back
+
+
+@pytest.mark.parametrize("port", ["in", "out"])
+def test_a_port_that_is_connected_elsewhere_during_the_drain_stays_so(port):
+    with places(FakeClock(), received := []) as (old, _):
+        old.moves.note(NAME)
+        proxy = old.loader.find(NAME).attached
+        moved = []
+
+        def drain(seconds):
+            outside.drained = True
+            if not moved:
+                moved.append(port)
+                join(in_thread(lambda: proxy.set_config([(port, "/elsewhere")])))
+
+        outside = old.loader.find(NAME).endpoints()[1].connection.outside
+        outside.drain = drain
+        with pytest.raises(CannotMove, match="connected elsewhere meanwhile"):
+            old.moves.give(NAME)
+        assert {each.name: each.topic for each in proxy.get_config()}[port] == "/elsewhere"
+        old.send(1, "/elsewhere" if port == "in" else "/t")
+        old.send(2, "/plain")
+        old.world.drain()
+        assert received == [1, 2]
+        assert len(old.world.registrations) == 3
+
+
+def test_a_nodelet_that_is_given_away_takes_part_in_nothing_else():
+    with places(FakeClock(), []) as (old, _):
+        old.moves.note(NAME)
+        context, seen = old.loader.find(NAME), []
+
+        def meanwhile():
+            context.stop = stop
+            for refused in (
+                lambda: old.moves.note(NAME),
+                lambda: old.moves.give(NAME),
+                lambda: context.attached.set_config([("in", "/elsewhere")]),
+            ):
+                with pytest.raises(DyKnowError) as caught:
+                    refused()
+                seen.append(type(caught.value))
+            old.moves.end(NAME)
+            with pytest.raises(CannotMove):
+                old.moves.note(NAME)
+            stop()
+
+        stop, context.stop = context.stop, meanwhile
+        old.moves.give(NAME)
+        assert seen == [CannotMove, CannotMove, UnloadedMeanwhile]
+        assert old.loader.list() == []
+        assert old.moves._moves == {}
+
+
+#: The steps of a move; its manager dies before one of them, or after the last.
+STEPS = ("note", "park", "give", "take", "load", "end")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "back"),
+    itertools.product(range(len(STEPS) + 1), range(len(STEPS) + 1), [0, 1]),
+)
+def test_no_message_comes_twice_whenever_managers_die(first, second, back):
+    """Two moves are cut off; the next manager brings a lost nodelet back, and moves it at last."""
+    clock, received, numbers, lost = FakeClock(), [], itertools.count(), set()
+    with places(clock, received) as pair:
+
+        def publish(is_kept=True):
+            for _ in range(2):
+                clock.seconds += 0.03
+                number = next(numbers)
+                for place in pair:
+                    if place.hears:
+                        place.send(number)
+                if not is_kept:
+                    lost.add(number)
+                for place in pair:
+                    place.world.drain()
+
+        def move(count):
+            (source,) = [place for place in pair if place.loader.list()]
+            (target,) = [place for place in pair if place is not source]
+            # What comes after the report of the old process is lost with the manager.
+            is_lost = count in (STEPS.index("take"), STEPS.index("load"))
+            done = steps(source, target)
+            for number in range(count):
+                next(done, None)
+                publish(not (is_lost and number >= 1))
+            if not any(place.loader.list() for place in pair):
+                publish(is_kept=False)
+                pair[back].load()
+            publish()
+
+        publish()
+        for count in (first, second, len(STEPS)):
+            move(count)
+        assert received == sorted(set(received))
+        assert set(range(next(numbers))) - set(received) <= lost
+        assert [place.moves._moves for place in pair] == [{}, {}]
+        assert sorted(len(place.world.registrations) for place in pair) == [0, 3]
+
+
+def test_a_move_is_ended_by_its_own_time_limit_alone(monkeypatch):
+    limits = []
+    monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
+    monkeypatch.setattr(hand_over, "_EXPIRY", 0.0)
+    with places(FakeClock(), []) as (old, new):
+        topics = old.moves.note(NAME)
+        old.moves.note(NAME)
+        limits[0]()
+        assert list(old.moves._moves) == [NAME], "the second goes on"
+        for _ in range(2):
+            new.moves.park(NAME, topics)
+        limits[2]()
+        new.moves.take(NAME, topics)
+        limits[3]()
+        assert new.moves._moves == {}
+        assert new.world.registrations == []
+
+
+def test_what_was_taken_waits_for_the_load_and_not_for_long(monkeypatch):
+    limits = []
+    monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
+    monkeypatch.setattr(hand_over, "_LOAD_EXPIRY", 0.01)
+    place, topics, received = parked()
+    place.moves.take(NAME, topics)
+    place.send(1)
+    find = place.loader.find
+    found = iter([None, None])
+    monkeypatch.setattr(place.loader, "find", lambda name: next(found, find(name)))
+    monkeypatch.setattr(place.loader, "known", lambda name: place.loader)  # it is being loaded
+    waiting = in_thread(limits[-1])
+    monkeypatch.setattr(place.loader, "known", find)
+    join(waiting)
+    place.load()
+    place.world.drain()
+    assert received == [], "it may have run elsewhere"
+
+
+def test_a_parking_that_is_ended_before_it_is_complete_leaves_nothing():
+    with places(FakeClock(), []) as (old, new):
+        topics = old.moves.note(NAME)
+        new.world.transport.on_made = lambda made: new.moves.end(NAME)
+        with pytest.raises(CannotMove, match="ended meanwhile"):
+            new.moves.park(NAME, topics)
+        assert new.world.registrations == []
+
+
+def test_a_second_report_changes_nothing():
+    place, topics, received = parked()
+    for number in range(4):
+        place.send(number)
+    given = given_in(place, topics, [(100.0, 0), (100.0, 1)])
+    place.moves.take(NAME, given)
+    finish(place, given)
+    assert received == [2, 3]
+    place, topics, received = parked()
+    place.moves.take(NAME, topics)
+    place.load()
+    with pytest.raises(CannotMove, match="not kept any more"):
+        place.moves.take(NAME, topics)
+    place.send(5)
+    place.world.drain()
+    assert received == [5]

@@ -196,15 +196,10 @@ def test_blind_modules_see_the_process_and_their_libraries_the_views(folder: Fol
     assert module.lib_ten.ask() == "refused"
 
 
-@pytest.mark.parametrize("name", ["os", "sys", "time", "argparse", "zipimport", "_thread"])
-def test_pythons_own(name: str) -> None:
-    assert is_standard(name)
-
-
-def test_others(shared: Folder) -> None:
+def test_pythons_own_and_others(shared: Folder) -> None:
     shared(mine="")
-    for name in ("mine", "lxml", "pytest", "no_such_module"):
-        assert not is_standard(name)
+    own = ["os", "sys", "time", "argparse", "zipimport", "_thread"]
+    assert [*filter(is_standard, (*own, "mine", "lxml", "pytest", "no_such_module"))] == own
 
 
 def test_modules_that_need_a_library(shared: Folder) -> None:
@@ -220,9 +215,10 @@ def test_modules_that_need_a_library(shared: Folder) -> None:
         pack__test__it="import middleware",
         pack__msg__kind="import middleware",
         broken="import middleware (",
+        several="import os, sys as s,middleware as m",
     )
     needs = Dependents("middleware", ["apart"])
-    for name in "direct middle circle circle_back broken".split():
+    for name in "direct middle circle circle_back broken several".split():
         assert needs.has(name), name
     for name in "plain apart user pack middleware os no_such".split():
         assert not needs.has(name), name

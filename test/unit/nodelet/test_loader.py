@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
+from unittest import mock
 
 import pytest
 from clocks import eventually, in_thread, join, wait_for
@@ -19,7 +20,6 @@ from dyknow.errors import (
     LoadFailed,
     NameTaken,
     UnknownNodelet,
-    UnknownNodeletType,
     UnloadedMeanwhile,
 )
 from dyknow.nodelet import loader as loader_module
@@ -126,37 +126,7 @@ def test_nodelets_are_listed_by_name_and_closed_from_the_newest(world):
     assert loader.list() == []
 
 
-class TestNameTaken:
-    def test_the_one_that_is_there_is_untouched(self, world, gate):
-        loader = world.loader(gate=gate, idle=Idle)
-        thread, outcome = load_in_thread(loader, "/n", "gate")
-        wait_for(gate.entered)
-        with pytest.raises(NameTaken, match="'/n' is being loaded"):
-            loader.load("/n", "idle")
-        gate.opened.set()
-        join(thread)
-        with pytest.raises(NameTaken, match="'/n' is already loaded"):
-            loader.load("/n", "idle")
-        assert loader.get("/n") is outcome[0]
-        assert not outcome[0].context.closed
-
-    def test_while_it_is_being_unloaded_it_is_waited_for_a_while(self, world, monkeypatch):
-        with unloading(world) as (loader, opened):
-            with pytest.raises(UnknownNodelet):
-                loader.unload("/n")
-            thread, outcome = load_in_thread(loader, "/n", "idle")
-            assert not outcome
-            monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
-            with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
-                loader.load("/n", "idle")
-            opened.set()
-            join(thread)
-            assert type(outcome[0]) is Idle
-
-
-@contextmanager
-def unloading(world):
-    """A loader in the midst of the unload of `/n`, and what lets that go on."""
+def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, monkeypatch):
     entered, opened = threading.Event(), threading.Event()
 
     class Slow(Idle):
@@ -166,33 +136,39 @@ def unloading(world):
 
     loader = world.loader(slow=Slow, idle=Idle)
     loader.load("/n", "slow")
-    thread = in_thread(lambda: loader.unload("/n"))
+    unloading = in_thread(lambda: loader.unload("/n"))
     wait_for(entered)
-    try:
-        yield loader, opened
-    finally:
-        opened.set()
-        join(thread)
+    with pytest.raises(UnknownNodelet):
+        loader.unload("/n")
+    loading, outcome = load_in_thread(loader, "/n", "idle")
+    assert not outcome
+    monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
+    with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
+        loader.load("/n", "idle")
+    opened.set()
+    join(unloading, loading)
+    assert type(outcome[0]) is Idle
 
 
 class TestFailure:
-    @pytest.mark.parametrize(
-        "error", [UnknownNodeletType("pkg/X", []), BrokenPlugin("pkg/X", "does not import")]
-    )
-    def test_a_type_that_cannot_be_found_leaves_the_name_free(self, world, error):
-        classes = [error, Idle]
+    def test_a_type_that_cannot_be_found_or_made_leaves_the_name_free(self, world):
+        class Broken(Idle):
+            def __init__(self):
+                raise OSError("no camera")
 
-        def find(name, _):
-            found = classes.pop(0)
-            if isinstance(found, Exception):
-                raise found
-            return found
+        class Empty(Nodelet):
+            pass
 
-        loader = Loader(world.runtime, find)
-        with pytest.raises(type(error)) as caught:
-            loader.load("/n", "pkg/X")
-        assert caught.value is error
-        assert loader.list() == []
+        not_found = BrokenPlugin("pkg/X", "does not import")
+        loader = Loader(world.runtime, mock.Mock(side_effect=[not_found, Broken, Empty, Idle]))
+        for error, text in (
+            (BrokenPlugin, "does not import"),
+            (LoadFailed, "OSError: no camera"),
+            (LoadFailed, r"Empty does not define on_init\(\)"),
+        ):
+            with pytest.raises(error, match=text):
+                loader.load("/n", "pkg/X")
+            assert loader.list() == []
         loader.load("/n", "pkg/X")
 
     @pytest.mark.parametrize("error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt()])
@@ -228,23 +204,9 @@ class TestFailure:
         assert len(kept) == 1
         loader.load("/n", "idle")
 
-    def test_a_constructor_that_raises_or_no_on_init_is_a_failed_load_too(self, world):
-        class Broken(Idle):
-            def __init__(self):
-                raise OSError("no camera")
-
-        class Empty(Nodelet):
-            pass
-
-        loader = world.loader(broken=Broken, empty=Empty)
-        with pytest.raises(LoadFailed, match="OSError: no camera"):
-            loader.load("/n", "broken")
-        with pytest.raises(LoadFailed, match=r"Empty does not define on_init\(\)"):
-            loader.load("/n", "empty")
-
 
 class TestSlowStart:
-    def test_blocks_neither_list_nor_other_loads_and_unloads(self, world, gate):
+    def test_takes_its_name_and_blocks_neither_list_nor_other_loads_and_unloads(self, world, gate):
         loader = world.loader(gate=gate, idle=Idle)
         thread, outcome = load_in_thread(loader, "/slow", "gate")
         wait_for(gate.entered)
@@ -254,10 +216,16 @@ class TestSlowStart:
         loader.unload("/other")
         with pytest.raises(UnknownNodelet):
             loader.get("/slow")
+        with pytest.raises(NameTaken, match="'/slow' is being loaded"):
+            loader.load("/slow", "idle")
         assert outcome == []
         gate.opened.set()
         join(thread)
         assert loader.list() == ["/slow"]
+        with pytest.raises(NameTaken, match="'/slow' is already loaded"):
+            loader.load("/slow", "idle")
+        assert loader.get("/slow") is outcome[0]
+        assert not outcome[0].context.closed
 
     def test_can_be_unloaded_in_the_middle(self, world, gate):
         loader = world.loader(gate=gate)

@@ -52,15 +52,6 @@ def test_parent_is_the_namespace_a_name_stands_in(name, parent):
     assert names.parent(name) == parent
 
 
-@pytest.mark.parametrize("base", ["a", "Image_raw1", "cam/left/image"])
-@pytest.mark.parametrize("namespace", ["/robot", "/a/b2/C"])
-def test_parent_undoes_join_and_global_names_resolve_to_themselves(base, namespace):
-    joined = names.join(namespace, base)
-    assert joined == f"{namespace}/{base}" == names.check(joined)
-    assert names.resolve(joined, "/elsewhere", "/n") == joined
-    assert names.parent(names.join(joined, "x")) == joined
-
-
 def test_pairs_of_a_load_request_become_global():
     sources, targets = ["image", "/in", "~out"], ["cam/image", "other", "~result"]
     assert names.pair_remappings("/robot/undistort", sources, targets, "/manager") == {

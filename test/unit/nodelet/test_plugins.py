@@ -15,7 +15,6 @@ from typing import Any, List
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
-from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.importer import Importer
 from dyknow.nodelet.plugins import ClassImports, PluginClass, PluginFile, Plugins, read
 
@@ -153,15 +152,6 @@ def test_entities_are_not_expanded_and_files_not_included(packages, tmp_path):
     except BrokenPlugin:
         return
     assert "secret" not in described[0].description
-
-
-def test_a_declared_class_is_imported_from_the_package_and_read_once(packages):
-    packages.add_good("mod_good")
-    found = packages.load("good/Nodelet")
-    assert issubclass(found, Nodelet)
-    assert found.__name__ == "Good"
-    assert packages.load("good/Nodelet") is found
-    assert packages.looks == 1
 
 
 def test_a_library_that_does_not_exist_is_no_obstacle(packages):

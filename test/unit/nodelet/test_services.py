@@ -10,7 +10,7 @@ import threading
 
 import pytest
 from clocks import PATIENCE, in_thread, join, wait_for
-from unit.nodelet.fakes import Message, pool_world
+from unit.nodelet.fakes import FakeClock, make_pool_world, pool_world
 
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.context import Context
@@ -49,35 +49,19 @@ def test_a_service_answers_under_its_resolved_name_until_it_is_shut_down(world):
     assert world.services.call("/ns/other", 1) == 1
 
 
-def test_calls_and_callbacks_of_one_nodelet_never_overlap(world):
-    nh = world.handle()
-    inside, overlaps, count = [0], [], [0]
+def test_the_time_of_a_service_is_that_of_its_nodelet():
+    clock = FakeClock()
+    world = make_pool_world(1, clock=clock)
+    context = world.context("/n")
 
-    def exclusive(_):
-        inside[0] += 1
-        if inside[0] > 1:
-            overlaps.append(1)
-        count[0] += 1
-        threading.Event().wait(0.0001)
-        inside[0] -= 1
-        return "done"
+    def take(seconds):
+        clock.seconds += seconds
+        return context.busy(), context.busy(with_running=True)
 
-    nh.Service("s", object, exclusive)
-    nh.Service("s2", object, exclusive)
-    nh.Subscriber("t", Message, exclusive)
-    publisher = nh.Publisher("t", Message)
-
-    def call(service):
-        for _ in range(100):
-            assert world.services.call(service, None) == "done"
-
-    threads = [in_thread(lambda s=s: call(s)) for s in ("/s", "/s", "/s2")]
-    for _ in range(300):
-        publisher.publish()
-    join(*threads)
-    world.drain()
-    assert overlaps == []
-    assert count == [600]
+    PlainNodeHandle(context, "/").Service("s", object, take)
+    assert world.services.call("/s", 2.0) == (0.0, 2.0)
+    assert context.busy() == 2.0
+    world.close()
 
 
 @pytest.mark.parametrize("concurrent", [False, True])
@@ -130,12 +114,6 @@ def test_an_unload_ends_the_waits_of_callers(world, concurrent):
             assert isinstance(outcome, DyKnowError)
             assert "/going was unloaded" in str(outcome)
     release.set()
-
-
-def test_a_handler_may_unload_its_own_nodelet(world):
-    nh = world.handle("/own")
-    nh.Service("s", object, lambda request: nh.context.close())
-    assert isinstance(Caller(world, "/s").outcome(), DyKnowError)
 
 
 def test_calls_of_a_concurrent_handle_overlap(world):

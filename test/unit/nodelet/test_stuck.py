@@ -58,38 +58,28 @@ def loader(world: World) -> Loader:
 
 
 @pytest.mark.parametrize("topic", ["/a", "/beside"])
-def test_a_nodelet_says_for_how_long_its_callback_has_been_running(
-    world: World, loader: Loader, clock: FakeClock, topic: str
-) -> None:
-    stuck = StuckCallbacks(loader, "/manager", 10.0, lambda name: None)
-    world.transport.send(topic, Message())
-    wait_for(Hanging.started)
-    clock.seconds += 9.0
-    assert stuck.detail("/n") == ""
-    clock.seconds += 3.0
-    assert stuck.detail("/n") == "a callback has been running for 12 s"
-    Hanging.release.set()
-    eventually(lambda: not stuck.detail("/n"))
-
-
 def test_a_callback_that_does_not_return_is_announced_each_time_its_age_has_doubled(
-    world: World, loader: Loader, clock: FakeClock
+    world: World, loader: Loader, clock: FakeClock, topic: str
 ) -> None:
     told: List[str] = []
     stuck = StuckCallbacks(loader, "/manager", 10.0, told.append)
-    world.transport.send("/a", Message())
+    world.transport.send(topic, Message())
     wait_for(Hanging.started)
-    announced = []
+    announced, details = [], []
     for _ in range(10):
         stuck.check()
         announced.append(len(told))
+        details.append(stuck.detail("/n"))
         clock.seconds += 5.0
     assert announced == [0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
+    running = [f"a callback has been running for {seconds} s" for seconds in range(10, 50, 5)]
+    assert details == ["", "", *running]
     Hanging.release.set()
     world.drain()
     eventually(lambda: loader.get("/n").context.callback_age() == 0.0)
     stuck.check()
     assert told == ["/n"] * 4, "its end is announced too"
+    assert stuck.detail("/n") == ""
     stuck.check()
     assert len(told) == 4
 
@@ -137,3 +127,10 @@ def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(world: Worl
     opened.set()
     eventually(lambda: not loader.leftovers.running())
     loader.close()
+
+
+def test_callbacks_that_got_no_thread_are_started_at_the_next_check(world: World) -> None:
+    caught_up: List[bool] = []
+    world.executor.catch_up = lambda: caught_up.append(True)
+    StuckCallbacks(world.loader(), "/manager", 10.0, print).check()
+    assert caught_up == [True]

@@ -9,13 +9,10 @@ import gc
 import threading
 
 import pytest
-from clocks import PATIENCE, eventually, wait_for
-from unit.nodelet.fakes import World, make_pool_world
+from clocks import PATIENCE, eventually
+from unit.nodelet.fakes import FakeClock, World, make_pool_world
 
-from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.nodelet.local import ManualTicker
-from dyknow.nodelet.timers import Timer, TimerQueue
+from dyknow.nodelet.timers import TimerQueue
 
 
 class StillQueue(TimerQueue):
@@ -80,6 +77,7 @@ def test_a_timer_that_is_made_just_before_a_jump_back_does_not_wait_for_the_old_
 
 def test_the_event_has_the_facts_of_rospys(world):
     events = []
+    world.executor.clock = FakeClock()
     world.handle().Timer(1.0, events.append)
     advance(world, 1.25)
     advance(world, 1.0)
@@ -91,28 +89,37 @@ def test_the_event_has_the_facts_of_rospys(world):
     assert second.last_duration == 0.0
 
 
-def test_calls_do_not_pile_up_while_the_nodelet_is_busy(world):
-    fired = every_second(world)
-    for _ in range(5):
-        tick_at(world, 1.0)
-    world.drain()
-    assert len(fired) == 1
-    advance(world, 1.0)
-    assert len(fired) == 2
-
-
-def test_a_call_due_while_the_callback_runs_is_made_after_it(world):
+def test_calls_due_while_the_nodelet_is_busy_are_one_and_made_after_it(world):
     fired = []
+    clock = world.executor.clock = FakeClock()
 
     def slow(event):
         fired.append(event)
         if len(fired) == 1:
-            tick_at(world, 1.0)
+            clock.seconds += 0.25
+            for _ in range(5):
+                tick_at(world, 1.0)
 
     world.handle().Timer(1.0, slow)
-    advance(world, 1.0)
-    assert len(fired) == 2
-    assert fired[1].last_duration == 1.0
+    tick_at(world, 1.0)
+    tick_at(world, 1.0)
+    world.drain()
+    assert [event.current_real for event in fired] == [2.0, 7.0]
+    assert fired[1].last_duration == 0.25, "as in rospy, it is not of simulated time"
+
+
+def test_the_time_of_each_call_counts_though_its_timer_has_ended(world):
+    nh, busy = world.handle(), [0.0]
+
+    def chained(event):
+        nh.Timer(1.0, chained, oneshot=True)
+        busy.append(nh.context.busy())
+
+    nh.Timer(1.0, chained, oneshot=True)
+    for _ in range(3):
+        advance(world, 1.0)
+    assert busy[:2] == [0.0, 0.0]
+    assert 0.0 < busy[2] < busy[3] < nh.context.busy()
 
 
 @pytest.mark.parametrize("how", ["oneshot", "in its callback", "while a call waits", "unload"])
@@ -162,17 +169,6 @@ def test_a_period_must_be_positive(world, period):
         world.handle().Timer(period, print)
 
 
-def test_timers_wait_for_the_end_of_on_init(world):
-    context, fired = Context(world.runtime, "/starting"), []
-    PlainNodeHandle(context, "/").Timer(1.0, fired.append)
-    for _ in range(3):
-        advance(world, 1.0)
-    assert fired == []
-    context.start()
-    world.drain()
-    assert len(fired) == 1
-
-
 def test_finished_timers_leave_nothing_behind(world):
     # A common pattern: a callback that makes a one-shot timer, again and again.
     handle = world.handle(concurrent=True)
@@ -186,27 +182,9 @@ def test_finished_timers_leave_nothing_behind(world):
     assert len(world.runtime.timers._heap) == 0
 
 
-def test_the_timer_thread_sleeps_until_something_is_due_and_ends():
+def test_the_thread_sleeps_until_something_is_due_outlives_a_failing_ticker_and_ends(caplog):
     world = make_pool_world(1)
-    try:
-        fired = threading.Semaphore(0)
-        world.handle().Timer(10.0, lambda event: fired.release())
-        world.handle("/sooner").Timer(1.0, lambda event: fired.release())
-        for _ in range(10):
-            world.ticker.advance(1.0)
-            assert fired.acquire(timeout=PATIENCE)
-        assert fired.acquire(timeout=PATIENCE)
-    finally:
-        world.close()
-    eventually(lambda: not world.runtime.timers._thread.is_alive())
-
-
-def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
-    ticker = ManualTicker()
-    world = make_pool_world(1)
-    timers = TimerQueue(ticker)
-    fired, calls = threading.Event(), []
-    wait = ticker.wait
+    fired, calls, wait = threading.Semaphore(0), [], world.ticker.wait
 
     def failing_wait(until):
         calls.append(until)
@@ -214,17 +192,19 @@ def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
             raise RuntimeError("clock lost")
         wait(until)
 
-    ticker.wait = failing_wait  # type: ignore[method-assign]
-    context = world.context()
+    world.ticker.wait = failing_wait  # type: ignore[method-assign]
     try:
-        timers.add(Timer(timers, 1.0, lambda event: fired.set(), context.strand, False, print))
+        world.handle().Timer(10.0, lambda event: fired.release())
+        world.handle("/sooner").Timer(1.0, lambda event: fired.release())
         eventually(lambda: len(calls) > 1)
-        ticker.advance(1.0)
-        wait_for(fired)
+        for _ in range(10):
+            world.ticker.advance(1.0)
+            assert fired.acquire(timeout=PATIENCE)
+        assert fired.acquire(timeout=PATIENCE)
         assert "clock lost" in caplog.text
     finally:
-        timers.close()
         world.close()
+    eventually(lambda: not world.runtime.timers._thread.is_alive())
 
 
 def test_timers_that_are_due_shortly_after_each_other_are_fired_together(world):

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 import pytest
-from clocks import eventually, in_thread, join, wait_for
+from clocks import eventually, in_thread, wait_for
 from unit.nodelet.fakes import FakeClock, Idle, Message, World, numbers, pool_world
 
 from dyknow.errors import HandleClosed, UnknownNodelet
@@ -252,25 +252,3 @@ def test_a_subscriber_that_reads_no_last_words_holds_up_one_nodelet_and_not_all(
     contexts[2].close()
     assert waited == pytest.approx([0.2, 0.0, 0.0, 0.0, 0.2, 0.0])
     assert world.registrations == []
-
-
-def test_publishers_at_full_speed_see_the_unload_as_one_refusal(world):
-    loader = world.loader(hanging=Hanging)
-    nodelet = loader.load("/n", "hanging")
-    refused = []
-
-    def publish():
-        try:
-            while True:
-                nodelet.pub.publish(1)
-        except HandleClosed:
-            refused.append(1)
-
-    got = []
-    world.handle().Subscriber("/out", Message, got.append, queue_size=10)
-    threads = [in_thread(publish) for _ in range(3)]
-    eventually(lambda: len(got) > 10)
-    loader.unload("/n")
-    join(*threads)
-    world.drain()
-    assert refused == [1, 1, 1]

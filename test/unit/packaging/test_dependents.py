@@ -1,7 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Packages that depend on DyKnow find its messages: C++, Python, and messages of their own."""
+"""Packages that depend on DyKnow find its messages: C++, Python, and messages of their own.
+
+So does the package to begin with, whose tests pass.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,19 @@ import pytest
 from unit.packaging.workspaces import ROOT, Workspace
 
 
-def test_a_package_that_depends_on_dyknow_alone(tmp_path):
-    """In a workspace of its own, on top of the one that DyKnow was built in."""
+def test_a_package_that_depends_on_dyknow_alone_and_the_skeleton(tmp_path):
+    """In a workspace of their own, on top of the one that DyKnow was built in."""
     workspace = Workspace(tmp_path / "ws", upon=[ROOT / "build/ws/devel"])
-    workspace.add_user("a_user", "dyknow")
-    workspace.make()
-    workspace.check_user("a_user", "devel")
+    workspace.add_copy("my_nodelets", ROOT / "examples/skeleton")
+    workspace.add_user("user", "dyknow")
+    workspace.make("run_tests")
+    workspace.make("install")
+    assert "2 tests, 0 errors, 0 failures" in workspace.test_results()
+    for space in ("devel", "install"):
+        workspace.check_user("user", space)
+        workspace.run_in(space, "dyknow check $(rospack find my_nodelets)/transformations/*.xml")
+        declared = workspace.run_in(space, "rospack plugins --attrib=plugin dyknow")
+        assert "my_nodelets" in declared
 
 
 @pytest.mark.long
@@ -23,12 +33,7 @@ def test_in_one_workspace_and_from_an_install_space(tmp_path):
     one.add_dyknow()
     one.add_user("a_user", "dyknow")  # by name before it, so the order is that of dependencies
     one.add_user("z_user", "dyknow", "dyknow_msgs")
-    one.make()
-    for name in ("a_user", "z_user"):
-        one.check_user(name, "devel")
-    one.make("install")
-    for name in ("a_user", "z_user"):
-        one.check_user(name, "install")
+    one.make_and_check("a_user", "z_user")
 
     upon = Workspace(tmp_path / "upon", upon=[tmp_path / "one" / "install"])
     upon.add_user("by_dyknow", "dyknow")
@@ -51,9 +56,4 @@ def test_a_package_that_names_the_messages_alone(tmp_path):
     workspace.link_messages()
     workspace.add_user("a_user", "dyknow_msgs")
     workspace.add_user("z_user", "dyknow")
-    workspace.make()
-    for name in ("a_user", "z_user"):
-        workspace.check_user(name, "devel")
-    workspace.make("install")
-    for name in ("a_user", "z_user"):
-        workspace.check_user(name, "install")
+    workspace.make_and_check("a_user", "z_user")

@@ -28,6 +28,7 @@ OF_DEBIAN = {
     "compressed_image_transport": "",  # Debian does not have these three
     "rqt_gui": "",
     "rqt_gui_py": "",
+    "diagnostic_aggregator": "libdiagnostic-aggregator-tools",
     "image_proc": "libimage-proc-dev",
     "image_publisher": "libimage-publisher-dev",
     "image_transport": "libimage-transport-dev",
@@ -41,9 +42,9 @@ OF_DEBIAN = {
 }
 #: What a key of rosdep brings on Debian beside the package above, and what the docs need.
 BESIDE_DEBIAN = set(
-    """image-transport-tools libmessage-filters-dev libnodelet-dev libnodeletlib-tools libtf-dev
-    libtf2-ros-dev python3-myst-parser python3-pyqt5.qtsvg python3-pytestqt rosbash rospack-tools
-    ros-core-python-dev tf-tools""".split()
+    """image-transport-tools libdiagnostic-aggregator-dev libmessage-filters-dev libnodelet-dev
+    libnodeletlib-tools libtf-dev libtf2-ros-dev python3-myst-parser python3-pyqt5.qtsvg
+    python3-pytestqt rosbash rospack-tools ros-core-python-dev tf-tools""".split()
 )
 BESIDE_NOETIC = {"python3-pyqt5.qtsvg", "python3-recommonmark", "ros-noetic-ros-base"}
 

@@ -102,6 +102,13 @@ class Workspace:
         ):
             assert self.run_in(space, command) == "2\n"
 
+    def make_and_check(self, *names: str) -> None:
+        """Build and install all, and check these packages in both spaces."""
+        self.make("install")
+        for name in names:
+            self.check_user(name, "devel")
+            self.check_user(name, "install")
+
     def run_in(self, space: str, command: str) -> str:
         """What a shell command prints in a space of the workspace; it must end with 0."""
         return self._run(["/bin/sh", "-c", f". {self.folder / space}/setup.sh; {command}"])

@@ -154,27 +154,19 @@ def test_ports_have_parameters_of_their_own_before_those_of_the_nodelet():
     ]
 
 
-def test_what_cannot_be_encoded_loses_that_form_of_that_message(bench, caplog):
+def test_what_cannot_be_encoded_or_decoded_loses_that_message_of_that_form(bench, caplog):
     out = bench.nh.Publisher("out", Message, queue_size=1)
-    bench.connect(out="/a")
+    bench.nh.Subscriber("in", Message, bench.got.append)
+    bench.connect(out="/a", **{"in": "/b"})
     plain, form = bench.listen("/a"), bench.listen("/a/pressed", Pressed)
     for number in (1, 0, 2):
         out.publish(number)
+        bench.world.transport.send("/b/pressed", Pressed(-number))
     bench.world.drain()
-    assert (numbers(plain), numbers(form)) == ([1, 0, 2], [-1, -2])
+    assert (numbers(plain), numbers(form), numbers(bench.got)) == ([1, 0, 2], [-1, -2], [1, 2])
     assert (bench.port("out").dropped, bench.port("out/pressed").dropped) == (0, 1)
-    assert bench.proxy.get_statistics().callback_errors == 1
+    assert bench.proxy.get_statistics().callback_errors == 2
     assert "'out/pressed' raised" in caplog.text and "nothing to press" in caplog.text
-
-
-def test_what_cannot_be_decoded_loses_that_message(bench, caplog):
-    bench.nh.Subscriber("in", Message, bench.got.append)
-    bench.connect(**{"in": "/a"})
-    for number in (-1, 0, -2):
-        bench.world.transport.send("/a/pressed", Pressed(number))
-    bench.world.drain()
-    assert numbers(bench.got) == [1, 2]
-    assert bench.proxy.get_statistics().callback_errors == 1
     assert "'in' raised" in caplog.text
 
 
@@ -287,3 +279,28 @@ def test_a_companion_that_moves_with_its_port_is_no_connection_of_its_own():
     assert moved_ports((ports[0], moved), NodeletKind.PYTHON) == (ports[0], moved)
     assert moved_ports((ports[1],), NodeletKind.PYTHON) == (ports[1],)
     assert moved_ports((*ports,), NodeletKind.CPP) == (*ports,)
+
+
+def test_an_in_port_warns_once_of_a_topic_without_the_form(bench, caplog):
+    bench.nh.Subscriber("in", Message, bench.got.append)
+    bench.connect(**{"in": "/a"})
+
+    def warnings():
+        bench.world.ticker.advance(5.0)
+        bench.world.runtime.timers.tick()
+        bench.world.drain()
+        return [record.getMessage() for record in caplog.records]
+
+    assert warnings() == [], "nothing is published"
+    plain = bench.probe.Publisher("/a", Message)
+    (told,) = warnings()
+    assert "/a is published, but /a/pressed is not; set image_transport of its publisher" in told
+    plain.publish(1)
+    assert warnings() == [told]
+    bench.probe.Publisher("/b", Message)
+    form = bench.probe.Publisher("/b/pressed", Pressed)
+    bench.connect(**{"in": "/b"})
+    form.publish(-1)
+    assert warnings() == [told]
+    form.unregister()
+    assert len(warnings()) == 2

@@ -8,12 +8,13 @@ from __future__ import annotations
 from typing import Callable
 
 import pytest
-from clocks import in_thread, join
+from clocks import eventually, in_thread, join
 from unit.nodelet.fakes import Message, numbers
 from unit.proxy.bench import Bench
 
-from dyknow.errors import HandleClosed, UnloadedMeanwhile
-from dyknow.nodelet.local import LocalSubscriber
+from dyknow.errors import HandleClosed, PeerTimeout, UnloadedMeanwhile
+from dyknow.nodelet.awaited import AwaitedPublisher
+from dyknow.nodelet.local import LocalPublisher, LocalSubscriber
 
 
 class Draining(LocalSubscriber):
@@ -152,3 +153,143 @@ def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(benc
     assert bench.world.registrations == [("subscriber", "/b")]
     with pytest.raises(HandleClosed):
         bench.out.publish(1)
+
+
+def test_a_registration_that_this_process_has_is_shared_before_the_switch(bench):
+    for topic in ("/b", "/y"):
+        bench.probe.Subscriber(topic, Message, print)
+        bench.probe.Publisher(topic, Message, queue_size=1)
+    seen, waits = [], []
+    bench.transport.on_register = lambda topic: seen.append((topic, bench.topics()))
+    bench.transport.on_made = lambda made: setattr(made, "wait", lambda *args: waits.append(args))
+    bench.connect(out="/b", into="/y")
+    former = {"out": "/a", "into": "/x"}
+    assert seen == [("/b", former), ("/y", former)]
+    assert waits == [(0.0,)], "the publisher's alone: there are peers here, so nobody is awaited"
+
+
+def test_messages_are_kept_for_late_subscribers_though_no_time_is_left(bench):
+    waits = []
+
+    def made(registration):
+        bench.clock.seconds += 10.0
+        registration.wait = lambda *args: waits.append(args)
+
+    bench.transport.on_made = made
+    bench.connect(out="/b", into="/y")
+    assert waits == [(0.0,)]
+
+
+# A topic that is alive in this process, and not registered yet
+
+
+class Live(Ported):
+    """An out-port on /a that does not latch; /b and /c have subscribers here and outside.
+
+    Attributes:
+        inside: numbers that came to each of /b and /c in this process.
+        outside: numbers that went out on each topic.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.moving = self.nh.Publisher("plain", Message, queue_size=3)
+        self.connect(plain="/a")
+        self.inside, self.outside = {}, {}
+        for topic in ("/a", "/b", "/c"):
+            self.inside[topic], self.outside[topic] = [], []
+            self.transport.listen(topic, lambda m, to=self.outside[topic]: to.append(m.number))
+        for topic in ("/b", "/c"):
+            keep = lambda m, to=self.inside[topic]: to.append(m.number)  # noqa: E731
+            self.probe.Subscriber(topic, Message, keep)
+
+    def publish(self, *numbers):
+        for number in numbers:
+            self.moving.publish(number)
+
+
+@pytest.fixture(name="live")
+def _live():
+    return Live()
+
+
+def test_messages_during_a_registration_go_outside_after_it_in_order(live):
+    waits = []
+
+    class Made(LocalPublisher):
+        def wait(self, seconds):
+            waits.append((seconds, list(live.outside["/b"])))
+
+    live.transport.on_made = lambda made: setattr(made, "__class__", Made)
+    live.transport.on_register = lambda topic: live.publish(*range(5))
+    live.connect(plain="/b")
+    live.publish(5)
+    live.world.drain()
+    assert live.inside["/b"] == [*range(6)]
+    assert live.outside == {"/a": [], "/b": [2, 3, 4, 5], "/c": []}, "up to the queue size"
+    assert waits == [(0.0, [])], "before anything is sent"
+
+
+def test_a_port_that_moves_on_during_its_registration_loses_nothing_outside(live):
+    publication = live.moving.publication
+
+    def move_on(topic):
+        live.transport.on_register = lambda topic: live.publish(2)
+        live.publish(1)
+        join(in_thread(lambda: live.world.bus.rewire([(publication, "/c")])))
+        live.publish(3)
+
+    live.transport.on_register = move_on
+    live.connect(plain="/b")
+    live.publish(4)
+    assert live.outside == {"/a": [], "/b": [1], "/c": [2, 3, 4]}
+    eventually(lambda: ("publisher", "/b") not in live.world.registrations)
+    live.context.close()
+    assert [kind for kind, _ in live.world.registrations] == ["subscriber"] * 2
+    assert live.world.bus._leaving == []
+
+
+@pytest.mark.parametrize("why", ["unloaded", "registration failed", "lease lost"])
+def test_messages_that_must_not_go_out_any_more_do_not(live, why):
+    def prevent(topic):
+        live.publish(1)
+        if why == "unloaded":
+            join(in_thread(live.context.close))
+        elif why == "lease lost":
+            live.world.bus.fence({"/b": lambda owner: False})
+
+    live.transport.on_register = prevent
+    if why == "registration failed":
+        live.transport.refused["/b"] = PeerTimeout("the master", 1.0)
+        live.transport.on_register = lambda topic: None
+        with pytest.raises(PeerTimeout):
+            live.connect(plain="/b")
+        live.publish(2)
+        assert live.moving.publication.outside is None
+    else:
+        live.connect(plain="/b")
+    assert live.outside["/b"] == []
+
+
+def test_messages_that_come_while_kept_ones_are_passed_on_follow_them():
+    awaited, sent, threads = AwaitedPublisher("/t", 0), [], []
+
+    class Successor(LocalPublisher):
+        def __init__(self):
+            pass
+
+        def publish(self, message):
+            if message == 1:
+                awaited.publish("within")  # from a finalizer, say
+                threads.append(in_thread(lambda: awaited.publish("after")))
+            if message == 2:
+                raise ValueError("a field")
+            sent.append(message)
+
+    for number in range(4):
+        awaited.publish(number)
+    assert not awaited.drain(0.0)
+    awaited.pass_to(Successor())
+    join(threads.pop())
+    assert sent == [0, "within", 1, 3, "after"]
+    assert awaited.drain(0.0)

@@ -10,14 +10,13 @@ import inspect
 
 import pytest
 from clocks import eventually, in_thread, join
-from unit.nodelet.fakes import Idle, Message, OtherMessage, numbers, pool_world
+from unit.nodelet.fakes import Message, OtherMessage, numbers, pool_world
 from unit.proxy.bench import Bench
 
 import dyknow
 from dyknow.errors import HandleClosed, InvalidName, NoMessageClass, PortConflict, TypeMismatch
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.proxy.proxy import NodeletProxy
 
 pool = pool_world(2)
 OUT, IN = "Publisher", "Subscriber"
@@ -123,14 +122,6 @@ def test_conflicts_are_refused_and_leave_the_port_alone(bench, first, second, me
 
 
 class TestSharing:
-    def test_all_handles_of_a_nodelet_share_one_proxy(self, bench):
-        nodelet = Idle()
-        nodelet.bind(bench.context)
-        for plain in (nodelet.node_handle, nodelet.mt_private_node_handle):
-            dyknow.NodeHandle(plain).Publisher("out", Message)
-        assert NodeletProxy.of(bench.context) is bench.proxy
-        assert len(bench.proxy.get_config()) == 1
-
     def test_handles_share_the_connection_until_they_are_unregistered(self, bench):
         got = [[], [], []]
         subscribers = [bench.nh.Subscriber("in", Message, each.append) for each in got[:2]]

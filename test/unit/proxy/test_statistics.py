@@ -44,7 +44,7 @@ def test_callback_times_and_rates_of_an_in_port(bench):
     def work(message):
         bench.clock.seconds += message.number
 
-    bench.nh.Subscriber("in", Message, work)
+    subscriber = bench.nh.Subscriber("in", Message, work)
     bench.connect(**{"in": "/t"})
     for seconds in (0.25, 0.75):
         bench.send("/t", seconds)
@@ -53,6 +53,23 @@ def test_callback_times_and_rates_of_an_in_port(bench):
     assert traffic.mean_callback == pytest.approx(0.5)
     assert traffic.max_callback == 0.75
     assert traffic.rate == pytest.approx(1.0), "one in 0.25 s, then 0.75 s without a start"
+    assert bench.context.busy(with_running=True) == 1.0
+    subscriber.unregister()
+    assert bench.context.busy(with_running=True) == 1.0, "its time stays"
+
+
+def test_a_callback_that_still_runs_has_taken_its_time(bench):
+    seen = []
+
+    def work(message):
+        bench.clock.seconds += 3.0
+        seen.append((bench.context.busy(with_running=True), bench.context.busy()))
+
+    bench.nh.Subscriber("in", Message, work)
+    bench.connect(**{"in": "/t"})
+    bench.send("/t", 1, 1)
+    assert seen == [(3.0, 0.0), (6.0, 3.0)]
+    assert bench.context.busy(with_running=True) == 6.0
 
 
 def test_errors_and_losses_of_a_full_queue_are_counted(bench):
@@ -63,31 +80,20 @@ def test_errors_and_losses_of_a_full_queue_are_counted(bench):
     assert bench.proxy.get_statistics().callback_errors == 2
 
 
-def test_counts_survive_switches_and_handles(bench):
-    publisher = bench.nh.Publisher("out", Message)
-    subscriber = bench.nh.Subscriber("in", Message, ignore)
+def test_counts_survive_switches_and_handles_of_which_several_count_as_one(bench):
+    publishers = [bench.nh.Publisher("out", Message) for _ in range(2)]
+    subscribers = [bench.nh.Subscriber("in", Message, ignore) for _ in range(3)]
     for topic in ("/a", "/b", "/c"):
         bench.connect(out=topic, **{"in": topic})
-        publisher.publish(1)
+        for publisher in publishers:
+            publisher.publish(1)
         bench.world.drain()
-    publisher.unregister()
-    subscriber.unregister()
-    assert bench.port("out").messages == bench.port("in").messages == 3
+    for handle in (*publishers, *subscribers):
+        handle.unregister()
+    assert bench.port("out").messages == bench.port("in").messages == 6
     bench.nh.Subscriber("in", Message, ignore)
     bench.nh.Publisher("out", Message).publish(1)
     bench.world.drain()
     statistics = bench.proxy.get_statistics()
     assert statistics.reconfigurations == 3
-    assert [(port.messages, port.topic) for port in statistics.ports] == [(4, "/c")] * 2
-
-
-def test_several_handles_count_as_one_port(bench):
-    for _ in range(3):
-        bench.nh.Subscriber("in", Message, ignore)
-    publishers = [bench.nh.Publisher("out", Message) for _ in range(2)]
-    bench.connect(out="/t", **{"in": "/t"})
-    for publisher in publishers:
-        publisher.publish(1)
-    bench.world.drain()
-    assert bench.port("out").messages == 2
-    assert bench.port("in").messages == 2, "a message is received once by the port"
+    assert [(port.messages, port.topic) for port in statistics.ports] == [(7, "/c")] * 2

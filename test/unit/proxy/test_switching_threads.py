@@ -116,42 +116,6 @@ def test_nodelets_whose_both_ends_move_hear_themselves_in_order_and_know_their_t
         assert nodelet.maps == [f"{nodelet.name}{n % 7}" for n in range(SWITCHES // 4 + 1)]
 
 
-def test_the_reconfigure_callback_stands_exactly_between_the_topics(world):
-    # Each message says on which topic it was published; the nodelet compares with its map.
-    loader = world.loader(filter=Filter)
-    nodelet = loader.load("/n", "filter")
-    proxy = proxy_of(nodelet)
-    seen = []
-
-    def check(message):
-        expected = nodelet.maps[-1] if nodelet.maps else "/a"
-        seen.append(message.number == expected)
-
-    extra = dyknow.NodeHandle(nodelet.node_handle)
-    extra.Subscriber("probe", Message, check, queue_size=100)
-    proxy.set_config([("probe", "/a")])
-    world.drain()
-    nodelet.maps.clear()
-    extra.set_reconfigure_callback(lambda inputs, outputs: nodelet.maps.append(inputs["probe"]))
-    going = [True]
-
-    def publish(topic):
-        publisher = world.handle(f"/source{topic}").Publisher(topic, Message, queue_size=1)
-        while going[0]:
-            for _ in range(20):
-                publisher.publish(topic)
-            threading.Event().wait(0.0001)
-
-    threads = [in_thread(lambda t=t: publish(t)) for t in ("/a", "/b")]
-    for number in paced(SWITCHES, lambda: len(seen)):
-        proxy.set_config([("probe", "/" + "ba"[number % 2])])
-    going[0] = False
-    join(*threads)
-    world.drain()
-    assert len(seen) > SWITCHES / 10
-    assert all(seen)
-
-
 def test_an_unload_amid_switches_from_many_threads_leaves_nothing(world):
     loader = world.loader(filter=Filter)
     for _ in range(12):

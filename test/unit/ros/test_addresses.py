@@ -12,7 +12,7 @@ from typing import Tuple
 import pytest
 from clocks import PATIENCE, HandClock
 
-from dyknow.ros.wire.addresses import FRESH, Addresses
+from dyknow.ros.wire.addresses import FRESH, Addresses, refuses
 
 
 class NameServer:
@@ -87,3 +87,13 @@ def test_an_old_address_serves_while_the_name_server_is_silent(server):
     while addresses.of("robot", 0.0) == ("192.0.2.1",):
         pass
     assert addresses.of("robot", 0.0) == ("192.0.2.4",)
+
+
+def test_an_address_refuses_once_nothing_listens_there():
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        uri = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        assert refuses(uri, PATIENCE)
+        server.listen()
+        assert not refuses(uri, PATIENCE)
+    assert refuses(uri, PATIENCE)

@@ -1,13 +1,21 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bonds on a clock of the test's: one of them, and many in tables that are connected."""
+"""Bonds on a clock of the test's, in tables that are connected, and those of claims."""
 
 from __future__ import annotations
 
-import pytest
+import threading
+from types import SimpleNamespace
+from typing import Any, List, Set
 
+import pytest
+from clocks import in_thread, join, wait_for
+
+from dyknow.model.streams import StreamRequest
+from dyknow.ros.bonding import claim_bonds
 from dyknow.ros.bonding.bond_table import BondTable, BondTimings, DuplicateBond
+from dyknow.ros.bonding.claim_bonds import ClaimBonds
 
 TIMINGS = BondTimings(
     connect_timeout=10.0,
@@ -69,6 +77,9 @@ SCRIPTS = {
     "silence that is judged later may end before": (
         "1 hear alive | 5 judged-later | 5.1 hear | 5.2 tick | 9.0 tick | 9.1 tick dead broken"
     ),
+    "messages of our own and of third parties change nothing": (
+        "1 death-of-us | 1 hear alive | 2 other-death id | 4.9 tick | 5.1 tick dead broken"
+    ),
     "parting before silence is judged stays on purpose": (
         "1 hear alive | 5.1 part dead | 5.2 tick | 5.6 tick dead"
     ),
@@ -112,6 +123,7 @@ def test_one_bond(bond, name):
         "again": bond.add,
         "death-of-us": lambda now: bond.hear(now, active=False, who=first),
         "other": lambda now: bond.hear(now, who="another she"),
+        "other-death": lambda now: bond.hear(now, active=False, who="another she"),
     }
     for step in SCRIPTS[name].split(" | "):
         if step == "over":
@@ -130,13 +142,6 @@ def test_heartbeats_keep_a_bond(bond):
         assert bond.tick(now + 3.9) == ""
     assert bond.table.silent(32.9) == []
     assert bond.table.silent(33.0) == ["id"]
-
-
-def test_messages_of_our_own_and_of_third_parties_change_nothing(bond):
-    assert bond.hear(1.0, active=False, who=bond.we) == ""
-    bond.hear(1.0)
-    assert bond.hear(2.0, active=False, who="intruder") == "id"
-    assert bond.table.next_due() == 5.0
 
 
 def test_a_sister_who_ignores_the_end_of_each_bond_has_the_next_one(bond):
@@ -248,3 +253,79 @@ def test_an_id_is_unique_while_its_bond_lives_and_can_be_used_again_at_once(pair
     pair.add(pair.a, "a", "client again")
     pair.run(60.0)
     assert pair.broken == [("A", "a")]
+
+
+# Bonds of claims: one for each id in a claim, under concurrent changes of claims
+
+
+class FakeBonds:
+    """Bonds of one topic; adding one can be held up."""
+
+    def __init__(self, topic, clock):
+        self.held: Set[str] = set()
+        self.adding = threading.Event()
+        self.go_on = threading.Event()
+        self.go_on.set()
+        self.remove = self.held.discard
+        self.close = self.held.clear
+
+    def add(self, bond_id, on_broken):
+        self.adding.set()
+        wait_for(self.go_on)
+        if bond_id in self.held:
+            raise DuplicateBond(bond_id)
+        self.held.add(bond_id)
+
+
+def claim(claim_id, bond_id, ended=False):
+    request = StreamRequest("Tag", bond_id=bond_id)
+    return SimpleNamespace(claim_id=claim_id, request=request, state=SimpleNamespace(ended=ended))
+
+
+class Table:
+    """Claims that change, and the bonds that follow them."""
+
+    def __init__(self):
+        self.claims: List[Any] = []
+        self.expired: List[str] = []
+        self.bonds = ClaimBonds(
+            lambda: self.claims, lambda name, reason: self.expired.append(name)
+        )
+        self.fake: Any = self.bonds._bonds
+
+    def follow(self, *claims):
+        self.claims = list(claims)
+        self.bonds.follow()
+        return set(self.fake.held)
+
+
+@pytest.fixture
+def table(monkeypatch):
+    monkeypatch.setattr(claim_bonds, "Bonds", FakeBonds)
+    monkeypatch.setattr(claim_bonds.rospy, "get_name", lambda: "/manager")
+    return Table()
+
+
+def test_claims_that_name_a_bond_have_it_until_the_last_of_them_ends(table):
+    second = claim("2", "b")
+    assert table.follow(claim("1", "b"), second, claim("3", ""), claim("4", "c", True)) == {"b"}
+    assert table.follow(second) == {"b"}
+    assert table.follow() == set()
+
+
+def test_a_broken_bond_ends_the_claims_that_name_it(table):
+    table.follow(claim("2", "b"), claim("1", "b"), claim("3", "c"))
+    table.bonds._on_broken("b")
+    table.bonds._on_broken("b")
+    assert table.expired == ["1", "2"]
+
+
+def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table):
+    table.fake.go_on.clear()
+    making = in_thread(lambda: table.follow(claim("1", "b")))
+    wait_for(table.fake.adding)
+    ending = in_thread(table.follow)
+    ending.join(0.1)  # it may be over at once, or wait for the first
+    table.fake.go_on.set()
+    join(making, ending)
+    assert table.fake.held == set()

@@ -47,6 +47,8 @@ def boot(tmp_path: Path) -> Boot:
 
 
 def test_a_file_is_loaded_once_for_each_of_its_versions(boot: Boot) -> None:
+    wiring = BootWiring("", boot.store, boot.check, boot.load)
+    assert not wiring.is_due and wiring.work() is None, "no file is nothing to load"
     for _ in range(2):
         wiring = boot.start()
         assert wiring.work() is None and wiring.work() is None
@@ -59,7 +61,10 @@ def test_a_file_is_loaded_once_for_each_of_its_versions(boot: Boot) -> None:
     assert boot.loaded == [b"one", b"two", b"two"]
 
 
-def test_what_cannot_be_loaded_now_is_tried_again(boot: Boot) -> None:
+def test_what_cannot_be_loaded_now_is_tried_again(
+    boot: Boot, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "rosout")
     wiring = boot.start()
     boot.trouble = "no camera"
     pauses = []
@@ -73,6 +78,8 @@ def test_what_cannot_be_loaded_now_is_tried_again(boot: Boot) -> None:
     boot.trouble = ""
     assert wiring.work() is None
     assert boot.loaded == [b"one"]
+    levels = [record.levelname for record in caplog.records]
+    assert levels == ["WARNING", "INFO"], "a boot that ends well has no error"
 
 
 @pytest.mark.parametrize("is_there", [False, True])
@@ -89,8 +96,3 @@ def test_a_missing_or_wrong_file_is_refused_unless_one_was_loaded(
     wiring = boot.start()
     assert wiring.work() is None
     assert boot.loaded == [b"one"]
-
-
-def test_no_file_is_nothing_to_load(boot: Boot) -> None:
-    wiring = BootWiring("", boot.store, boot.check, boot.load)
-    assert not wiring.is_due and wiring.work() is None

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""External processes: which thread looks for them, and which calls never wait for them."""
+"""External processes: who looks for them, which calls never wait for them, and their leases."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from typing import List
 
 import pytest
-from clocks import PATIENCE, eventually, wait_for
+from clocks import PATIENCE, HandClock, eventually, wait_for
 from dyknow_msgs.msg import NodeletChanges, NodeletPorts, Port
 from unit.ros.small_graph import SmallManager, small_graph
 
@@ -18,9 +18,10 @@ from dyknow.errors import HostError, HostTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Reported
 from dyknow.model.graph import NodeletKind, PortState
+from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting import external, grants
 from dyknow.ros.hosting.external import External, Externals
-from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.hosting.grants import DURATION, Lease, PeerContext
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
 
@@ -104,18 +105,6 @@ def test_one_that_ended_is_gone_and_not_away(graph, peer):
         eventually(lambda: not peer.state.alive)
 
 
-def test_a_lost_connection_is_no_other_process(graph, peer):
-    before = peer.state.incarnation
-    graph.nodes[FAR].goes_on.clear()  # no poll makes the connection again meanwhile
-    graph.nodes[FAR].lose_connections()
-    with pytest.raises(HostError):
-        peer.nodelets()
-    graph.nodes[FAR].goes_on.set()
-    eventually(lambda: peer.state.responsive)
-    assert peer.state.incarnation == before
-    assert sorted(peer.nodelets()) == ["/a", "/b"]
-
-
 def test_a_successor_is_never_taken_for_its_predecessor(graph, peer):
     before = peer.state.incarnation
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
@@ -170,14 +159,6 @@ def test_another_process_at_the_same_address_is_left_alone(graph, peer):
         assert not elder.ended.is_set()
     finally:
         elder.close()
-
-
-def test_a_master_that_is_away_changes_nothing(graph, peer):
-    graph.close()
-    for _ in range(3):
-        peer.loop.wait_for(peer._key, peer.wake(), PATIENCE)
-    assert peer.state.responsive
-    assert sorted(peer.nodelets()) == ["/a", "/b"]
 
 
 def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(graph, peer):
@@ -317,3 +298,47 @@ def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph):
         eventually(lambda: changes)
     finally:
         nodes.close()
+
+
+# Leases, by the time for which the manager has run
+
+
+def lease(clock):
+    context = PeerContext(Master("/manager"), running=clock, producers={"/topic": "/camera"})
+    return Lease(context)
+
+
+def test_a_renewal_confirms_the_last_answer_of_the_same_process():
+    kept = lease(HandClock())
+    kept.answered(5.0)
+    assert kept.renewal() == {}
+    kept.grant()
+    kept.answered(6.0)
+    assert kept.renewal()["confirmed"] == 6.0
+    kept.forget_clock()
+    assert kept.renewal()["confirmed"] == 0.0
+
+
+def test_a_lease_is_out_when_it_was_not_answered_for_its_duration():
+    """One may be held that an earlier life of the manager granted."""
+    clock = HandClock()
+    kept = lease(clock)
+    assert kept.may_be_held
+    clock.time = DURATION
+    assert not kept.may_be_held and kept.has_just_run_out()
+    kept.grant()
+    clock.time += DURATION - 0.1
+    assert kept.may_be_held and not kept.has_just_run_out()
+    clock.time += 0.2
+    assert not kept.may_be_held
+    assert [kept.has_just_run_out() for _ in range(2)] == [True, False]
+
+
+def test_a_pause_of_the_manager_does_not_count():
+    steady = HandClock()
+    running = RunningClock(steady)
+    for _ in range(10):
+        steady.time += 0.1
+        running()
+    steady.time += 10.0  # it was stopped
+    assert running() == pytest.approx(1.0 + LONGEST_TICK)

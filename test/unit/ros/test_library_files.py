@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 
 import pytest
+from clocks import HandClock
 from unit.manager.field import LIBRARY, Field, transformation
 
 from dyknow.errors import OntologyFileError
+from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState
 from dyknow.ros.manager import library_files
 from dyknow.ros.manager.library_files import LibraryFiles
@@ -39,17 +41,24 @@ class Files:
     def __init__(self, folder, parameters=(), ontologies=(), **settings):
         self.folder = folder
         self.exports = {"transformations": [], "ontology": []}
+        self.settings = ManagerSettings(
+            transformations=tuple(map(self.path, parameters)),
+            ontologies=tuple(map(self.path, ontologies)),
+            **settings,
+        )
+        self.store = Store()
+        self.changes = []
+        self.restart()
+
+    def restart(self):
+        """Begin again as the manager does, with the same library."""
         self.files = LibraryFiles(
-            ManagerSettings(
-                transformations=tuple(map(self.path, parameters)),
-                ontologies=tuple(map(self.path, ontologies)),
-                **settings,
-            ),
+            self.settings,
+            self.store,
             lambda: {
                 attribute: [*map(self.path, files)] for attribute, files in self.exports.items()
             },
         )
-        self.changes = []
 
     def path(self, name):
         return str(self.folder / name)
@@ -93,6 +102,12 @@ def test_files_of_parameters_and_packages_are_followed(files):
     files.exports["transformations"] = ["package.xml"]
     files.look()
     assert (files.labels, files.changes) == (["a", "b", "c"], [{"c"}])
+    for package, own in ((("b", "c"), ("a",)), (("c",), ("a", "b"))):
+        files.write("package.xml", simple(*package))
+        files.look()
+        files.write("own.xml", simple(*own))
+        files.look()
+        assert files.labels == ["a", "b", "c"], "what another file has stays"
     files.write("own.xml", simple("b", "d"))
     files.look()
     assert (files.labels, files.changes) == (["b", "c", "d"], [{"b", "d"}])
@@ -101,14 +116,43 @@ def test_files_of_parameters_and_packages_are_followed(files):
     assert (files.labels, files.changes) == (["b", "d"], [set()])
 
 
-def test_what_another_file_has_stays(files):
+def test_what_a_file_lost_while_no_manager_ran_goes_at_the_start(files):
     files.write("own.xml", simple("a", "b"))
-    files.write("package.xml", simple("b"))
-    files.exports["transformations"] = ["package.xml"]
     files.begin()
-    files.write("own.xml", simple("a"))
+    files.field.manager.add_transformation(simple("by hand"))
+    files.write("own.xml", simple("a", "c"))
+    files.restart()
     files.look()
-    assert files.labels == ["a", "b"]
+    assert files.labels == ["a", "by hand", "c"]
+    (files.folder / "own.xml").unlink()
+    files.restart()
+    files.look()
+    assert files.labels == ["a", "by hand", "c"], "a file that cannot be read loses nothing"
+
+
+def test_the_pause_is_that_of_looks_at_which_nothing_is_read(files, monkeypatch):
+    """Reading the first ontology takes half a second, and the next individual came 25 s later."""
+    clock = HandClock()
+    monkeypatch.setattr(library_files.time, "thread_time", clock.now)
+    files.write("own.xml", simple("a"))
+    files.begin()
+    pauses = []
+
+    def look(library_reads, seconds):
+        def exported():
+            clock.time += seconds
+            return {}
+
+        files.files._exported = exported
+        if library_reads:
+            files.write("own.xml", simple(library_reads))
+        pauses.append(files.look())
+
+    look("b", 0.5)
+    look("", 0.1)
+    look("c", 0.5)
+    look("", 0.001)
+    assert pauses == pytest.approx([1.0, 5.0, 5.0, 1.0])
 
 
 def test_exports_can_be_left_out(tmp_path):

@@ -1,22 +1,386 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Questions to a ROS master, with a real one."""
+"""Questions to a real ROS master, and what a new one gets back of the nodes that live."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import logging
+import os
+import stat
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Dict, List, Tuple
 from urllib.parse import urlsplit
+from xmlrpc.client import Binary
 
 import psutil
 import pytest
 import rosmaster.master
-from unit.ros.small_graph import stop_master
+from clocks import PATIENCE, HandClock
+from hypothesis import given
+from hypothesis import strategies as st
+from property_tests import examples
+from rosmaster.master_api import ROSMasterHandler
+from unit.ros.small_graph import SmallManager, XmlRpc, stop_master
 
 from dyknow.errors import PeerTimeout
+from dyknow.ros.manager import keeper as keeper_module
+from dyknow.ros.manager.keeper import MasterKeeper
+from dyknow.ros.manager.mirror import MasterMirror, lost_parameters
+from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire import master as module
 from dyknow.ros.wire.master import Master
+
+ME = "/dyknow_manager"
+TYPE = "std_msgs/Empty"
+_pids = itertools.count(5000)
+
+
+class Core:
+    """A ROS master, and others in its place later."""
+
+    def __init__(self) -> None:
+        self._master = rosmaster.master.Master(port=0)
+        self._master.start()
+        self._renewed = contextlib.ExitStack()
+        self.uri = self._master.uri
+        self.api = Master("/test", self.uri)
+
+    def renew(self) -> None:
+        """Put a new master at the same address, in a process of the same id."""
+        handler = ROSMasterHandler()
+        self._renewed.callback(handler._shutdown, "stop")
+        handler._ready(self.uri)
+        self._master.master_node.server.register_instance(handler)
+
+    def stop(self) -> None:
+        self._renewed.close()
+        stop_master(self._master)
+
+    def parameters(self) -> Any:
+        return self.api.ask("getParam", "/")
+
+    def state(self) -> List[Dict[str, Any]]:
+        """Publishers, subscribers and services by name, and addresses and types of topics."""
+        publishers, subscribers, services = map(dict, self.api.ask("getSystemState"))
+        addresses = {each: self.api.ask("lookupService", each) for each in services}
+        return [publishers, subscribers, services, addresses, dict(self.api.ask("getTopicTypes"))]
+
+
+class SmallNode:
+    """A node that registers once, as every node of ROS 1, and lists its topics."""
+
+    def __init__(self, core: Core, name: str) -> None:
+        self.name, self.pid = name, next(_pids)
+        self.published: Dict[str, str] = {}
+        self.subscribed: Dict[str, str] = {}
+        #: The notifications that came: topics with the addresses of their publishers.
+        self.heard: List[Tuple[str, List[str]]] = []
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        self.lists_topics = True
+        self._core = core
+        self._served = XmlRpc(
+            {
+                "getPid": lambda caller: self.goes_on.wait() and self.pid,
+                "getPublications": lambda caller: self._listed(self.published),
+                "getSubscriptions": lambda caller: self._listed(self.subscribed),
+                "publisherUpdate": lambda caller, *heard: self.heard.append(heard) or 0,
+            }
+        )
+        self.uri = self._served.uri
+
+    def publish(self, topic: str, datatype: str = TYPE) -> None:
+        self.published[topic] = datatype
+        self._ask("registerPublisher", topic, datatype, self.uri)
+
+    def subscribe(self, topic: str, datatype: str = TYPE) -> None:
+        self.subscribed[topic] = datatype
+        self._ask("registerSubscriber", topic, datatype, self.uri)
+
+    def offer(self, service: str, address: str) -> None:
+        self._ask("registerService", service, address, self.uri)
+
+    def close(self) -> None:
+        self.goes_on.set()
+        self._served.close()
+
+    def _listed(self, topics: Dict[str, str]) -> Any:
+        return [[topic, topics[topic]] for topic in topics] if self.lists_topics else None
+
+    def _ask(self, *question: str) -> None:
+        Master(self.name, self._core.uri).ask(*question)
+
+
+class Graph:
+    """A master, the node of a DyKnow manager, and further nodes; all are closed together."""
+
+    def __init__(self, path: str) -> None:
+        self.core = Core()
+        self.path = path
+        self.nodes: List[Any] = []
+        self.manager = self.node(ME)
+        self.manager.publish("/rosout", "rosgraph_msgs/Log")
+
+    def node(self, name: str) -> SmallNode:
+        self.nodes.append(SmallNode(self.core, name))
+        return self.nodes[-1]
+
+    def server(self) -> SmallManager:
+        """A process that answers connections to services."""
+        self.nodes.append(SmallManager())
+        return self.nodes[-1]
+
+    def keeper(self) -> MasterKeeper:
+        return MasterKeeper(Master(ME, self.core.uri), self.path)
+
+    def set(self, **parameters: Any) -> None:
+        for name, value in parameters.items():
+            self.core.api.ask("setParam", f"/{name}", value)
+
+    def close(self) -> None:
+        for each in self.nodes:
+            each.close()
+        self.core.stop()
+
+
+@pytest.fixture
+def graph(monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    made = Graph(str(tmp_path / "state" / "master"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def keeper(graph):
+    return graph.keeper()
+
+
+def test_everything_is_registered_again(graph, keeper):
+    talker, listener, server = graph.node("/talker"), graph.node("/listener"), graph.server()
+    talker.publish("/words")
+    talker.offer("/talker/ask", server.service)
+    listener.subscribe("/words")
+    listener.subscribe("/other", "std_msgs/String")
+    graph.set(rate=5, robot={"name": "a", "wheels": [1, 2]}, raw=Binary(b"\0\1"), nothing={})
+    graph.set(run_id="that of another roscore")
+    before = graph.core.state()
+    for number in range(3):
+        keeper.look()
+        graph.core.renew()
+        keeper.look()
+        assert graph.core.state() == before, number
+        found = graph.core.parameters()
+        assert found.pop("raw").data == b"\0\1"
+        assert found == {"rate": 5, "robot": {"name": "a", "wheels": [1, 2]}}
+    assert listener.heard == []  # it is connected to the publisher that it knows
+
+
+def test_a_look_at_the_same_master_changes_nothing(graph, keeper):
+    talker = graph.node("/talker")
+    talker.publish("/words")
+    graph.set(rate=5)
+    keeper.look()
+    graph.set(run_id="second")  # it comes a moment after the master
+    graph.core.api.ask("deleteParam", "/rate")
+    Master("/talker", graph.core.uri).ask("unregisterPublisher", "/words", talker.uri)
+    before = graph.core.state()
+    keeper.look()
+    assert graph.core.state() == before
+    assert graph.core.parameters() == {"run_id": "second"}
+
+
+def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, keeper, caplog):
+    node, gone, replaced = (graph.node(f"/{name}") for name in ("node", "gone", "replaced"))
+    kept, dropped = graph.server(), graph.server()
+    gone.publish("/words")
+    replaced.publish("/more")
+    node.publish("/old")
+    node.publish(NODES_TOPIC)
+    node.subscribe("/old_too")
+    node.offer("/node/kept", kept.service)
+    node.offer("/node/poll", dropped.service)
+    node.offer("/node/gone", "rosrpc://localhost:9")
+    keeper.look()
+    del node.published["/old"], node.subscribed["/old_too"]
+    node.published["/new"] = node.subscribed["/new_too"] = "std_msgs/String"
+    del node.published[NODES_TOPIC]  # re-wirable programs do not list it
+    dropped.error = "nonexistent service"
+    gone.close()
+    graph.nodes.remove(gone)
+    replaced.pid += 1  # another process has the port
+    graph.core.renew()
+    with caplog.at_level(logging.WARNING):
+        keeper.look()
+    publishers, subscribers, services, _, types = graph.core.state()
+    assert publishers == {"/rosout": [ME], "/new": ["/node"], NODES_TOPIC: ["/node"]}
+    assert subscribers == {"/new_too": ["/node"]}
+    assert services == {"/node/kept": ["/node"]}
+    assert types["/new"] == types["/new_too"] == "std_msgs/String"
+    assert "have ended are not registered again: /gone, /replaced" in caplog.text
+
+
+@pytest.mark.parametrize("lists_topics", [True, False])
+def test_a_node_that_does_not_answer_gets_back_what_it_had(
+    graph, keeper, monkeypatch, lists_topics
+):
+    node = graph.node("/node")
+    node.publish("/words", "std_msgs/String")
+    node.subscribe("/more")
+    keeper.look()
+    before = graph.core.state()
+    monkeypatch.setattr(keeper_module, "_PATIENCE", 0.05 if lists_topics else PATIENCE)
+    if lists_topics:
+        node.goes_on.clear()
+    node.lists_topics = lists_topics
+    graph.core.renew()
+    keeper.look()
+    assert graph.core.state() == before
+
+
+def test_what_the_new_master_has_is_newer(graph, keeper):
+    elder, server = graph.node("/node"), graph.server()
+    elder.publish("/words")
+    elder.offer("/shared", server.service)
+    graph.set(rate=5, robot={"name": "a", "mass": 1.0}, run_id="first")
+    keeper.look()
+    graph.core.renew()
+    successor, other = graph.node("/node"), graph.node("/other")
+    successor.publish("/further")
+    other.offer("/shared", "rosrpc://localhost:9")
+    graph.set(rate=6, robot={"name": "b"}, run_id="second")
+    keeper.look()
+    publishers, _, services, addresses, _ = graph.core.state()
+    assert publishers == {"/rosout": [ME], "/further": ["/node"]}
+    assert (services, addresses) == ({"/shared": ["/other"]}, {"/shared": "rosrpc://localhost:9"})
+    assert graph.core.api.node("/node") == successor.uri
+    expected = {"rate": 6, "robot": {"name": "b", "mass": 1.0}, "run_id": "second"}
+    assert graph.core.parameters() == expected
+
+
+def test_a_subscriber_hears_of_new_publishers_and_always_of_all(graph, keeper):
+    known, listener = graph.node("/known"), graph.node("/listener")
+    known.publish("/words")
+    listener.subscribe("/words")
+    keeper.look()
+    del listener.heard[:]
+    graph.core.renew()
+    graph.node("/new").publish("/words")  # it began while there was no master
+    keeper.look()
+    uris = {each.uri for each in graph.nodes if each.name in ("/known", "/new")}
+    assert [(topic, set(heard)) for topic, heard in listener.heard] == [("/words", uris)]
+
+
+def test_the_manager_itself_comes_last(graph, keeper, monkeypatch):
+    """Until then no part of it takes the lack of a registration for an end."""
+    server = graph.server()
+    for node in (graph.node("/a"), graph.manager, graph.node("/z")):
+        node.publish(f"{node.name}/topic")
+        node.offer(f"{node.name}/service", server.service)
+        node.subscribe("/topics")
+    keeper.look()
+    asked: List[Any] = []
+    ask_all = Master.ask_all
+
+    def noted(master: Master, questions: Any) -> Any:
+        questions = list(questions)
+        asked.extend(questions)
+        return ask_all(master, questions)
+
+    monkeypatch.setattr(Master, "ask_all", noted)
+    graph.core.renew()
+    keeper.look()
+    for function in ("registerService", "registerPublisher", "registerSubscriber"):
+        callers = [caller for name, caller, *_ in asked if name == function]
+        assert callers[0] == "/a" and callers[-1] == ME, (function, callers)
+
+
+@pytest.mark.parametrize("lives", [True, False])
+def test_the_mirror_outlives_its_manager_unless_all_nodes_have_ended(graph, keeper, lives):
+    node = graph.node("/node" if lives else ME)
+    node.publish("/words")
+    node.subscribe("/words")
+    node.offer("/ask", graph.server().service)
+    graph.set(run_id="first", rate=5, raw=Binary(b"\0\1"), tree={"é": [1, 2.5, True, "x"]})
+    keeper.look()
+    assert stat.S_IMODE(os.stat(graph.path).st_mode) == 0o600
+    before = graph.core.state()
+    graph.manager.close()
+    graph.nodes.remove(graph.manager)
+    if not lives:
+        node.close()
+        graph.nodes.remove(node)
+    graph.core.renew()
+    graph.set(run_id="second")
+    graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
+    graph.keeper().look()
+    found = graph.core.parameters()
+    assert found.pop("run_id") == "second"
+    if lives:
+        assert graph.core.state() == before
+        assert found.pop("raw").data == b"\0\1"
+        assert found == {"rate": 5, "tree": {"é": [1, 2.5, True, "x"]}}
+    else:
+        assert (graph.core.state()[0], found) == ({"/rosout": [ME]}, {})
+
+
+def test_the_file_is_written_every_few_seconds_at_most_and_not_used_if_it_is_wrong(graph, caplog):
+    clock = HandClock()
+    file = Path(graph.path)
+    keeper = MasterKeeper(Master(ME, graph.core.uri), graph.path, clock)
+    for rate, pause, saved in ((1, 0.0, 1), (2, 0.0, 1), (2, 10.0, 2)):
+        graph.set(rate=rate)
+        clock.time += pause
+        keeper.look()
+        assert MasterMirror.from_text(file.read_text()).parameters == {"rate": saved}
+    before = file.read_text()
+    away = MasterKeeper(Master(ME, "http://localhost:9"), graph.path)
+    assert 0.0 < away.look() < 1.0
+    assert file.read_text() == before, "while there is no master it stays"
+    file.write_text("<value>")
+    graph.keeper().look()
+    assert "is not used" in caplog.text
+    for _ in range(2):
+        keeper.close()
+    assert not file.exists()
+
+
+TREES = st.recursive(
+    st.integers() | st.text(max_size=3),
+    lambda inner: st.dictionaries(st.sampled_from("abc"), inner, min_size=1, max_size=3),
+    max_leaves=8,
+)
+MAPS = st.dictionaries(st.sampled_from("abc"), TREES, max_size=3)
+
+
+def merged(kept: Any, present: Any) -> Any:
+    if isinstance(kept, dict) and isinstance(present, dict):
+        both = {key: merged(kept[key], present[key]) for key in kept.keys() & present.keys()}
+        return {**kept, **present, **both}
+    return present
+
+
+@examples(100)
+@given(MAPS, MAPS)
+def test_present_parameters_stay_and_all_others_come_back(kept, present):
+    expected = merged(kept, present)
+    for name, value in lost_parameters(kept, present):
+        *path, last = name[1:].split("/")
+        tree = present
+        for each in path:
+            tree = tree[each]
+        assert last not in tree
+        tree[last] = value
+    assert present == expected
+
+
+# Questions to a master
+
 
 URI = "http://localhost:9/"
 
@@ -24,13 +388,12 @@ URI = "http://localhost:9/"
 @pytest.fixture
 def uri(monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
-    started = rosmaster.master.Master(port=0)
-    started.start()
-    yield started.uri
-    stop_master(started)
+    core = Core()
+    yield core.uri
+    core.stop()
 
 
-def test_the_master_forgets_a_node_that_is_purged(uri):
+def test_the_master_forgets_a_node_that_is_purged_and_no_successor(uri):
     """Else it would tell whoever has that address by then to end, as soon as the name is back."""
     dead = Master("/dead", uri)
     dead.ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
@@ -41,15 +404,11 @@ def test_the_master_forgets_a_node_that_is_purged(uri):
     assert asking.node("/dead") == URI
     asking.purge("/dead", URI)
     assert asking.node("/dead") == ""
-
-
-def test_a_successor_stays(uri):
-    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
-    other = "http://localhost:10/"
-    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", other)
-    asking = Master("/asking", uri)
+    successor = "http://localhost:10/"
+    for address in (URI, successor):
+        dead.ask("registerPublisher", "/topic", "std_msgs/Empty", address)
     asking.purge("/dead", URI)
-    assert asking.node("/dead") == other
+    assert asking.node("/dead") == successor
     assert asking.publishers("/topic") == {"/dead"}
 
 
@@ -71,11 +430,11 @@ def test_many_questions_at_a_time_leave_two_connections(uri, monkeypatch):
     connect = module._Connection.connect
 
     def connect_together(self):
-        together.wait(20.0)
+        together.wait(PATIENCE)
         connect(self)
 
     monkeypatch.setattr(module._Connection, "connect", connect_together)
-    node = Master("/node", uri)
+    node = Master("/node", uri, timeout=PATIENCE)
     with ThreadPoolExecutor(count) as pool:
         assert [*pool.map(node.node, ["/none"] * count)] == [""] * count
     port = urlsplit(uri).port
@@ -115,3 +474,9 @@ def test_an_answer_like_the_one_before_is_not_parsed(uri):
     assert first is second and first == {"words": ["long " * 1000]}
     Master("/other", uri).ask("setParam", "/words", ["short"])
     assert asking.ask_all(question) == [{"words": ["short"]}]
+
+
+def test_a_node_that_is_gone_or_does_not_answer_has_no_transports(uri):
+    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    for node in ("/dead", "/gone"):
+        assert Master("/asking", uri).transports(node, 1.0) == {}

@@ -20,7 +20,13 @@ from dyknow_msgs.srv import GetModelResponse
 
 from dyknow.errors import Result, StreamRefused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
-from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortStatistics
+from dyknow.model.statistics import (
+    NodeletCount,
+    NodeletLoad,
+    NodeletStatistics,
+    PortCount,
+    PortStatistics,
+)
 from dyknow.model.streams import (
     Acquisition,
     ClaimState,
@@ -112,6 +118,8 @@ def test_fields_that_the_values_do_not_have():
     assert messages.replanned_message(Replanned((), (), 0.0, "", "")).success
     for result in Result:
         assert getattr(srv.AcquireStreamResponse, result.name) == result
+    message = messages.acquire_message(replace(REQUEST, exclude=("b", "a", "b")), False)
+    assert messages.acquire_from(message).exclude == ("a", "b")
 
 
 def test_a_request_to_spawn():
@@ -125,21 +133,31 @@ def test_a_request_to_spawn():
 
 
 def test_the_counts_of_a_nodelet():
-    latched = replace(COUNTED, latched=True, age=0.25)
-    arrived = sent(messages.counts_message("/n", NodeletStatistics(1.5, 2, 3, (latched, UNKNOWN))))
+    latched = replace(COUNTED, latched=True, age=0.25, size=100)
+    statistics = NodeletStatistics(1.5, 2, 3, (latched, UNKNOWN), "late")
+    arrived = sent(messages.counts_message("/n", statistics, 0.75))
     assert (arrived.nodelet, arrived.uptime.to_sec()) == ("/n", 1.5)
     unknown, counted = arrived.ports
     assert (counted.port, counted.direction, counted.messages) == ("out", 1, 2**32)
-    assert (counted.latched, counted.age) == (True, 0.25)
+    assert (counted.latched, counted.age, counted.size) == (True, 0.25, 100)
     assert (unknown.port, unknown.direction, unknown.messages) == ("in", 0, 0)
     assert unknown.age != unknown.age
     (count,) = messages.counts_from(sent(Counts([arrived])))
-    assert count == NodeletCount("/n", 1.5, 2, {"in": (0, 0), "out": (2**32, 3)})
+    ports = {"in": PortCount(0, 0), "out": PortCount(2**32, 3, 0.25, 100)}
+    assert count == NodeletCount("/n", 1.5, 2, ports, 3, "late", 0.75)
+    arrived.cpu, arrived.memory = 2.5, 2**33
+    (count,) = messages.counts_from(sent(Counts([arrived])))
+    assert (count.cpu, count.memory) == (2.5, 2**33)
 
 
-def test_the_lists_of_a_request_are_sorted_sets():
-    message = messages.acquire_message(replace(REQUEST, exclude=("b", "a", "b")), False)
-    assert messages.acquire_from(message).exclude == ("a", "b")
+def test_the_load_of_a_nodelet_between_two_counts():
+    before = NodeletCount("/n", 10.0, 0, {}, busy=3.0, cpu=5.0, memory=100)
+    after = NodeletCount("/n", 12.0, 0, {}, busy=4.0, cpu=7.5, memory=200)
+    assert after.load_since(before) == NodeletLoad(0.5, 1.25, 200)
+    assert replace(after, cpu=None, memory=None).load_since(before) == NodeletLoad(0.5, None, None)
+    assert after.load_since(replace(before, cpu=None)) == NodeletLoad(0.5, None, 200)
+    assert replace(after, busy=2.0).load_since(before) == NodeletLoad(0.0, 1.25, 200)
+    assert before.load_since(after) is None
 
 
 @pytest.mark.parametrize("result", [each for each in Result if each is not Result.OK])
@@ -151,7 +169,7 @@ def test_refusals(result):
     assert (caught.value.result, caught.value.claim_id) == (result, "7")
 
 
-def test_a_model_on_its_topic_and_in_the_answer():
+def test_a_model_on_its_topic_in_the_answer_and_changed():
     rospy.rostime.set_rostime_initialized(True)
     kept = ModelMessages()
     model = Model(7, 3, (NODELET, OTHER), (RELAY, THEIRS))
@@ -161,12 +179,6 @@ def test_a_model_on_its_topic_and_in_the_answer():
     assert messages.model_from(answer) == model
     assert answer.nodelets == list(map(messages.nodelet_message, model.nodelets))
     assert answer.transformations == list(map(messages.transformation_message, (RELAY, THEIRS)))
-
-
-def test_parts_of_a_model_that_changed_are_serialised_again():
-    rospy.rostime.set_rostime_initialized(True)
-    kept = ModelMessages()
-    kept.response(Model(1, 1, (NODELET, OTHER), (RELAY,)))
-    changed = Model(2, 2, (replace(NODELET, is_protected=False),), (RELAY._replace(cost=0),))
+    changed = Model(8, 4, (replace(NODELET, is_protected=False),), (RELAY._replace(cost=0),))
     answer = sent(kept.response(changed), GetModelResponse).model
     assert messages.model_from(answer) == changed

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Processes identified by id and start time, and the lock that shows whether an owner lives."""
+"""Processes by id and start time, their owner's lock, and those that end with their owner."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
 
@@ -24,14 +26,15 @@ from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
-from dyknow.ros.process import os_process
+from dyknow.ros.process import os_process, owned
 from dyknow.ros.process.os_process import LogTail, ProcessId
+from dyknow.ros.process.owned import Processes, ProcessFailed
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
 STUBBORN = (
     sys.executable,
     "-c",
-    "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    "import signal, time; [signal.signal(each, signal.SIG_IGN) for each in (2, 15)]\n"
     "print('up', flush=True); time.sleep(1000)",
 )
 EXITS = (sys.executable, "-c", "import os; os._exit(3)")
@@ -203,30 +206,21 @@ def _is_free(path):
     return True
 
 
-def test_output_is_followed(tmp_path, capsys):
-    path = tmp_path / "output"
-    path.write_text("old\n")
-    both, new = LogTail(str(path)), LogTail(str(path), at_end=True)
-    both.copy(sys.stdout)
-    new.copy(sys.stdout)
-    assert capsys.readouterr().out == "old\n"
-    with path.open("a") as file:
-        file.write("new\n")
-    new.copy(sys.stdout)
-    new.copy(sys.stdout)
-    assert capsys.readouterr().out == "new\n"
-
-
-def test_a_long_output_is_cut_once_it_is_copied(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("at_end", [False, True])
+def test_an_output_is_followed_and_cut_once_it_is_copied(tmp_path, capsys, monkeypatch, at_end):
     monkeypatch.setattr(os_process, "_LONGEST", 10)
     path = tmp_path / "output"
+    path.write_text("old\n")
+    tail = LogTail(str(path), at_end=at_end)
+    tail.copy(sys.stdout)
+    assert capsys.readouterr().out == ("" if at_end else "old\n")
     with path.open("a") as file:
-        tail = LogTail(str(path))
         for line in ("a long line\n", "short\n", "another\n", "last\n"):
             file.write(line)
             file.flush()
-            tail.copy(sys.stdout)
-            assert capsys.readouterr().out == line
+            for said in (line, ""):
+                tail.copy(sys.stdout)
+                assert capsys.readouterr().out == said
     assert path.read_text() == "last\n"
 
 
@@ -241,3 +235,35 @@ def test_an_output_is_locked_while_its_process_runs(tmp_path):
     finally:
         found.end(0.0)
     eventually(lambda: not os_process.is_locked(output))
+
+
+# Processes that end with their owner, who is told how one has ended
+
+
+def is_up(processes: Processes, number: int) -> bool:
+    return processes.output(number).startswith("up")
+
+
+def test_all_end_with_their_owner_however_stubborn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(owned, "END_TIMEOUT", 0.2)
+    with Processes("test") as processes:
+        for number in range(2):
+            processes.start("it", [*STUBBORN], ready=lambda: is_up(processes, number))  # noqa: B023
+        pids, folder = [each.pid for each in processes.started], processes.folder
+        processes.check()
+    assert not [pid for pid in pids if psutil.pid_exists(pid)]
+    assert not Path(folder).exists()
+
+
+def test_one_that_ends_or_is_not_ready_is_named_with_its_output(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(owned, "START_TIMEOUT", 0.2)
+    with Processes("test") as processes:
+        with pytest.raises(ProcessFailed, match=r"late was not ready .* printed:\n\(nothing\)"):
+            processes.start("late", ["sleep", "1000"], ready=lambda: False)
+        processes.start("brief", [sys.executable, "-c", "print('why'); raise SystemExit(3)"])
+        with pytest.raises(ProcessFailed, match=r"(?s)brief ended with exit code 3; .*why"):
+            while True:
+                processes.check(0.01)
+                time.sleep(0.01)

@@ -10,11 +10,13 @@ import gc
 import threading
 import time
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from clocks import join, wait_for
+from clocks import in_thread, join, wait_for
 
 from dyknow.ros.scripts import sandbox as sandbox_module
+from dyknow.ros.scripts.process_view import process_views
 from dyknow.ros.scripts.sandbox import Sandbox, defer_in_finalizers, outside_of_finalizers
 
 
@@ -106,3 +108,118 @@ def test_other_calls_are_made_at_once():
     done = []
     outside_of_finalizers(lambda: done.append(threading.get_ident()))
     assert done == [threading.get_ident()]
+
+
+class SlicedSandbox(Sandbox):
+    """Calls ``at_end`` once: when the first slice of a wait is over, and the second one comes."""
+
+    def __init__(self, at_end):
+        super().__init__("sandbox")
+        self.at_end = [at_end]
+        self.slices = 0
+
+    def end_slice(self):
+        if self.at_end and self.slices:
+            join(in_thread(self.at_end.pop()))
+
+    def wait_for(self, condition, timeout):
+        def sliced(seconds):
+            self.end_slice()
+            assert self.slices < 3, "the notification was lost"
+            self.slices += 1
+            return condition(0.0)
+
+        return super().wait_for(sliced, timeout)
+
+
+class SlowLock:
+    """A reentrant lock for conditions that is taken again just after ``before_taking``."""
+
+    def __init__(self, before_taking):
+        lock: Any = threading.RLock()
+        self.acquire, self.release = lock.acquire, lock.release
+        self.__dict__.update(_release_save=lock._release_save, _is_owned=lock._is_owned)
+        self._lock, self._before_taking = lock, before_taking
+
+    def __enter__(self):
+        return self._lock.__enter__()
+
+    def __exit__(self, *error):
+        self._lock.__exit__(*error)
+
+    def _acquire_restore(self, state):
+        self._before_taking()
+        self._lock._acquire_restore(state)
+
+
+def threading_of(sandbox):
+    return process_views(sandbox)["threading"]()
+
+
+@pytest.mark.parametrize("timeout", [None, 1000.0])
+def test_a_notification_at_the_end_of_a_slice_is_received(timeout):
+    def notify():
+        with condition:
+            condition.notify()
+
+    sandbox = SlicedSandbox(notify)
+    condition = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
+    with condition, condition:
+        assert condition.wait(timeout)
+        assert condition._is_owned() and not condition._waiters
+    assert not condition._is_owned()
+
+
+def test_a_notification_just_after_the_time_is_up_is_received():
+    def notify():
+        with condition:
+            condition.notify()
+
+    sandbox = SlicedSandbox(notify)
+    condition = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
+    with condition:
+        assert condition.wait(0.0)
+        assert not condition.wait(-1.0)
+        assert not condition._waiters
+    with pytest.raises(RuntimeError, match="un-acquired"):
+        condition.wait()
+
+
+@pytest.mark.parametrize("lock", [threading.Lock, threading.RLock])
+def test_a_wait_that_the_end_cuts_short_leaves_the_lock_taken_and_no_waiter(lock):
+    sandbox = Sandbox("sandbox")
+    condition = threading_of(sandbox).Condition(lock())
+    sandbox.closing.set()
+    with condition:
+        with pytest.raises(SystemExit):
+            condition.wait()
+        assert condition._is_owned() and not condition._waiters
+    assert condition.acquire(blocking=False)
+
+
+def test_what_comes_true_at_the_end_of_the_sandbox_is_taken_once():
+    sandbox, calls = Sandbox("sandbox"), []
+
+    def condition(seconds):
+        sandbox.closing.set()
+        calls.append(seconds)
+        return len(calls) == 2
+
+    assert sandbox.wait_for(condition, None)
+    assert len(calls) == 2
+
+
+def test_everything_that_waits_for_a_condition_goes_on(monkeypatch):
+    monkeypatch.setattr(sandbox_module, "_SLICE", 0.001)
+    own = threading_of(Sandbox("sandbox"))
+    event, semaphore, barrier = own.Event(), own.Semaphore(0), own.Barrier(2)
+    thread = own.Thread(target=lambda: (event.wait(), semaphore.acquire(), barrier.wait()))
+    thread.start()
+    assert thread.daemon
+    threading.Event().wait(0.02)  # some slices
+    event.set()
+    semaphore.release()
+    barrier.wait()
+    thread.join()
+    assert event.wait(0.0)
+    assert not semaphore.acquire(timeout=0.002)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""After its unload the memory of a script is free, without any garbage collection."""
+"""Scripts end: in order during their load, and without garbage collection in memory."""
 
 from __future__ import annotations
 
@@ -105,14 +105,12 @@ def _process(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", SCRIPTS)
-def test_an_unload_frees_a_script(process, kind):
+def test_an_unload_frees_a_script_and_so_does_its_failure(process, kind):
     process.load(SCRIPTS[kind])
     assert process.holds_the_block()
     process.loader.unload("/n")
     eventually(lambda: not process.holds_the_block())
-
-
-def test_a_script_that_fails_is_freed(process):
+    process.blocks.clear()
     with pytest.raises(LoadFailed):
         process.load("raise RuntimeError('injected')")
     eventually(lambda: not process.holds_the_block())
@@ -124,3 +122,8 @@ def test_a_thread_that_does_not_end_keeps_its_modules(process):
     assert process.holds_the_block()
     process.go_on.set()
     eventually(lambda: process.seen == [True])
+
+
+def test_a_script_that_shuts_down_during_its_load_is_loaded_and_then_gone(process):
+    process.load("rospy.signal_shutdown('enough')\nnumpy.witness.go_on.wait(0.5)")
+    eventually(lambda: process.loader.list() == [])

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Calls of services whose every step has a time limit, and the connections under them."""
+"""Calls of services and polls whose every step has a time limit, and their connections."""
 
 from __future__ import annotations
 
@@ -29,12 +29,8 @@ from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.process.os_process import ProcessId
 from dyknow.ros.wire import service_client
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.service_client import (
-    ServiceClient,
-    ServiceFailed,
-    ServiceLost,
-    TcprosConnection,
-)
+from dyknow.ros.wire.poll_client import PollClient
+from dyknow.ros.wire.service_client import ServiceClient, ServiceLost, TcprosConnection
 
 NAME = "/manager"
 SOON = 0.05
@@ -73,8 +69,13 @@ def test_calls_of_a_persistent_client_share_a_connection(manager, client):
     make_client().call(PATIENCE)
     make_client().call(PATIENCE)
     assert manager.connections == 3
+    proud = make_client(persistent=True, reconnects=False)
+    proud.call(PATIENCE)
     manager.lose_connections()
     assert client.call(PATIENCE).nodelets == ["/b", "/a"]
+    for _ in range(2):
+        with pytest.raises(ServiceLost):
+            proud.call(PATIENCE)
 
 
 class SlowMaster(Master):
@@ -157,26 +158,6 @@ def test_the_wait_for_other_threads_counts_with_the_call(client, monkeypatch):
     with pytest.raises(PeerTimeout):
         client.call(5.0)
     assert deadlines == [now[0]]
-
-
-@pytest.mark.parametrize("persistent", [False, True])
-def test_a_process_of_another_version_is_reported_with_the_cure(manager, persistent):
-    manager.error = "request from [/client]: md5sums do not match: [a] vs. [b]"
-    with contextlib.closing(make_client(persistent=persistent)) as client:
-        with pytest.raises(ServiceFailed, match="another version of DyKnow: restart it"):
-            client.call(PATIENCE)
-        manager.error = "there is no such service"
-        with pytest.raises(ServiceFailed, match="there is no such service$"):
-            client.call(PATIENCE)
-
-
-def test_a_client_that_must_not_reconnect_says_that_the_server_is_lost(manager):
-    client = make_client(persistent=True, reconnects=False)
-    client.call(PATIENCE)
-    manager.lose_connections()
-    for _ in range(2):
-        with pytest.raises(ServiceLost):
-            client.call(PATIENCE)
 
 
 # Several threads use, close and replace clients at the same time
@@ -290,3 +271,52 @@ def test_frames_are_read_one_by_one_however_they_arrive(link):
     peer.close()
     with pytest.raises(ConnectionResetError):
         connection.receive_frame(in_time)
+
+
+# Polls: which changes are asked for, and processes that answer none
+
+
+UNKNOWN_TO_ROSCPP = "received a tcpros connection for a nonexistent service [/manager/poll]."
+
+
+@contextlib.contextmanager
+def polled(kind="", error=""):
+    """A client of one process, and the process."""
+    with small_graph() as graph:
+        graph.nodes[NAME] = process = SmallManager(kind)
+        process.nodelets, process.error = ["/b", "/a"], error
+        with contextlib.closing(PollClient(Master("/test", graph.uri), NAME, bool(kind))) as each:
+            yield each, process
+
+
+def test_changes_are_sent_once():
+    with polled() as (client, process):
+        described = [len(client.ask(PATIENCE).changes.nodelets) for _ in range(3)]
+    assert described == [2, 0, 0]
+    assert [each.seen for each in process.requests] == [0, 1, 1]
+    assert process.connections == 1
+
+
+def test_a_stock_nodelet_manager_is_asked_for_its_list():
+    with polled(error=UNKNOWN_TO_ROSCPP) as (client, process):
+        answers = [client.ask(PATIENCE) for _ in range(2)]
+    assert client.is_stock
+    found = [(each.changes.kind, each.nodelets) for each in answers]
+    assert found == [("cpp_nodelet", ["/a", "/b"])] * 2
+    assert process.connections == 2, "the refused one, and the one that is kept"
+
+
+@pytest.mark.parametrize(
+    ("kind", "error"),
+    [
+        ("", "request from [/test]: md5sums do not match: [a] vs. [b]"),
+        ("", "[/manager] is not a provider of  [/manager/poll]"),
+        ("node", "[/manager] is not a provider of  [/manager/poll]"),
+        ("cpp_node", UNKNOWN_TO_ROSCPP),
+    ],
+)
+def test_a_process_of_another_version_is_named_as_such(kind, error):
+    with polled(kind, error) as (client, _):
+        with pytest.raises(HostError, match="another version of DyKnow: restart it"):
+            client.ask(PATIENCE)
+        assert not client.is_stock

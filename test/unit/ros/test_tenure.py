@@ -106,55 +106,36 @@ def test_the_elder_goes_on_in_whatever_order_they_look(
     assert elder.master.holder == elder.uri
 
 
-def test_a_manager_that_is_alone_holds_its_name() -> None:
+def test_a_manager_that_is_alone_holds_its_name_whatever_happens_to_it() -> None:
     side = Side(Parameters(), "http://elder:1/")
     side.start()
     for _ in range(3):
         side.look()
         side.now += PATIENCE
-    assert side.verdict is TenureVerdict.HOLD
-    assert side.master.holder == side.uri
-
-
-def test_a_new_master_gets_the_entry_again() -> None:
-    side = Side(Parameters(), "http://elder:1/")
-    side.start()
-    side.master.values.clear()
+        assert (side.verdict, side.master.holder) == (TenureVerdict.HOLD, side.uri)
+    side.master.values.clear()  # a new master gets the entry again
     side.look()
     assert side.master.values[f"{NAME}/tenure"] == list(side.tenure.entry or ())
+    stranger = side.master.holder = "http://stranger:1/"  # which has no entry
+    for pause, holder in ((0.0, stranger), (PATIENCE / 2, stranger), (PATIENCE, side.uri)):
+        side.now += pause
+        side.look()
+        assert side.master.holder == holder
 
 
-def test_a_master_that_is_away_decides_nothing(pair: Tuple[Side, Side]) -> None:
-    elder, younger = pair
-    elder.master.is_away = True
-    elder.look()
-    younger.look()
-    assert elder.verdict is younger.verdict is TenureVerdict.HOLD
-
-
-def test_who_starts_while_the_master_is_away_is_still_the_younger() -> None:
+def test_while_the_master_is_away_nothing_is_decided_and_who_starts_is_the_younger() -> None:
     master = Parameters()
     elder, younger = Side(master, "http://elder:1/"), Side(master, "http://younger:1/")
     elder.start()
     master.is_away = True
     younger.start()
+    elder.look()
+    younger.look()
+    assert elder.verdict is younger.verdict is TenureVerdict.HOLD
     master.is_away = False
     for side in (younger, elder, younger):
         side.look()
     assert (elder.verdict, younger.verdict) == (TenureVerdict.HOLD, TenureVerdict.LEAVE)
-
-
-def test_a_name_that_a_process_without_entry_took_is_taken_back_after_a_while() -> None:
-    side = Side(Parameters(), "http://elder:1/")
-    side.start()
-    side.master.holder = "http://stranger:1/"
-    side.look()
-    side.now += PATIENCE / 2
-    side.look()
-    assert side.master.holder == "http://stranger:1/"
-    side.now += PATIENCE
-    side.look()
-    assert side.master.holder == side.uri
 
 
 def test_an_end_on_purpose_removes_only_its_own_entry(pair: Tuple[Side, Side]) -> None:

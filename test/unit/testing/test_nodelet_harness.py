@@ -83,10 +83,6 @@ class TestMessages:
 
 
 class TestPorts:
-    def test_ports_of_a_private_handle(self, harness):
-        nodelet = harness.load(Ticking, ports={"time": "/time"})
-        assert harness.topics(nodelet) == {"time": "/time"}
-
     def test_a_port_that_is_not_there(self, harness):
         with pytest.raises(UnknownPort, match="unknown port 'inn'; known ports: in, out"):
             harness.load(Multiplier, ports={"inn": "/numbers"})

@@ -1,10 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The example's specifications: clean, true to the nodelets, and a plan for either camera.
-
-On the fake host the reconciler then does with them what the study tells.
-"""
+"""The example's specifications: true to the nodelets, and a plan for either camera."""
 
 from __future__ import annotations
 
@@ -56,10 +53,6 @@ def plan(ontology, transformations):
 
 def labels(plan):
     return [step.action.label for step in plan.steps]
-
-
-def test_the_files_are_clean(ontology):
-    assert not parse_file(str(EXAMPLES / "transformations" / "soccer.xml"), ontology).warnings
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow_demo.telling import Stretch, Track, changes, draw, to_dot
+from dyknow_demo.timeline import Timeline
 
 
 def nodelet(name, state=State.RUNNING, **ports):
@@ -93,3 +95,16 @@ def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
 def test_a_nodelet_that_the_stream_needs_no_more_is_grey():
     dot = to_dot("", BEFORE, BEFORE, {"/ns/tracker"}, "/goal")
     assert '[label="ns\\n/eye", style=filled, fillcolor="#eeeeee"]' in dot
+
+
+def test_the_verdicts_and_the_picture(tmp_path: Path) -> None:
+    track = Track(100.0, lambda stamp: np.array([1.0, 2.0, 0.1]))
+    timeline = Timeline(100.0, track)
+    assert timeline.values == []
+    track.note(100.5, 0.0, 1.03, 2.04)
+    verdicts = ["TRUE", "TRUE", "UNKNOWN", "TRUE", "FALSE", "FALSE", "TRUE"]
+    news = [timeline.note(100.0 + at, each, 0.3) for at, each in enumerate(verdicts)]
+    assert news == [True, False, True, True, True, False, True]
+    assert timeline.values == ["TRUE", "FALSE", "TRUE"]
+    png, svg = timeline.draw(tmp_path, "story")
+    assert png.read_bytes().startswith(b"\x89PNG") and "<svg" in svg.read_text()

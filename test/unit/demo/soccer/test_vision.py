@@ -11,9 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
+from dyknow.proxy.proxy import NodeletProxy
+from dyknow.testing import NodeletHarness
+from dyknow_demo import images
 from dyknow_demo.images import pyramid
 from dyknow_demo.soccer.finder import ORANGE, YELLOW, Find, find_balls
 from dyknow_demo.soccer.geometry import BOTTOM_CAMERA, apply, floor_from_camera, inverse
+from dyknow_demo.soccer.nodelets import ImageSubsampler
 from dyknow_demo.soccer.rendering import draw_ball, pack, yuv_from_bgr
 from dyknow_demo.soccer.sighting import Geometry, History, best_sighting, sight
 
@@ -170,3 +174,24 @@ def test_time_that_jumps_back_starts_anew():
     history.add(2.0, (5.0,))
     assert history.at(10.0) is None
     assert history.at(2.0) == (5.0,)
+
+
+PORTS = ("bgr", "hsv", "yuv_half", "yuv_quarter", "yuv_eighth")
+
+
+def test_it_makes_what_is_listened_to():
+    with NodeletHarness() as harness:
+        ports = {"yuv": "/image", **{port: f"/{port}" for port in PORTS}}
+        subsampler = harness.load(ImageSubsampler, ports=ports)
+        made = {port: harness.listen(f"/{port}") for port in ("bgr", "hsv", "yuv_quarter")}
+        image = images.blank(None, 480, 640, "yuv422")
+        images.array_of(image)[...] = 128
+        harness.publish("/image", image)
+        harness.drain()
+        assert [(m.encoding, m.width, m.height) for m in made["bgr"]] == [("bgr8", 640, 480)]
+        assert [(m.encoding, m.width, m.height) for m in made["hsv"]] == [("8UC3", 640, 480)]
+        (quarter,) = made["yuv_quarter"]
+        assert (quarter.encoding, images.planes_of(quarter).shape) == ("mono8", (3, 120, 160))
+        statistics = NodeletProxy.of(subsampler.context).get_statistics()
+        sent = {each.port: (each.messages, each.dropped) for each in statistics.ports}
+        assert (sent["yuv_half"], sent["yuv_eighth"]) == ((0, 0), (0, 0))

@@ -22,23 +22,33 @@ from typing import (
 )
 
 from dyknow.manager.planning.problem import NO_VERDICTS, Demand, Live, Plan, Verdicts
-from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag
+from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
 #: Sets of instances beyond which a problem counts as too large.
 _MOST_SETS = 30_000
 
 
+Nodelet = Tuple[str, Bindings]
+"""The label of one that can be connected elsewhere, and the names that it keeps."""
+
+
 class Problem(NamedTuple):
-    """A library, what runs, and what is asked for; of what is free there is one nodelet."""
+    """A library, what runs, and what is asked for.
+
+    Attributes:
+        free: the nodelets that can be connected elsewhere.
+        paused: labels of which no new nodelet is made.
+    """
 
     library: Tuple[Transformation, ...]
     live: Tuple[Tuple[Live, Tuple[Term, ...]], ...]
     exclude: frozenset[str]
     goal: Demand
     ontology: Subsumption
-    free: Tuple[str, ...] = ()
+    free: Tuple[Nodelet, ...] = ()
     verdicts: Verdicts = NO_VERDICTS
+    paused: frozenset[str] = frozenset()
 
 
 class TooLarge(Exception):
@@ -56,9 +66,17 @@ def tags_of(port: Port) -> List[Term]:
     return [parse_tag(text) for text in port.tags]
 
 
-def variables_of(transformation: Transformation) -> List[str]:
-    terms = [term for port in transformation.ports for term in tags_of(port)]
+def tagged(transformation: Transformation, direction: str) -> List[Port]:
+    """Return the ports of a direction that have tags."""
+    return [port for port in transformation.ports if port.direction == direction and port.tags]
+
+
+def variables_in(terms: Iterable[Term]) -> List[str]:
     return sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
+
+
+def variables_of(transformation: Transformation) -> List[str]:
+    return variables_in(term for port in transformation.ports for term in tags_of(port))
 
 
 def fits(
@@ -117,17 +135,25 @@ def individuals(problem: Problem) -> List[str]:
     return list(names.values())
 
 
+def ways(
+    terms: Sequence[Term], names: Sequence[str], ontology: Subsumption
+) -> Iterator[Mapping[str, str]]:
+    """Write out all bindings of the variables of terms to names that are of their types."""
+    variables = variables_in(terms)
+    for values in itertools.product(names, repeat=len(variables)):
+        bindings = dict(zip(variables, values))
+        if is_typed(terms, bindings, ontology):
+            yield bindings
+
+
 def instances(problem: Problem) -> Iterator[Instance]:
     names = individuals(problem)
     for each in problem.library:
-        if each.label in problem.exclude:
-            continue
-        terms = [term for port in each.ports for term in tags_of(port)]
-        variables = variables_of(each)
-        for values in itertools.product(names, repeat=len(variables)):
-            bindings = dict(zip(variables, values))
-            if is_typed(terms, bindings, problem.ontology) and is_usable(each, bindings, problem):
-                yield Instance(each, bindings)
+        if each.label not in problem.exclude:
+            terms = [term for port in each.ports for term in tags_of(port)]
+            for bindings in ways(terms, names, problem.ontology):
+                if is_usable(each, bindings, problem):
+                    yield Instance(each, bindings)
 
 
 def is_usable(
@@ -141,6 +167,43 @@ def is_usable(
         if tag in bad or (not requirement.initially and tag not in good):
             return False
     return True
+
+
+def cost_of(needed: Sequence[Instance], problem: Problem) -> float:
+    """Return what instances cost if the free nodelets serve as well as they can.
+
+    Instances of which no nodelet may be made cost infinitely much.
+    """
+    labels = {each.transformation.label for each in needed}
+    return sum(
+        _cost_of(
+            [each for each in needed if each.transformation.label == label],
+            [each for each in problem.free if each[0] == label],
+            problem,
+        )
+        for label in labels
+    )
+
+
+def _cost_of(needed: Sequence[Instance], free: Sequence[Nodelet], problem: Problem) -> float:
+    """Try everything with the instances of one transformation."""
+    if not needed:
+        return 0
+    each, *rest = needed
+    new = inf if each.transformation.label in problem.paused else each.transformation.cost
+    best = _cost_of(rest, free, problem) + new
+    for at, nodelet in enumerate(free):
+        if serves(nodelet, each, problem):
+            best = min(best, _cost_of(rest, (*free[:at], *free[at + 1 :]), problem))
+    return best
+
+
+def serves(nodelet: Nodelet, instance: Instance, problem: Problem) -> bool:
+    """Whether a free nodelet could be an instance."""
+    (label, kept), canonical = nodelet, problem.ontology.canonical
+    return label == instance.transformation.label and all(
+        canonical(instance.bindings[variable]) == canonical(name) for variable, name in kept
+    )
 
 
 class Suppliers(NamedTuple):
@@ -169,14 +232,12 @@ class Instances(NamedTuple):
     Attributes:
         goal: what supplies the goal.
         needs: what supplies the in-ports of each instance.
-        costs: of each instance.
-        groups: for each instance those of which one costs nothing, itself among them, as bits.
+        all: the instances.
     """
 
     goal: Suppliers
     needs: List[List[Suppliers]]
-    costs: List[int]
-    groups: List[int]
+    all: List[Instance]
 
     def latency(self, there: int) -> float:
         """Return when the goal is supplied with some instances, in microseconds."""
@@ -201,7 +262,7 @@ def least_cost(problem: Problem) -> Optional[int]:
     Raises:
         TooLarge: it was not found among the sets that were tried.
     """
-    return _cheapest_set(written_out(problem), problem.goal)
+    return _cheapest_set(written_out(problem), problem)
 
 
 def least_latency(problem: Problem) -> float:
@@ -210,74 +271,47 @@ def least_latency(problem: Problem) -> float:
 
 
 class Supplied(NamedTuple):
-    """What an instance would supply, if it could be made, or a live stream."""
+    """What an instance supplies, by its number from 1 on, or a live stream, whose number is 0."""
 
+    number: int
     label: str
     tags: Sequence[Term]
     datatype: str
     rate: float
+    latency: float
 
 
 def supplied(problem: Problem) -> List[Supplied]:
-    """Write out what all instances would supply, excluded or not."""
+    """Write out what is live and what all instances would supply, if they could be made."""
     found = [
-        Supplied(stream.label, tags, stream.datatype, stream.rate) for stream, tags in problem.live
+        Supplied(0, each.label, tags, each.datatype, each.rate, each.latency)
+        for each, tags in problem.live
+        if each.label not in problem.exclude
     ]
-    for each in instances(problem._replace(exclude=frozenset())):
-        found += [
-            Supplied(
-                each.transformation.label,
-                bound(tags_of(port), each.bindings),
-                port.datatype,
-                port.rate,
-            )
-            for port in each.transformation.ports
-            if port.direction == "out" and port.tags
-        ]
+    for number, (each, bindings) in enumerate(instances(problem), 1):
+        for port in tagged(each, "out"):
+            tags = bound(tags_of(port), bindings)
+            stated = port.datatype, port.rate, port.latency
+            found.append(Supplied(number, each.label, tags, *stated))
     return found
 
 
 def supplies(streams: Iterable[Supplied], demand: Demand, problem: Problem) -> bool:
     """Whether one of some streams is what is demanded; a rate that is not stated will do."""
     terms = sorted(demand.tags)
-    variables = sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
-    ontology = problem.ontology
-    for values in itertools.product(individuals(problem), repeat=len(variables)):
-        bindings = dict(zip(variables, values))
-        if is_typed(terms, bindings, ontology) and any(
-            demand.is_fast(each.rate)
-            and fits(each.tags, each.datatype, terms, demand.datatype, bindings, ontology)
-            for each in streams
-        ):
-            return True
-    return False
+    return any(
+        demand.is_fast(each.rate)
+        and fits(each.tags, each.datatype, terms, demand.datatype, bindings, problem.ontology)
+        for bindings in ways(terms, individuals(problem), problem.ontology)
+        for each in streams
+    )
 
 
 def written_out(problem: Problem) -> Instances:
-    ontology, goal = problem.ontology, sorted(problem.goal.tags)
-    live = [pair for pair in problem.live if pair[0].label not in problem.exclude]
     every = list(instances(problem))
-    streams = [
-        (0, tags, stream.datatype, stream.rate, round(stream.latency * 1e6))
-        for stream, tags in live
-    ]
-    for number, each in enumerate(every, 1):
-        streams += [
-            (
-                number,
-                bound(tags_of(port), each.bindings),
-                port.datatype,
-                port.rate,
-                round(port.latency * 1e6),
-            )
-            for port in each.transformation.ports
-            if port.direction == "out" and port.tags
-        ]
-
-    needy = {0: False}
-    for number, each in enumerate(every, 1):
-        ports = each.transformation.ports
-        needy[number] = any(port.direction == "in" and port.tags for port in ports)
+    streams = supplied(problem)
+    goal, goal_rate = sorted(problem.goal.tags), problem.goal.min_rate
+    needy = [False, *(bool(tagged(each.transformation, "in")) for each in every)]
 
     def suppliers(
         demanded: Sequence[Term], datatype: str, many: Iterable[Mapping[str, str]]
@@ -285,8 +319,9 @@ def written_out(problem: Problem) -> Instances:
         found: Dict[int, int] = {}
         fast, followers = 0, 0
         for bindings in many:
-            for number, tags, kind, rate, latency in streams:
-                if fits(tags, kind, demanded, datatype, bindings, ontology):
+            for number, _, tags, kind, rate, seconds in streams:
+                if fits(tags, kind, demanded, datatype, bindings, problem.ontology):
+                    latency = round(seconds * 1e6)
                     found[number] = min(latency, found.get(number, latency))
                     if rate >= goal_rate if rate else not needy[number]:
                         fast |= 1 << number
@@ -294,39 +329,30 @@ def written_out(problem: Problem) -> Instances:
                         followers |= 1 << number
         return Suppliers(sum(1 << number for number in found), found, fast, followers)
 
-    goal_rate = problem.goal.min_rate
-
-    needs = [
-        [
-            suppliers(tags_of(port), port.datatype, [each.bindings])
-            for port in each.transformation.ports
-            if port.direction == "in" and port.tags
-        ]
-        for each in every
-    ]
-    variables = sorted({arg for term in goal for arg in term.args if arg.startswith("?")})
-    ways = [
-        dict(zip(variables, values))
-        for values in itertools.product(individuals(problem), repeat=len(variables))
-    ]
-    ways = [each for each in ways if is_typed(goal, each, ontology)]
     return Instances(
-        suppliers(goal, problem.goal.datatype, ways),
-        needs,
-        [each.transformation.cost for each in every],
+        suppliers(
+            goal,
+            problem.goal.datatype,
+            ways(goal, individuals(problem), problem.ontology),
+        ),
         [
-            sum(
-                2 << number
-                for number, other in enumerate(every)
-                if other.transformation.label == each.transformation.label in problem.free
-            )
-            for each in every
+            [suppliers(tags_of(port), port.datatype, [bindings]) for port in tagged(each, "in")]
+            for each, bindings in every
         ],
+        every,
     )
 
 
-def _cheapest_set(every: Instances, asked: Demand) -> Optional[int]:
-    goal, needs, costs, groups = every
+def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
+    goal, needs, instances = every
+    special = {label for label, _ in problem.free} | problem.paused
+    groups = [
+        (each.transformation.label, *[serves(free, each, problem) for free in problem.free])
+        if each.transformation.label in special
+        else None
+        for each in instances
+    ]
+    known: Dict[Tuple[int, ...], float] = {}
     relevant = goal.mask
     grown = True
     while grown:
@@ -350,15 +376,17 @@ def _cheapest_set(every: Instances, asked: Demand) -> Optional[int]:
             (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
             for each in users
         )
-        key = costs[number], needed, made, groups[number] and number
+        key = instances[number].transformation.cost, needed, made, groups[number]
         if key not in alike:
             alike[key] = number
             kept.append(number)
-    max_age, min_rate = asked.max_age, asked.min_rate
-    heap = [(0, 1, 0)]  # the second mask is of those all of whose inputs are fast
+    max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
+    #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
+    #: or that may not be made, and what all others cost.
+    heap: List[Tuple[float, int, int, Tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
     seen: Set[Tuple[int, int]] = set()
     while heap:
-        cost, there, quick = heapq.heappop(heap)
+        cost, there, quick, chosen, paid = heapq.heappop(heap)
         if (there, quick) in seen:
             continue
         seen.add((there, quick))
@@ -366,14 +394,22 @@ def _cheapest_set(every: Instances, asked: Demand) -> Optional[int]:
             raise TooLarge
         is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
         if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
-            return cost
+            return int(cost)
         for number in kept:
             bit = 2 << number
             if not there & bit and all(there & each.mask for each in needs[number]):
                 is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
-                is_free = groups[number] and not groups[number] & there
-                total = cost if is_free else cost + costs[number]
-                heapq.heappush(heap, (total, there | bit, quick | bit if is_quick else quick))
+                more, plain = chosen, paid
+                if groups[number]:
+                    more = tuple(sorted((*chosen, number)))
+                else:
+                    plain += instances[number].transformation.cost
+                if more not in known:
+                    known[more] = cost_of([instances[each] for each in more], problem)
+                total = plain + known[more]
+                if total < inf:
+                    quicker = quick | bit if is_quick else quick
+                    heapq.heappush(heap, (total, there | bit, quicker, more, plain))
     return None
 
 
@@ -408,7 +444,7 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
         )
         terms = [term for port in transformation.ports for term in tags_of(port)]
         assert is_typed(terms, bindings, ontology)
-        ports = [port for port in transformation.ports if port.direction == "in" and port.tags]
+        ports = tagged(transformation, "in")
         assert [name for name, _ in step.inputs] == [port.name for port in ports]
         for port, (_, source) in zip(ports, step.inputs):
             check(source, tags_of(port), port.datatype, bindings)
@@ -417,4 +453,5 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     goal = sorted(problem.goal.tags)
     assert is_typed(goal, dict(plan.bindings), ontology)
     check(plan.goal, goal, problem.goal.datatype, dict(plan.bindings))
-    assert plan.cost == sum(library[step.action.label].cost for step in plan.steps)
+    steps = [Instance(library[step.action.label], dict(step.bindings)) for step in plan.steps]
+    assert plan.cost == cost_of(steps, problem)

@@ -9,11 +9,11 @@ import random
 from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 
 import pytest
-from unit.manager.planning.brute_force import Problem, individuals
+from unit.manager.planning.brute_force import Problem, individuals, variables_in
 
 from dyknow.manager.planning import request
 from dyknow.manager.planning.problem import Demand, Live, Verdicts
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Term, parse_tag
 from dyknow.model.transformation import Port, Requirement, Transformation
 
 _MANY = request.MANY
@@ -193,6 +193,28 @@ def with_verdicts(problem: Problem, seed: int) -> Problem:
     )
     library = tuple([each._replace(requires=required(each)) for each in problem.library])
     return problem._replace(library=library, verdicts=Verdicts(good, bad))
+
+
+def with_nodelets(problem: Problem, seed: int) -> Problem:
+    """Let nodelets be free, several of one transformation among them, under any bindings.
+
+    Of some transformations no new nodelet is made.
+    """
+    chance = random.Random(seed)
+    names = individuals(problem) or ["a"]
+    free: List[Tuple[str, Bindings]] = []
+    for each in problem.library:
+        tags = {
+            way: [parse_tag(t) for p in each.ports if p.direction == way for t in p.tags]
+            for way in ("in", "out")
+        }
+        exposed = set(variables_in(tags["in"])) & set(variables_in(tags["out"]))
+        for _ in range(chance.choice([0, 1, 2, 2, 3, 3])):
+            kept = [v for v in sorted(exposed) if chance.random() < 0.7]
+            free.append((each.label, tuple((v, chance.choice(names)) for v in kept)))
+    labels = [each.label for each in problem.library]
+    paused = frozenset(label for label in labels if chance.random() < 0.25)
+    return problem._replace(free=tuple(free), paused=paused)
 
 
 def with_limits(problem: Problem, seed: int) -> Problem:

@@ -14,6 +14,7 @@ from unit.manager.planning.examples import demand, make, planner_with
 from dyknow.manager.planning import planner
 from dyknow.manager.planning.library import OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names
+from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.request import Request
@@ -51,22 +52,23 @@ def test_a_demand_for_one_robot_does_not_combine_the_cameras_of_others() -> None
     assert looked_at(indexed(individuals(2_000)), "Fused(robot5)") < 1_000
 
 
-def test_names_that_grow_along_a_chain() -> None:
-    count = 300
+def growing(count: int) -> Planner:
+    """Make a planner whose names grow along a chain of links."""
     links = [make(f"link{k}", [], [f"Link(n{k}, n{k + 1})"]) for k in range(count)]
     links.append(make("start", [], ["Near(n0)"]))
     links.append(make("next", ["Near(?x)", "Link(?x,?y)"], ["Near(?y)"]))
-    plan = planner_with(links).plan(demand(f"Near(n{count})"), budget=0.0)
+    return planner_with(links)
+
+
+def test_names_that_grow_along_a_chain() -> None:
+    plan = growing(300).plan(demand("Near(n300)"), budget=0.0)
     assert isinstance(plan, Plan)
-    assert plan.cost == 2 * count + 1
+    assert plan.cost == 2 * 300 + 1
 
 
 def test_a_search_that_reaches_its_limit_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner, "_SEARCH", 20_000)
-    links = [make(f"link{k}", [], [f"Link(n{k}, n{k + 1})"]) for k in range(300)]
-    links.append(make("start", [], ["Near(n0)"]))
-    links.append(make("next", ["Near(?x)", "Link(?x,?y)"], ["Near(?y)"]))
-    short = planner_with(links)
+    short = growing(300)
     answer = short.plan(demand("Near(n300)"), budget=0.0)
     assert isinstance(answer, NoPlan)
     assert answer.is_cut_short

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How old messages are, by their headers."""
+"""How old messages are, by their headers, and how large, against what is serialised."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import io
 import genpy
 import pytest
 import rospy
-from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Header, String
+from geometry_msgs.msg import Point32, PointStamped, TransformStamped
+from sensor_msgs.msg import Image, Imu, JointState, PointCloud, PointCloud2, PointField
+from std_msgs.msg import Bool, Header, String
+from tf2_msgs.msg import TFMessage
 
 from dyknow.ros.wire.ages import age_of, age_of_serialised, is_stamped
+from dyknow.ros.wire.sizes import size_of
 
 NOW = 1000.25
 
@@ -25,11 +27,15 @@ def clock(monkeypatch):
 
 
 def serialised(message):
-    """A message as a subscriber of any type receives it."""
     buffer = io.BytesIO()
     message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def received(message):
+    """A message as a subscriber of any type receives it."""
     found = rospy.AnyMsg()
-    found.deserialize(buffer.getvalue())
+    found.deserialize(serialised(message))
     found._connection_header = {"message_definition": message._full_text}
     return found
 
@@ -41,7 +47,7 @@ def serialised(message):
 def test_of_stamped_messages(kind, stamp, age):
     message = kind(header=Header(seq=7, stamp=genpy.Time.from_sec(stamp)))
     assert age_of(message) == pytest.approx(age)
-    assert age_of_serialised(serialised(message)) == pytest.approx(age)
+    assert age_of_serialised(received(message)) == pytest.approx(age)
     assert is_stamped(kind._type) is True
 
 
@@ -50,7 +56,7 @@ def test_of_stamped_messages(kind, stamp, age):
 )
 def test_of_messages_without_a_header(message):
     assert age_of(message) is None
-    assert age_of_serialised(serialised(message)) is None
+    assert age_of_serialised(received(message)) is None
     assert is_stamped(message._type) is False
 
 
@@ -62,3 +68,32 @@ def test_of_what_is_not_known_or_not_a_stamp():
     nothing = rospy.AnyMsg()
     nothing._connection_header = {}
     assert age_of_serialised(nothing) is None
+
+
+# How large they are
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Bool(True),
+        String("Grüße"),
+        PointStamped(header=Header(frame_id="map")),
+        Imu(),
+        JointState(name=["knee", "heel"], position=[0.1, 0.2]),
+        Image(height=2, width=3, encoding="bgr8", step=9, data=bytes(18)),
+        PointCloud2(fields=[PointField(name="x"), PointField(name="y")], data=bytes(64)),
+        PointCloud(points=[Point32()] * 1000),
+        TFMessage([TransformStamped(child_frame_id="base")] * 7),
+        TFMessage([]),
+    ],
+    ids=lambda message: message._type,
+)
+def test_the_size_of_a_message(message):
+    assert size_of(message) == len(serialised(message))
+
+
+def test_of_what_is_no_message():
+    broken = PointStamped()
+    broken.header = None
+    assert size_of(broken) == size_of(String(5)) == size_of(object()) == 0

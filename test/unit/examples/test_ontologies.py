@@ -1,15 +1,19 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The ontology of a workshop means what the page on templates says."""
+"""The ontologies mean what the page on templates says, and those who use them are clean."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from dyknow.manager.specifications.ontology import load_ontology
+import pytest
 
-WORKSHOP = Path(__file__).resolve().parents[3] / "examples" / "ontologies" / "workshop.ttl"
+from dyknow.manager.specifications.ontology import load_ontology
+from dyknow.manager.specifications.specification import parse_file
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+WORKSHOP = EXAMPLES / "ontologies" / "workshop.ttl"
 URI = "http://dyknow.example.org/workshop#"
 
 
@@ -31,3 +35,17 @@ def test_labels_in_another_language():
     found = load_ontology([str(WORKSHOP)], language="de")
 
     assert found.individuals(URI + "Observer") == ("Deckenkamera", "Greiferkamera")
+
+
+@pytest.mark.parametrize(
+    ("ontology", "file", "count"),
+    [
+        ("ontologies/soccer.ttl", "transformations/soccer.xml", 10),
+        ("ball_in_a_lab/lab.ttl", "ball_in_a_lab/tracker.xml", 1),
+        ("ball_in_a_lab/lab.ttl", "ball_in_a_lab/robot_cameras.xml", 1),
+        ("ball_in_a_lab/lab.ttl", "ball_in_a_lab/fixed_cameras.xml", 1),
+    ],
+)
+def test_nothing_is_doubtful(ontology, file, count):
+    found = parse_file(str(EXAMPLES / file), load_ontology([str(EXAMPLES / ontology)]))
+    assert (found.warnings, len(found.transformations)) == ((), count)

@@ -1,0 +1,278 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Peers that connect late: how long they are waited for, messages kept for them, reminders."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from std_msgs.msg import Header
+
+from dyknow.errors import PeerTimeout
+from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.ros.transport import topics
+from dyknow.ros.transport.intraprocess import OrdinaryHandles
+from dyknow.ros.transport.late_subscribers import (
+    LATELY,
+    LONGEST,
+    Backlog,
+    LateSubscribers,
+    Reminders,
+)
+from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
+
+ONE, TWO, THREE = "http://one", "http://two", "http://three"
+
+
+def test_each_late_subscriber_receives_once_the_messages_that_it_missed():
+    backlog = Backlog()
+    backlog.keep("early")
+    backlog.expect([], 10)
+    backlog.keep("nobody is due")
+    assert not backlog.waiting() and backlog.missed_by(ONE) == []
+    backlog.expect([ONE, TWO], 10)
+    backlog.keep(1)
+    assert [backlog.missed_by(each) for each in (THREE, "", ONE, ONE)] == [[], [], [1], []]
+    backlog.keep(2)
+    assert backlog.waiting()
+    assert backlog.missed_by(TWO) == [1, 2]
+    assert not backlog.waiting() and backlog.missed_by(THREE) == []
+
+
+@pytest.mark.parametrize(("size", "kept"), [(2, 2), (0, 1000)])
+def test_the_oldest_messages_are_dropped(size, kept):
+    backlog = Backlog()
+    backlog.expect([ONE], size)
+    for number in range(5000):
+        backlog.keep(number)
+    assert backlog.missed_by(ONE) == list(range(5000 - kept, 5000))
+
+
+def test_more_messages_are_kept_once_a_publication_with_a_larger_queue_comes():
+    backlog = Backlog()
+    backlog.widen(5)  # nobody is expected
+    backlog.expect([ONE, TWO, THREE], 1)
+    for number, size in enumerate([1, 3, 2, 0]):
+        backlog.keep(number)
+        backlog.widen(size)
+    for number in range(4, 10):
+        backlog.keep(number)
+    assert backlog.missed_by(ONE) == list(range(1, 10))
+
+
+def test_a_dead_subscriber_is_given_up():
+    now = [100.0]
+    backlog = Backlog(lambda: now[0])
+    backlog.expect([ONE], 10)
+    backlog.keep(1)
+    now[0] += LONGEST
+    assert not backlog.waiting() and backlog.missed_by(ONE) == []
+
+
+class Surroundings:
+    """The master and two subscribers, and time that is moved by hand."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        self.subscribed = frozenset((ONE, TWO))
+        self.connected = frozenset((ONE,))
+        self.notified = []
+        self.reminders = Reminders(self.register_again, lambda _: self.connected, lambda: self.now)
+        monkeypatch.setattr(
+            self.reminders._worker, "start", lambda: None
+        )  # the test has its rounds
+
+    def register_again(self, topic, datatype):
+        self.notified.append((topic, datatype))
+        return self.subscribed
+
+    def come_back(self, away=0.1):
+        self.reminders.withdrawn("/t")
+        self.now += away
+        self.advertise()
+
+    def advertise(self):
+        self.reminders.advertised("/t", "pkg/T", frozenset((ONE, TWO)))
+
+    def wait(self, seconds):
+        """Let time pass; returns how often all subscribers were notified again."""
+        before = len(self.notified)
+        for _ in range(round(seconds * 10)):
+            self.now += 0.1
+            self.reminders.remind()
+        return len(self.notified) - before
+
+
+@pytest.fixture(name="around")
+def _around(monkeypatch):
+    return Surroundings(monkeypatch)
+
+
+def test_a_missing_subscriber_is_reminded_until_it_connects(around):
+    around.come_back()
+    assert around.wait(10.0) > 2
+    assert set(around.notified) == {("/t", "pkg/T")}
+    around.connected = around.subscribed
+    assert around.wait(100.0) == 0
+
+
+def test_a_subscriber_that_never_connects_is_given_up(around):
+    around.come_back()
+    assert 4 <= around.wait(200.0) <= 8
+    assert around.wait(200.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("connected", "subscribed", "away", "reminders"),
+    [
+        ([ONE, TWO], [ONE, TWO], 0.1, 0),
+        ([ONE], [ONE], 0.1, 1),  # the other one has unsubscribed, as this shows
+        ([ONE], [ONE, TWO], LATELY + 1.0, 0),
+    ],
+)
+def test_no_subscriber_that_is_there_or_gone_is_reminded(
+    around, connected, subscribed, away, reminders
+):
+    around.connected, around.subscribed = frozenset(connected), frozenset(subscribed)
+    around.come_back(away)
+    assert around.wait(100.0) == reminders
+
+
+def test_a_topic_that_is_new_or_withdrawn_again_needs_no_reminder(around):
+    around.advertise()
+    assert around.wait(10.0) == 0
+    around.come_back()
+    around.reminders.withdrawn("/t")
+    assert around.wait(10.0) == 0
+
+
+def test_a_master_that_is_away_is_asked_again(around):
+    around.subscribed = None
+    around.come_back()
+    assert around.wait(10.0) > 2
+    around.subscribed = frozenset((ONE, TWO))
+    assert around.wait(10.0) > 0
+
+
+# How long a port that is connected elsewhere waits for its new peers
+
+
+PATIENCE = 0.5
+
+
+class Graph:
+    """Two publishers of a topic, a subscriber of it, and time that is moved by hand.
+
+    Attributes:
+        served_at: when each publisher has the subscriber among its connections.
+        first_at: when the first message arrives.
+        dead: publishers and subscribers that have ended, which the master lists all the same.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 0.0
+        self.served_at = {ONE: 0.1, TWO: 0.2}
+        self.first_at = 3600.0
+        self.dead: set[str] = set()
+        self.late = LateSubscribers(lambda: self.now)
+        implementation = SimpleNamespace(
+            connections=[
+                SimpleNamespace(
+                    local_endpoint=("here", port), endpoint_id=uri, callerid_pub="/talker"
+                )
+                for port, uri in enumerate(self.served_at)
+            ]
+        )
+        nothing = lambda *arguments: None  # noqa: E731
+        publisher = SimpleNamespace(
+            connections=[],
+            latch=None,
+            queue_size=1,
+            **dict.fromkeys(("publish", "add_connection", "remove_connection"), nothing),
+            **dict.fromkeys(("acquire", "release"), nothing),
+        )
+        rospy: Any = SimpleNamespace(
+            Publisher=lambda *arguments, **options: SimpleNamespace(impl=publisher),
+            Subscriber=lambda *arguments, **options: SimpleNamespace(impl=implementation),
+            get_name=lambda: "/listener",
+            resolve_name=lambda topic: topic,
+        )
+        monkeypatch.setattr(topics, "rospy", rospy)
+        steady = SimpleNamespace(monotonic=lambda: self.now, sleep=self.arrived)
+        monkeypatch.setattr(topics, "time", steady)
+        monkeypatch.setattr(topics, "Master", lambda name: self)
+        monkeypatch.setattr(topics, "refuses", lambda uri, timeout: uri in self.dead)
+
+    def connections(self, uri: str, topic: str, timeout: float) -> set[int]:
+        if uri not in self.served_at:
+            raise PeerTimeout(uri, timeout)
+        return {list(self.served_at).index(uri)} if self.now >= self.served_at[uri] else set()
+
+    def arrived(self, seconds: float) -> bool:
+        self.now += seconds
+        return self.now >= self.first_at
+
+    def wait(self) -> float:
+        """Return the seconds that the subscriber waits."""
+        registrar: Any = SimpleNamespace(publishers=lambda topic: frozenset((ONE, TWO)))
+        made = RospySubscriber(registrar, "/t", Header, lambda *message: None, {})
+        made.wait(self.arrived, PATIENCE)
+        return self.now
+
+    def announce(self, patience: float = PATIENCE) -> frozenset[str]:
+        """Publish on a topic of both nodes; returns those that are expected after the wait."""
+        handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), lambda *each: None)
+        intraprocess: Any = SimpleNamespace(publishing=lambda topic: handles)
+        subscribers = lambda topic: frozenset((ONE, TWO))  # noqa: E731
+        registrar: Any = SimpleNamespace(subscribers=subscribers, late=self.late)
+        shared_memory: Any = SimpleNamespace()
+        made = RospyPublisher(intraprocess, shared_memory, registrar, "/t", Header, False, 1, {})
+        made.wait(patience)
+        return handles.backlog.due
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
+    return Graph(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("case", "waits"),
+    [
+        ("all are connected and silent", 0.2),
+        ("a first message comes", 0.05),
+        ("one does not answer", PATIENCE),
+        ("one is dead", 0.1),
+    ],
+)
+def test_how_long_publishers_are_waited_for(graph: Graph, case: str, waits: float) -> None:
+    if case.startswith("one"):
+        del graph.served_at[TWO]
+    if case == "a first message comes":
+        graph.first_at = 0.05
+    graph.dead = {TWO} if case == "one is dead" else set()
+    assert graph.wait() == pytest.approx(waits, abs=0.01)
+
+
+def test_who_was_notified_is_expected_also_without_a_wait(graph: Graph) -> None:
+    assert graph.announce(patience=0.0) == {ONE, TWO}
+    assert graph.now == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("dead", "waits"), [({ONE, TWO}, 0.05), ({ONE}, PATIENCE)])
+def test_a_dead_subscriber_is_not_waited_for(graph: Graph, dead: set[str], waits: float) -> None:
+    graph.dead = dead
+    assert graph.announce() == {ONE, TWO} - dead
+    assert graph.now == pytest.approx(waits, abs=0.01)
+
+
+def test_a_subscriber_that_hangs_is_waited_for_on_its_first_topic_alone(graph: Graph) -> None:
+    for _ in range(10):
+        assert graph.announce() == {ONE, TWO}
+    assert graph.now == pytest.approx(PATIENCE, abs=0.01)
+    graph.now += 60.0
+    graph.announce()
+    assert graph.now == pytest.approx(60.0 + 2 * PATIENCE, abs=0.02)

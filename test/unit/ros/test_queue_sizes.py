@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Subscribers of several publications of one process on one topic: how many messages they keep."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from types import SimpleNamespace
+from typing import Any, Iterator
+
+import pytest
+import rospy.topics
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.tcpros_pubsub import TCPROSPub
+from std_msgs.msg import String
+
+from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.ros.transport import topics
+from dyknow.ros.transport.intraprocess import OrdinaryHandles
+from dyknow.ros.transport.late_subscribers import LateSubscribers
+from dyknow.ros.transport.outbound import Outbound, wider
+from dyknow.ros.transport.topics import RospyPublisher
+
+#: Far more than sockets hold together.
+COUNT, SIZE = 20, 400_000
+
+
+class Topic:
+    """One topic of this process: rospy's own publisher, with a master that does nothing."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.implementation = rospy.topics._PublisherImpl("/t", String)
+        self.handles = OrdinaryHandles(
+            "/t",
+            "http://here",
+            str,
+            ManualExecutor(),
+            lambda each, size: Outbound(each, size, None),
+        )
+        self.sockets: list[socket.socket] = []
+        self.notified: frozenset[str] = frozenset()
+        fake: Any = SimpleNamespace(Publisher=self._registered, resolve_name=str)
+        monkeypatch.setattr(topics, "rospy", fake)
+
+    def _registered(self, *arguments: Any, queue_size: int, **options: Any) -> Any:
+        self.implementation.set_queue_size(queue_size)
+        return SimpleNamespace(impl=self.implementation)
+
+    def advertise(self, queue_size: int) -> RospyPublisher:
+        intraprocess: Any = SimpleNamespace(publishing=lambda topic: self.handles)
+        registrar: Any = SimpleNamespace(
+            subscribers=lambda topic: self.notified, late=LateSubscribers()
+        )
+        memory: Any = SimpleNamespace(publish=lambda *arguments: False)
+        return RospyPublisher(intraprocess, memory, registrar, "/t", String, False, queue_size, {})
+
+    def subscribe(self, node: str = "/recorder") -> socket.socket:
+        """Let a process subscribe; returns its socket."""
+        here, there = socket.socketpair()
+        there.settimeout(0.3)
+        self.sockets += [here, there]
+        connection = TCPROSTransport(TCPROSPub("/t", String), "/t")
+        connection.set_socket(here, node)
+        connection.endpoint_id = node
+        self.implementation.add_connection(connection)
+        return there
+
+    def sizes(self) -> list[int]:
+        return [each._queue_size for each in self.implementation.connections]
+
+
+@pytest.fixture(name="topic")
+def _topic(monkeypatch: pytest.MonkeyPatch) -> Iterator[Topic]:
+    topic = Topic(monkeypatch)
+    yield topic
+    for each in topic.sockets:
+        each.close()
+
+
+def received(there: socket.socket) -> int:
+    """Read until nothing comes any more; returns how many messages came."""
+    data = more = b""
+    try:
+        while more or not data:
+            more = there.recv(1 << 20)
+            data += more
+    except socket.timeout:
+        pass
+    number = 0
+    while data:
+        (length,) = struct.unpack_from("<I", data)
+        data, number = data[4 + length :], number + 1
+    return number
+
+
+def test_a_subscriber_of_a_nodelet_that_is_yet_to_be_loaded_has_the_queue_of_the_nodelet(topic):
+    topic.advertise(1)  # as for a nodelet that moves here
+    there = topic.subscribe()
+    loaded = topic.advertise(100)
+    for _ in range(COUNT):
+        loaded.publish(String("x" * SIZE))
+    assert received(there) == COUNT
+
+
+def test_messages_for_a_late_subscriber_of_such_a_nodelet_are_kept_too(topic):
+    topic.notified = frozenset(("/late",))
+    topic.advertise(1).wait(0.0)
+    topic.notified = frozenset()
+    loaded = topic.advertise(5)
+    for _ in range(COUNT):
+        loaded.publish(String("word"))
+    assert received(topic.subscribe("/late")) == 5
+
+
+@pytest.mark.parametrize(
+    ("queue_sizes", "expected"),
+    [((1, 100), 100), ((100, 1), 100), ((0, 5), 0), ((5, 0), 0), ((3, 3), 3)],
+)
+def test_no_publication_narrows_the_queues_of_another_one(topic, queue_sizes, expected):
+    for size in queue_sizes:
+        topic.advertise(size)
+        topic.subscribe(f"/{size}_{len(topic.sockets)}")
+    assert topic.sizes() == [expected] * 2
+    assert topic.implementation.queue_size == expected
+
+
+def test_a_publication_that_comes_while_a_subscriber_connects(topic):
+    topic.advertise(1)
+    add = topic.handles._outbound
+
+    def outbound(connection, size):
+        topic.implementation.set_queue_size(7)  # rospy's, without a lock
+        return add(connection, size)
+
+    topic.handles._outbound = outbound
+    topic.subscribe()
+    topic.handles.widen(7)
+    assert topic.sizes() == [topic.implementation.queue_size] == [7]
+
+
+def test_the_larger_size_of_two():
+    assert [wider(1, 2), wider(2, 1), wider(0, 1), wider(1, 0), wider(0, 0)] == [2, 2, 0, 0, 0]

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A thread that the system refuses (``ulimit -u``, ``pids.max``) leaves nothing half made."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from types import SimpleNamespace
+
+import pytest
+from clocks import PATIENCE, eventually, join, wait_for
+from unit.nodelet.fakes import Idle, World
+
+from dyknow.periodic import ControlLoop, PeriodicWorker
+from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros.scripts import sandbox as sandbox_module
+from dyknow.ros.scripts.process_view import process_views
+from dyknow.ros.scripts.sandbox import Sandbox
+from dyknow.ros.transport.outbound import Outbound
+
+
+class Limit:
+    """Refuses the threads of a name, after the first ``spared`` ones, as long as it is set."""
+
+    def __init__(self, monkeypatch):
+        self.name, self.spared = "", 0
+        start = threading.Thread.start
+
+        def limited(thread):
+            if self.name and self.name in thread.name:
+                self.spared -= 1
+                if self.spared < 0:
+                    raise RuntimeError("can't start new thread")
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", limited)
+
+    def refuse(self, name, spared=0):
+        self.name, self.spared = name, spared
+
+
+@pytest.fixture(name="limit")
+def _limit(monkeypatch):
+    return Limit(monkeypatch)
+
+
+def refused():
+    return pytest.raises(RuntimeError, match="can't start new thread")
+
+
+def test_the_next_timer_starts_the_thread_of_the_timers(limit):
+    world, fired = World(), threading.Event()
+    limit.refuse("dyknow-timers")
+    with refused():
+        world.handle().Timer(1.0, lambda event: pytest.fail("it was not made"))
+    limit.refuse("")
+    world.handle().Timer(1.0, lambda event: fired.set())
+    world.ticker.advance(1.0)
+    world.ticker.next_due(PATIENCE)
+    world.drain()
+    assert fired.is_set()
+    world.close()
+
+
+def test_an_unload_calls_on_shutdown_and_frees_the_name(limit, caplog):
+    ended = []
+
+    class Parting(Idle):
+        def on_shutdown(self):
+            ended.append(self.name)
+            raise ValueError("not so fast")
+
+    world = World()
+    loader = world.loader(parting=Parting)
+    for _ in range(2):
+        limit.refuse("")
+        loader.load("/n", "parting")
+        limit.refuse("on_shutdown")
+        loader.unload("/n")
+    assert ended == ["/n", "/n"]
+    assert "the unload itself calls on_shutdown" in caplog.text
+    loader.close()
+    world.close()
+
+
+def test_nodelets_are_freed_after_the_next_unload(limit, caplog):
+    world = World()
+    loader = world.loader(idle=Idle)
+    limit.refuse("freeing nodelets")
+    loader.load("/n", "idle")
+    loader.unload("/n")
+    assert "/n is freed after the next unload" in caplog.text
+    limit.refuse("")
+    loader.load("/n", "idle")
+    loader.unload("/n")
+    eventually(lambda: not loader.leftovers._left and not loader.leftovers._is_examining)
+    world.close()
+
+
+def test_a_loop_starts_the_missing_threads_with_the_next_attempt(limit):
+    loop, ran = ControlLoop(2, name="looping"), threading.Semaphore(0)
+    limit.refuse("looping", spared=1)
+    with refused():
+        loop.start()
+    assert not loop.started
+    limit.refuse("")
+    loop.start()
+    limit.refuse("looping")
+    loop.add("standing", ran.release, after=0.0)  # other threads run it meanwhile
+    assert ran.acquire(timeout=PATIENCE)
+    assert len(loop._threads) == 2
+    limit.refuse("")
+    loop.once("once", ran.release)
+    assert ran.acquire(timeout=PATIENCE)
+    assert len(loop._threads) == 3
+    loop.close(PATIENCE)
+    assert not loop.running
+
+
+def test_a_worker_can_be_started_again(limit):
+    worker, ran = PeriodicWorker("working", lambda: ran.set()), threading.Event()
+    limit.refuse("working")
+    with refused():
+        worker.start()
+    limit.refuse("")
+    worker.start()
+    worker.wake()
+    wait_for(ran)
+    worker.close()
+
+
+def test_a_connection_that_got_no_thread_sends_everything_with_the_next_message(limit):
+    here, there = socket.socketpair()
+    for end, option in ((here, socket.SO_SNDBUF), (there, socket.SO_RCVBUF)):
+        end.setsockopt(socket.SOL_SOCKET, option, 4096)
+    connection = SimpleNamespace(
+        socket=here, name="connection", done=False, stat_num_msg=0, stat_bytes=0
+    )
+    outbound = Outbound(connection, None, None)
+    limit.refuse("sending")
+    sent = [bytes([number]) * 50_000 for number in range(3)]
+    for message in sent[:2]:
+        outbound.write_data(message)
+    limit.refuse("")
+    outbound.write_data(sent[2])
+    received = bytearray()
+    there.settimeout(PATIENCE)
+    while len(received) < 150_000:
+        received += there.recv(65536)
+    assert received == b"".join(sent)
+    eventually(outbound.is_idle)
+    here.close()
+    there.close()
+
+
+def test_a_bond_that_got_no_thread_is_not_made(limit):
+    made = Bonds("/bond")
+    limit.refuse("bonds")
+    for _ in range(2):
+        with refused():
+            made.add("id", lambda: None)
+    assert made._table.next_due() is None
+
+
+def test_a_script_does_not_wait_for_a_thread_that_it_did_not_get(limit):
+    sandbox, ran = Sandbox("sandbox"), threading.Event()
+    thread = process_views(sandbox)["threading"]().Thread(target=ran.set, name="refused")
+    limit.refuse("refused")
+    with refused():
+        thread.start()
+    assert sandbox.threads == []
+    sandbox.join()
+    limit.refuse("")
+    thread.start()
+    join(thread)
+    assert ran.is_set()
+    with pytest.raises(RuntimeError, match="only be started once"):
+        thread.start()
+
+
+def test_the_thread_for_finalizers_is_started_by_the_next_sandbox(limit, monkeypatch):
+    monkeypatch.setattr(sandbox_module, "_is_deferring", False)
+    limit.refuse("calls of finalizers")
+    with refused():
+        Sandbox("sandbox")
+    assert not sandbox_module._is_deferring
+    limit.refuse("")
+    Sandbox("sandbox")
+    assert sandbox_module._is_deferring
