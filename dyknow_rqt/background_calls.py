@@ -10,7 +10,7 @@ import inspect
 import logging
 import threading
 from collections import deque
-from typing import Any, Callable, Deque, TypeVar, cast
+from typing import Any, Callable, Deque, Dict, Optional, TypeVar, cast
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -20,14 +20,15 @@ from dyknow_rqt.graph.filters import BadFilter
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+T = TypeVar("T")
 
 
 def qt_slot(method: _Function) -> _Function:
     """Let a method be called by Qt.
 
     An exception is shown by the ``report`` of the object, if it has one: expected errors in their
-    own words, others with their type, and logged with their traceback. Arguments of a signal that
-    the method does not take are dropped.
+    own words, unexpected ones with their type, and logged with their traceback. Arguments of a
+    signal that the method does not take are dropped.
     """
     most = len(inspect.signature(method).parameters) - 1
 
@@ -36,23 +37,15 @@ def qt_slot(method: _Function) -> _Function:
         try:
             return method(self, *args[:most])
         except (DyKnowError, BadFilter, OSError) as error:
-            _report(self, str(error))
+            text = str(error)
         except Exception as error:
             _LOG.exception("in %s", method.__qualname__)
-            _report(self, f"{type(error).__name__} in {method.__qualname__}: {error}")
+            text = f"{type(error).__name__} in {method.__qualname__}: {error}"
+        if hasattr(self, "report"):
+            self.report(text)
         return None
 
     return cast(_Function, guard)
-
-
-def _report(owner: Any, text: str) -> None:
-    report = getattr(owner, "report", None)
-    if report is not None:
-        report(text)
-
-
-_LOG = logging.getLogger("rosout.dyknow_rqt")
-T = TypeVar("T")
 
 
 class BackgroundCalls(QObject):
@@ -65,11 +58,16 @@ class BackgroundCalls(QObject):
         super().__init__()
         self._closed = threading.Event()
         self._results: Deque[Callable[[], None]] = deque()
-        self._turns = QTimer(self)
-        self._turns.setInterval(0)
-        self._turns.timeout.connect(self._deliver)
+        self._turns = QTimer(self, interval=0, timeout=self._deliver)
         self._delivered.connect(self._turns.start)
+        #: Calls that run one at a time, each with the call that follows it.
+        self._once: Dict[str, Optional[Callable[[], None]]] = {}
         self._workers = Workers("dyknow_rqt worker", count)
+
+    @property
+    def is_calling(self) -> bool:
+        """Whether a call that runs one at a time is under way."""
+        return bool(self._once)
 
     def run(
         self, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[Exception], None]
@@ -86,6 +84,36 @@ class BackgroundCalls(QObject):
                 self.deliver(lambda: done(result))
 
         self._workers.run(work)
+
+    def run_once(
+        self, what: str, job: Callable[[], T], done: Callable[[T], None], again: bool = False
+    ) -> None:
+        """Call ``job`` in the pool, then ``done``, unless a call of its name is under way.
+
+        With ``again`` it is then called once more when that has ended. Errors that are not of
+        DyKnow are logged.
+        """
+        if what in self._once:
+            if again:
+                self._once[what] = lambda: self.run_once(what, job, done)
+            return
+        self._once[what] = None
+
+        def end() -> None:
+            follow = self._once.pop(what)
+            if follow is not None:
+                follow()
+
+        def take(answer: T) -> None:
+            end()
+            done(answer)
+
+        def fail(error: Exception) -> None:
+            if not isinstance(error, DyKnowError):
+                _LOG.error("reading %s failed", what, exc_info=error)
+            end()
+
+        self.run(job, take, fail)
 
     def deliver(self, function: Callable[[], None]) -> None:
         """Call a function in the thread of the window, in a turn of its own; from any thread."""

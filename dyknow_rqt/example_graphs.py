@@ -5,125 +5,67 @@
 
 from __future__ import annotations
 
-from typing import Dict, Tuple
+from typing import List
 
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletKind, State
-from dyknow.model.transformation import Parameter
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow_rqt.graph.changes import as_specification
 from dyknow_rqt.simulated import SimulatedRemote
 
-_IMAGE, _POINT, _JOINTS = (
-    "sensor_msgs/Image",
-    "geometry_msgs/PointStamped",
-    "sensor_msgs/JointState",
-)
 #: Label, source, ports (`>name` for in, `name>` for out) with their types and tags.
-_LIBRARY = (
-    ("camera(nao1, bottom)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, bottom)"),)),
-    ("camera(nao1, top)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, top)"),)),
-    (
-        "ceiling_camera",
-        "soccer/CeilingCamera",
-        (("field_position>", _POINT, "FieldPosition(ball)"),),
-    ),
-    (
-        "subsampler",
-        "soccer/Subsampler",
-        (
-            (">yuv", _IMAGE, "RawYUV(?robot, ?camera)"),
-            ("bgr>", _IMAGE, "BGR(?robot, ?camera)"),
-            ("hsv>", _IMAGE, "HSV(?robot, ?camera)"),
-            ("channels>", _IMAGE, "SubsampledYUV(?robot, ?camera)"),
-        ),
-    ),
-    (
-        "ball_detector",
-        "soccer/BallDetector",
-        (
-            (">channels", _IMAGE, "SubsampledYUV(?robot, ?camera)"),
-            (">joint_states", _JOINTS, ""),
-            ("ball>", _POINT, "BallObject(?robot)"),
-        ),
-    ),
-    (
-        "line_detector",
-        "soccer/LineDetector",
-        (
-            (">hsv", _IMAGE, "HSV(?robot, ?camera)"),
-            ("lines>", "sensor_msgs/PointCloud2", "Lines(?robot)"),
-        ),
-    ),
-    (
-        "localization",
-        "soccer/Localization",
-        (
-            (">objects", _POINT, "BallObject(?robot)"),
-            (">lines", "sensor_msgs/PointCloud2", "Lines(?robot)"),
-            ("field_position>", _POINT, "FieldPosition(ball)"),
-        ),
-    ),
-    (
-        "tracker",
-        "soccer/Tracker",
-        ((">position", _POINT, "FieldPosition(ball)"), ("track>", "nav_msgs/Path", "Track(ball)")),
-    ),
-    ("resize", "image_proc/resize", ((">image", _IMAGE, ""), ("resized>", _IMAGE, ""))),
-    ("recorder", "dyknow/Sink", ((">in", _IMAGE, ""),)),
-)
+_LIBRARY = """
+camera(nao1, bottom); soccer/Camera; yuv> sensor_msgs/Image RawYUV(nao1, bottom)
+camera(nao1, top); soccer/Camera; yuv> sensor_msgs/Image RawYUV(nao1, top)
+ceiling_camera; soccer/CeilingCamera; \
+field_position> geometry_msgs/PointStamped FieldPosition(ball)
+subsampler; soccer/Subsampler; >yuv sensor_msgs/Image RawYUV(?robot, ?camera); \
+bgr> sensor_msgs/Image BGR(?robot, ?camera); hsv> sensor_msgs/Image HSV(?robot, ?camera); \
+channels> sensor_msgs/Image SubsampledYUV(?robot, ?camera)
+ball_detector; soccer/BallDetector; >channels sensor_msgs/Image SubsampledYUV(?robot, ?camera); \
+>joint_states sensor_msgs/JointState; ball> geometry_msgs/PointStamped BallObject(?robot)
+line_detector; soccer/LineDetector; >hsv sensor_msgs/Image HSV(?robot, ?camera); \
+lines> sensor_msgs/PointCloud2 Lines(?robot)
+localization; soccer/Localization; >objects geometry_msgs/PointStamped BallObject(?robot); \
+>lines sensor_msgs/PointCloud2 Lines(?robot); \
+field_position> geometry_msgs/PointStamped FieldPosition(ball)
+tracker; soccer/Tracker; >position geometry_msgs/PointStamped FieldPosition(ball); \
+track> nav_msgs/Path Track(ball)
+resize; image_proc/resize; >image sensor_msgs/Image; resized> sensor_msgs/Image
+recorder; dyknow/Sink; >in sensor_msgs/Image
+"""
 _PARAMETERS = {
-    "ball_detector": '<param name="mount" type="string">${?robot}_bottom_camera</param>'
-    '<param name="colour" type="string">orange</param>'
+    "ball_detector": (
+        Parameter("mount", "string", "${?robot}_bottom_camera"),
+        Parameter("colour", "string", "orange"),
+    )
 }
 _GIVEN = {"/nao1/ball_detector": (Parameter("?robot", "", "nao1"),)}
 #: Name, label, topics of ports.
-_NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
-    ("/nao1/bottom_camera", "camera(nao1, bottom)", {"yuv": "/nao1/bottom_camera/yuv"}),
-    ("/nao1/top_camera", "camera(nao1, top)", {"yuv": "/nao1/top_camera/yuv"}),
-    (
-        "/nao1/subsampler",
-        "subsampler",
-        {
-            "yuv": "/nao1/bottom_camera/yuv",
-            "hsv": "/nao1/subsampler/hsv",
-            "channels": "/nao1/subsampler/channels",
-        },
-    ),
-    (
-        "/nao1/ball_detector",
-        "ball_detector",
-        {
-            "channels": "/nao1/subsampler/channels",
-            "joint_states": "/nao1/joint_states",
-            "ball": "/nao1/ball_detector/ball",
-        },
-    ),
-    (
-        "/nao1/line_detector",
-        "line_detector",
-        {"hsv": "/nao1/subsampler/hsv", "lines": "/nao1/line_detector/lines"},
-    ),
-    (
-        "/nao1/localization",
-        "localization",
-        {
-            "objects": "/nao1/ball_detector/ball",
-            "lines": "/nao1/line_detector/lines",
-            "field_position": "/field/ball",
-        },
-    ),
-    ("/field/ceiling_camera", "ceiling_camera", {}),
-    ("/field/tracker", "tracker", {"position": "/field/ball", "track": "/field/tracker/track"}),
-    ("/nao1/resize", "resize", {"image": "/nao1/top_camera/yuv", "resized": "/nao1/preview"}),
-    ("/nao1/recorder", "recorder", {"in": "/nao1/preview"}),
-)
+_NODELETS = """
+/nao1/bottom_camera; camera(nao1, bottom); yuv=/nao1/bottom_camera/yuv
+/nao1/top_camera; camera(nao1, top); yuv=/nao1/top_camera/yuv
+/nao1/subsampler; subsampler; yuv=/nao1/bottom_camera/yuv hsv=/nao1/subsampler/hsv \
+channels=/nao1/subsampler/channels
+/nao1/ball_detector; ball_detector; channels=/nao1/subsampler/channels \
+joint_states=/nao1/joint_states ball=/nao1/ball_detector/ball
+/nao1/line_detector; line_detector; hsv=/nao1/subsampler/hsv lines=/nao1/line_detector/lines
+/nao1/localization; localization; objects=/nao1/ball_detector/ball \
+lines=/nao1/line_detector/lines field_position=/field/ball
+/field/ceiling_camera; ceiling_camera;
+/field/tracker; tracker; position=/field/ball track=/field/tracker/track
+/nao1/resize; resize; image=/nao1/top_camera/yuv resized=/nao1/preview
+/nao1/recorder; recorder; in=/nao1/preview
+"""
 
 
 def soccer() -> SimulatedRemote:
     """A robot on a soccer field: from its cameras to the track of the ball."""
     remote = SimulatedRemote()
     client = remote.client
-    client.add_transformation(_specification())
-    for name, label, topics in _NODELETS:
+    client.add_transformation(as_specification([_transformation(row) for row in _rows(_LIBRARY)]))
+    for name, label, ports in _rows(_NODELETS):
+        topics = dict(port.split("=") for port in ports.split())
         client.spawn(label, name, topics, parameters=_GIVEN.get(name, ()))
     client.set_protection("/nao1/bottom_camera", True)
     client.alter("/nao1/resize", kind=NodeletKind.CPP, manager="/dyknow_cpp_nodelet_manager")
@@ -148,33 +90,26 @@ def soccer() -> SimulatedRemote:
     return remote
 
 
-def _specification() -> str:
-    parts = []
-    for label, source, ports in _LIBRARY:
-        lines = [
-            f"<transformation><label>{label}</label><source>{source}</source>"
-            f"<params>{_PARAMETERS.get(label, '')}</params><ports>"
-        ]
-        tags = []
-        for name, datatype, tag in ports:
-            side, plain = ("in" if name[0] == ">" else "out"), name.strip(">")
-            lines.append(f'<port type="{side}" datatype="{datatype}">{plain}</port>')
-            tags += [f'<tag port="{plain}">{tag}</tag>'] if tag else []
-        lines.append("</ports>" + (f"<tags>{''.join(tags)}</tags>" if tags else ""))
-        parts.append("".join(lines) + "</transformation>")
-    return f"<transformations>{''.join(parts)}</transformations>"
+def _rows(table: str) -> List[List[str]]:
+    return [[cell.strip() for cell in row.split(";")] for row in table.strip().splitlines()]
 
 
-_RELAY = (
-    "<transformation><label>relay</label><source>dyknow/Relay</source><ports>"
-    '<port type="in">in</port><port type="out">out</port></ports></transformation>'
-)
+def _transformation(row: List[str]) -> Transformation:
+    label, source, *ports = row
+    parameters = _PARAMETERS.get(label, ())
+    return Transformation(label, source, parameters=parameters, ports=tuple(map(_port, ports)))
+
+
+def _port(text: str) -> Port:
+    name, datatype, *tag = text.split(" ", 2)
+    return Port(name.strip(">"), IN if name.startswith(">") else OUT, datatype, tuple(tag))
 
 
 def tree(count: int) -> SimulatedRemote:
     """A simulated manager with so many nodelets."""
     remote = SimulatedRemote()
-    remote.client.add_transformation(_RELAY)
+    relay = Transformation("relay", "dyknow/Relay", ports=(Port("in", IN), Port("out", OUT)))
+    remote.client.add_transformation(as_specification([relay]))
     for number in range(count):
         spawn_relay(remote.client, number)
     return remote

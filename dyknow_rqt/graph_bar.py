@@ -270,7 +270,7 @@ class GraphBar(QWidget):
 
 
 def _give_keys(action: QAction, *keys: str) -> None:
-    """Let keys do in the whole window what an action does."""
+    """Let keys trigger an action from anywhere in the window."""
     action.setShortcuts([QKeySequence(key) for key in keys])
     action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
 

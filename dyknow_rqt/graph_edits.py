@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Turns what hands do with the drawing into changes."""
+"""Turns gestures on the drawing into changes of the graph."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from dyknow.model.transformation import Port
 from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.view import GraphView, Target
-from dyknow_rqt.graph.changes import Rewire, isolate, restart
+from dyknow_rqt.graph import changes
+from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Point
 from dyknow_rqt.graph.places import Places
@@ -32,7 +33,6 @@ from dyknow_rqt.graph.wiring import (
     spawn_at,
     splice,
 )
-from dyknow_rqt.graph_menus import GraphActions
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.parameters import ParametersDialog
 from dyknow_rqt.selection import Selection
@@ -42,7 +42,9 @@ _NAMED, _OFFERED = 3, 15
 
 
 class GraphEdits(QObject):
-    """Connections drawn by hand, moved vertices, and what menus and keys ask for.
+    """Connections drawn by hand, moved vertices, and the actions of menus and keys.
+
+    The other parts of the window connect to the signals.
 
     Attributes:
         places: where the user has put vertices.
@@ -52,18 +54,23 @@ class GraphEdits(QObject):
     noted = Signal(str)
     #: Vertices have other places.
     moved = Signal()
+    #: Connect a port; the nodelet, and the port or an empty text.
+    connection_wanted = Signal(str, str)
+    #: Make a nodelet; the label of its transformation, or an empty text.
+    create_wanted = Signal(str)
+    #: Destroy nodelets, after asking; their names.
+    destroy_wanted = Signal(object)
+    #: Protect nodelets, or release them; their names.
+    protect_wanted = Signal(object, bool)
+    #: Show the last message of a topic.
+    topic_wanted = Signal(str)
 
     def __init__(
-        self,
-        monitor: GraphMonitor,
-        view: GraphView,
-        selection: Selection,
-        actions: GraphActions,
-        window: QWidget,
+        self, monitor: GraphMonitor, view: GraphView, selection: Selection, window: QWidget
     ) -> None:
         super().__init__(window)
         self._monitor, self._view, self._selection = monitor, view, selection
-        self._actions, self._window = actions, window
+        self._window = window
         self.report = monitor.report
         self.places = Places()
         view.drag_began.connect(self._drag_began)
@@ -71,10 +78,6 @@ class GraphEdits(QObject):
         view.dropped.connect(self._dropped)
         view.delete_pressed.connect(self._delete)
         view.moved.connect(self._keep)
-        actions.disconnect_wanted.connect(self._disconnect)
-        actions.restart_wanted.connect(self._restart)
-        actions.isolate_wanted.connect(self._isolate)
-        actions.parameters_wanted.connect(self._show_parameters)
 
     # Connections
 
@@ -100,7 +103,7 @@ class GraphEdits(QObject):
                     over = ["connected already"]
                 what = change.text if isinstance(target, Edge) else f"to {target}"
                 lines += [what, *over, change.replaced]
-        self._view.say("\n".join(line for line in lines if line))
+        self._view.wire.say("\n".join(line for line in lines if line))
 
     @qt_slot
     def _dropped(self, start: PortRef, target: Target, place: QPointF) -> None:
@@ -122,7 +125,7 @@ class GraphEdits(QObject):
         return connect_topic(snapshot, start, target or "")
 
     def _offer(self, start: PortRef, place: QPointF) -> None:
-        """Offer what could be made at a place of the drawing, connected with a port."""
+        """Offer the transformations that could be made at a place, connected with a port."""
         found = offers(self._monitor.snapshot, self._monitor.library, start)
         if not found:
             return
@@ -136,7 +139,7 @@ class GraphEdits(QObject):
             action.triggered.connect(lambda checked=False, create=create: create())
         if found[_OFFERED:]:
             action = menu.addAction(f"{len(found) - _OFFERED} more …")
-            action.triggered.connect(lambda: self._actions.create_wanted.emit(""))
+            action.triggered.connect(lambda: self.create_wanted.emit(""))
         view = self._view
         menu.popup(view.viewport().mapToGlobal(view.mapFromScene(place)))
 
@@ -162,24 +165,24 @@ class GraphEdits(QObject):
         """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
         refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in self._selection.edges))
         if refs:
-            self._disconnect(refs)
+            self.disconnect_ports(refs)
         elif self._selection.nodelets:
-            self._actions.destroy_wanted.emit(self._selection.nodelets)
+            self.destroy_wanted.emit(self._selection.nodelets)
 
     @qt_slot
-    def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
+    def disconnect_ports(self, refs: Tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
 
     @qt_slot
-    def _restart(self, nodelets: Sequence[str]) -> None:
-        self._monitor.do(restart(tuple(nodelets)))
+    def restart(self, nodelets: Sequence[str]) -> None:
+        self._monitor.do(changes.restart(tuple(nodelets)))
 
     @qt_slot
-    def _isolate(self, nodelets: Sequence[str], on: bool) -> None:
-        self._monitor.do(isolate(tuple(nodelets), on))
+    def isolate(self, nodelets: Sequence[str], on: bool) -> None:
+        self._monitor.do(changes.isolate(tuple(nodelets), on))
 
     @qt_slot
-    def _show_parameters(self, name: str) -> None:
+    def show_parameters(self, name: str) -> None:
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:
             transformation = self._monitor.library.get(nodelet.transformation)

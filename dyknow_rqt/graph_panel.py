@@ -5,27 +5,28 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Iterable, Mapping, Optional, Sequence
+from typing import Any, Dict, FrozenSet, Mapping, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
-from python_qt_binding.QtWidgets import QFileDialog, QMenu, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QMenu, QVBoxLayout, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView
-from dyknow_rqt.graph.figure import Figure, Group, figure_of
+from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.ghosts import fates_of, with_ghosts
-from dyknow_rqt.graph.layout import to_dot
+from dyknow_rqt.graph.layout import DrawingOrder
 from dyknow_rqt.graph.moments import Difference, GraphMoment
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.ways import WayPart
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits
-from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
+from dyknow_rqt.graph_files import GraphFiles
+from dyknow_rqt.graph_menus import menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
@@ -37,9 +38,8 @@ from dyknow_rqt.widgets import Sign
 _TURNING = 200
 #: So many nodelets that come and go at once are marked, or half of all.
 _MARKED = 10
-#: A view whose shape changes by this factor is filled anew.
+#: A view whose shape changes by this factor is filled again.
 _RESHAPED = 1.3
-_KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
 class GraphPanel(QWidget):
@@ -58,23 +58,19 @@ class GraphPanel(QWidget):
         super().__init__(parent)
         self._monitor, self._selection = monitor, selection
         self._is_following = False
-        self.graph_actions = GraphActions(self)
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = self._wants_move = False
         self._shape = 1.0
         self._plan: Sequence[WayPart] = ()
-        self._is_figuring = self._is_outdated = False
         self._calls = BackgroundCalls(1)
-        self._turning = QTimer(self)
-        self._turning.setSingleShot(True)
-        self._turning.setInterval(_TURNING)
+        self._turning = QTimer(self, singleShot=True, interval=_TURNING)
         self._turning.timeout.connect(self._turn)
         self.bar = GraphBar()
         self.view = GraphView(self.report)
-        self.edits = GraphEdits(monitor, self.view, selection, self.graph_actions, self)
+        self.edits = GraphEdits(monitor, self.view, selection, self)
         self.layouter = Layouter()
         self.timeline = TimelinePanel(monitor)
-        self.files = WiringFiles(monitor, self)
+        self.files = GraphFiles(monitor, self.view.scene(), self.bar, self)
         self.sign = Sign(self.view)
         self.card = TopicCard(monitor, self.view, self.report)
         column = QVBoxLayout(self)
@@ -85,7 +81,6 @@ class GraphPanel(QWidget):
         column.addWidget(self.timeline)
         self.view.installEventFilter(self)
         self._listen()
-        self._fill_save_menu()
         self._show_sign()
 
     def report(self, text: str) -> None:
@@ -107,19 +102,17 @@ class GraphPanel(QWidget):
     @qt_slot
     def redraw(self) -> None:
         """Draw the changes; a new layout is made only if vertices or edges came or went."""
-        self._is_outdated = True
-        if not self._is_figuring:
-            self._is_figuring, self._is_outdated = True, False
-            past, room = self.timeline.moment, self.view.viewport().size()
-            snapshot, plan = self._monitor.snapshot, self._plan
-            if past is not None:
-                snapshot, plan = past.snapshot, ()
-            options = self.bar.options(room)
-            self._calls.run(
-                lambda: with_ghosts(figure_of(snapshot, options), snapshot, plan),
-                lambda figure: self._take_figure(snapshot, figure),
-                self._take_no_figure,
-            )
+        past, room = self.timeline.moment, self.view.viewport().size()
+        snapshot, plan = self._monitor.snapshot, self._plan
+        if past is not None:
+            snapshot, plan = past.snapshot, ()
+        options = self.bar.options(room)
+        self._calls.run_once(
+            "the figure",
+            lambda: with_ghosts(figure_of(snapshot, options), snapshot, plan),
+            lambda figure: self._take_figure(snapshot, figure),
+            again=True,
+        )
 
     def _take_figure(self, snapshot: Snapshot, figure: Figure) -> None:
         self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
@@ -129,22 +122,13 @@ class GraphPanel(QWidget):
             self.edits.places.follow(each.name for each in snapshot.nodelets)
         if figure != self._figure or self._wants_tidy or self._wants_move:
             self._figure = figure
-            font = self.view.font()
-            sizes = sizes_of(figure, font)
-            room = self.view.viewport().size()
+            font, room = self.view.font(), self.view.viewport().size()
+            sizes, gap, places = sizes_of(figure, font), gap_of(font), self.edits.places.present
             self._shape = room.width() / max(room.height(), 1)
-            places = self.edits.places.present
-            anew = self._wants_tidy
-            self.layouter.lay_out(figure, sizes, gap_of(font), anew, self._shape, places)
+            order = DrawingOrder(figure, sizes, gap, self._shape, self._wants_tidy, dict(places))
+            self.layouter.lay_out(order)
             self._wants_tidy = self._wants_move = False
         self._show_sign()
-        self._is_figuring = False
-        if self._is_outdated:
-            self.redraw()
-
-    def _take_no_figure(self, error: Exception) -> None:
-        self._is_figuring = False
-        raise error
 
     @qt_slot
     def show_plan(self, parts: Sequence[WayPart]) -> None:
@@ -162,7 +146,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def tidy_all(self) -> None:
-        """Make a new layout in which also what the user has moved has no place yet."""
+        """Make a new layout that forgets the places of vertices that the user has moved."""
         self.edits.places.forget()
         self.tidy()
 
@@ -174,12 +158,13 @@ class GraphPanel(QWidget):
         self.view.is_editable = not is_past
         scene.marks.clear()
         scene.marks.show(found, is_lasting=is_past)
-        self._show_traffic({} if is_past else self._monitor.traffic)
+        self._show_traffic(self._monitor.traffic)
         self.redraw()
 
     @qt_slot
     def _show_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
-        self.view.scene().set_traffic({} if self.timeline.moment is not None else traffic)
+        seen = (traffic, self._monitor.strains) if self.timeline.moment is None else ({}, {})
+        self.view.scene().set_traffic(*seen)
 
     @qt_slot
     def _mark(self, found: Difference) -> None:
@@ -225,16 +210,6 @@ class GraphPanel(QWidget):
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
-    def save(self, path: str) -> None:
-        """Write the drawing in the format of the file's extension, DOT by default."""
-        if path.lower().endswith(".svg"):
-            self.view.scene().save_svg(path)
-        elif path.lower().endswith((".png", ".jpg", ".jpeg", ".bmp")):
-            self.view.scene().save_image(path)
-        else:
-            with open(path, "w", encoding="utf-8") as file:
-                file.write(to_dot(self.drawn, sizes_of(self.drawn, self.view.font())))
-
     @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
         self._selection.keep_drawn(drawing.figure)
@@ -265,41 +240,24 @@ class GraphPanel(QWidget):
     @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
         """Show the menu of a port, of the background, or of the selection with the item."""
-        snapshot, actions = self._monitor.snapshot, self.graph_actions
+        snapshot, edits = self._monitor.snapshot, self.edits
         if not self.view.is_editable:
             self.noted.emit("this is the past; press End in the time-line to change the present")
             return
         if isinstance(item, PortItem):
-            self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
+            self._popup(menu_of_port(item.ref, snapshot, edits, self), place)
         elif item is None:
-            menu = menu_of_ground(actions, self.bar)
-            self._add_boxes(menu, self.view.viewport().mapFromGlobal(place))
-            self._popup(menu, place)
+            spot = self.view.mapToScene(self.view.viewport().mapFromGlobal(place))
+            box, outer = self.view.scene().box_at(spot), self._figure.outer_groups
+            self._popup(menu_of_ground(edits, self.bar, box, outer), place)
         else:
             if not item.isSelected():
                 self.view.select(item)
             self.show_menu(place)
 
-    def _add_boxes(self, menu: QMenu, place: QPoint) -> None:
-        """Add the actions for boxes, of which one may be at a place of the view."""
-        group = self.view.box_at(place)
-        menu.addSeparator()
-        if group:
-            action = menu.addAction(f"C&ollapse {group[-1]}")
-            action.triggered.connect(lambda: self.bar.toggle_box(group))
-        outer = [group for group in self._figure.groups() if len(group) == 1]
-        for text, groups in (("Co&llapse all boxes", outer), ("Open all &boxes", [])):
-            action = menu.addAction(text)
-            action.setEnabled(bool(groups or self.bar.collapsed))
-            action.triggered.connect(lambda checked, groups=groups: self._collapse(groups))
-
-    def _collapse(self, groups: Iterable[Group]) -> None:
-        """Collapse boxes besides those that are; none to open all."""
-        self.bar.collapse({*groups, *self.bar.collapsed} if groups else ())
-
     @qt_slot
     def show_menu(self, place: QPoint) -> None:
-        menu = menu_of(self._selection, self._monitor.snapshot, self.graph_actions, self)
+        menu = menu_of(self._selection, self._monitor.snapshot, self.edits, self)
         self._popup(menu, place)
 
     def _popup(self, menu: QMenu, place: QPoint) -> None:
@@ -309,7 +267,7 @@ class GraphPanel(QWidget):
     @qt_slot
     def _take_selection(self) -> None:
         """Take the selection that the user, not a change of the drawing, has selected in it."""
-        if not (self._is_following or self.view.scene().is_drawing):
+        if not (self._is_following or self.view.scene().slices.is_working):
             scene = self.view.scene()
             items = (*scene.vertices.items(), *scene.edges.items())
             self._selection.choose(key for key, item in items if item.isSelected())
@@ -347,17 +305,6 @@ class GraphPanel(QWidget):
         self.view.reveal(item for key, item in items if key in self._selection.keys)
 
     @qt_slot
-    def _ask_where(self, kind: str) -> None:
-        suffix = kind.rpartition(".")[2].rstrip(")")
-        dialog = QFileDialog(self, "Save the graph", "", kind)
-        dialog.setAcceptMode(QFileDialog.AcceptSave)
-        dialog.setDefaultSuffix(suffix)  # set before it asks whether to overwrite a file
-        dialog.selectFile(f"dyknow.{suffix}")
-        dialog.finished.connect(dialog.deleteLater)
-        if dialog.exec_():
-            self.save(dialog.selectedFiles()[0])
-
-    @qt_slot
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on
 
@@ -380,7 +327,7 @@ class GraphPanel(QWidget):
 
     def _listen(self) -> None:
         monitor, view, bar = self._monitor, self.view, self.bar
-        monitor.changed.connect(self._take_snapshot)
+        monitor.changed.connect(self.redraw)
         monitor.measured.connect(self._show_traffic)
         self.timeline.changed.connect(self._mark)
         self.timeline.wanted.connect(self._show_moment)
@@ -406,7 +353,6 @@ class GraphPanel(QWidget):
         bar.refresh.triggered.connect(self._refresh)
         bar.undo.triggered.connect(monitor.undo)
         bar.redo.triggered.connect(monitor.redo)
-        bar.load.triggered.connect(self.files.ask_what_to_load)
         bar.fit.triggered.connect(view.fit)
         bar.tidy.triggered.connect(self.tidy_all)
         bar.timeline.triggered.connect(self.show_timeline)
@@ -417,8 +363,7 @@ class GraphPanel(QWidget):
         for edit in (bar.nodelets, bar.topics):
             edit.refused.connect(self.failed)
             edit.mended.connect(self.mended)
-        actions = self.graph_actions
-        actions.topic_wanted.connect(self.card.show_topic)
+        self.edits.topic_wanted.connect(self.card.show_topic)
 
     @qt_slot
     def _ask_transports(self, nodes: FrozenSet[str]) -> None:
@@ -428,18 +373,6 @@ class GraphPanel(QWidget):
         )
 
     @qt_slot
-    def _take_snapshot(self, snapshot: Snapshot) -> None:
-        self.redraw()
-
-    @qt_slot
     def _refresh(self) -> None:
         self._monitor.read_library()
         self._monitor.look()
-
-    def _fill_save_menu(self) -> None:
-        wiring = self.bar.save_menu.addAction("&Wiring …")
-        wiring.triggered.connect(self.files.ask_where_to_save)
-        self.bar.save_menu.addSeparator()
-        for kind in _KINDS:
-            action = self.bar.save_menu.addAction(f"&{kind.split()[0]} …")
-            action.triggered.connect(lambda checked=False, kind=kind: self._ask_where(kind))

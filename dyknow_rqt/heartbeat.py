@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import logging
-from functools import partial
-from typing import Any, Callable, Sequence, Set
+from typing import Sequence
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -17,7 +15,6 @@ from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.remote import Remote
 
-_LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Milliseconds from beat to beat, and beats from question to question.
 _PERIOD, _BEATS = 250, 4
 
@@ -43,12 +40,9 @@ class Heartbeat(QObject):
         self.contact = Contact(remote.manager, remote.master)
         self.status = self.contact.status()
         self._calls = BackgroundCalls(2)
-        self._asked: Set[str] = set()
         self._beats = 0
         self._address = ""
-        self._timer = QTimer(self)
-        self._timer.setInterval(_PERIOD)
-        self._timer.timeout.connect(self._beat)
+        self._timer = QTimer(self, interval=_PERIOD, timeout=self._beat)
 
     def start(self) -> None:
         self._timer.start()
@@ -59,57 +53,46 @@ class Heartbeat(QObject):
         self._calls.close()
 
     @qt_slot
+    def list_streams(self) -> None:
+        """Ask the manager for its claims, again after a running call: its answer may be older."""
+        self._calls.run_once("the claims", self._ask_manager, self.listed.emit, again=True)
+
+    @qt_slot
     def _beat(self) -> None:
         self._tell()
+        if self._beats % _BEATS == 0:
+            self._calls.run_once("the claims", self._ask_manager, self.listed.emit)
+            self._calls.run_once("the address", self._ask_master, self._take_address)
         self._beats += 1
-        for peer, question, done in (
-            ("manager", self._ask_manager, self._take_streams),
-            ("master", self._ask_master, self._take_address),
-        ):
-            if peer not in self._asked and self._beats % _BEATS == 1:
-                self._asked.add(peer)
-                self._calls.run(
-                    question, partial(self._end, peer, done), partial(self._miss, peer)
-                )
 
-    # An answer is noted at once in the thread that asked: that of the window may be at work.
+    # An answer is noted at once in the calling thread: that of the window may be at work.
 
     def _ask_manager(self) -> Sequence[StreamStatus]:
         try:
             streams = self._remote.client.list_streams()
+            self.contact.hear_manager()
+            return streams
         except DyKnowError as error:
             self.contact.miss_manager(is_gone=not isinstance(error, PeerTimeout))
             raise
-        self.contact.hear_manager()
-        return streams
+        finally:
+            self._calls.deliver(self._tell)
 
     def _ask_master(self) -> str:
         try:
             address = self._remote.find_manager()
+            self.contact.hear_master(is_known=bool(address))
+            return address
         except DyKnowError as error:
             self.contact.miss_master(is_gone=isinstance(error.__cause__, ConnectionError))
             raise
-        self.contact.hear_master(is_known=bool(address))
-        return address
-
-    def _end(self, peer: str, take: Callable[[Any], None], answer: Any) -> None:
-        self._asked.discard(peer)
-        self._tell()
-        take(answer)
-
-    def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
-        self.listed.emit(streams)
+        finally:
+            self._calls.deliver(self._tell)
 
     def _take_address(self, address: str) -> None:
         if address and address != self._address:
             self._address = address
             self.linked.emit(self.status.is_current)
-
-    def _miss(self, peer: str, error: Exception) -> None:
-        self._asked.discard(peer)
-        if not isinstance(error, DyKnowError):
-            _LOG.error("the answer of the %s cannot be read", peer, exc_info=error)
-        self._tell()
 
     def _tell(self) -> None:
         before, self.status = self.status, self.contact.status()

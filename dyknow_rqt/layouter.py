@@ -6,16 +6,21 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.figure import Figure
-from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
-from dyknow_rqt.graph.layout import BadLayout, arranged, read_graphs, read_layout, to_dot
+from dyknow_rqt.graph.geometry import Drawing, Layout
+from dyknow_rqt.graph.layout import (
+    BadLayout,
+    DrawingOrder,
+    arranged,
+    read_graphs,
+    read_layout,
+    to_dot,
+)
 from dyknow_rqt.graph.parts import MOST, Piece, divide
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
@@ -29,20 +34,10 @@ _TITLE = "digraph dyknow {"
 
 
 @dataclass(frozen=True)
-class _Order:
-    figure: Figure
-    sizes: Mapping[str, Size]
-    gap: float
-    shape: float
-    anew: bool
-    places: Mapping[str, Point]
-
-
-@dataclass(frozen=True)
 class _Plan:
     """An order with its parts, and what graphviz is given for each of them."""
 
-    order: _Order
+    order: DrawingOrder
     parts: Tuple[Piece, ...]
     texts: Mapping[Piece, str]
 
@@ -64,7 +59,7 @@ class Layouter(QObject):
         self._program = program
         self._budget = budget
         self._calls = BackgroundCalls(1)
-        self._next: Optional[_Order] = None
+        self._next: Optional[DrawingOrder] = None
         self._plan: Optional[_Plan] = None
         self._is_busy = False
         #: What graphviz was given, with the layout; None if it failed.
@@ -75,38 +70,19 @@ class Layouter(QObject):
         self._drawing = Drawing()
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
-        self._waiting = QTimer(self)
-        self._waiting.setSingleShot(True)
-        self._waiting.setInterval(_WAITING)
+        self._waiting = QTimer(self, singleShot=True, interval=_WAITING)
         self._waiting.timeout.connect(self._arrange)
 
-    def lay_out(
-        self,
-        figure: Figure,
-        sizes: Mapping[str, Size],
-        gap: float = 52.0,
-        anew: bool = False,
-        shape: float = 1.5,
-        places: Mapping[str, Point] = MappingProxyType({}),
-    ) -> None:
-        """Lay a figure out, then emit ``ready``, more than once if graphviz takes long.
-
-        Args:
-            figure: what to lay out.
-            sizes: of its vertices.
-            gap: pixels between ranks.
-            anew: without regard to the drawing before.
-            shape: of the view, width by height.
-            places: where the user has put vertices.
-        """
+    def lay_out(self, order: DrawingOrder) -> None:
+        """Lay a figure out, then emit ``ready``, more than once if graphviz takes long."""
         undone = self._next or (self._plan.order if self._plan is not None else None)
-        anew = anew or (undone is not None and undone.anew)
-        self._next = _Order(figure, sizes, gap, shape, anew, dict(places))
+        anew = order.anew or (undone is not None and undone.anew)
+        self._next = replace(order, anew=anew)
         self._begin()
 
     @property
     def is_idle(self) -> bool:
-        """Whether all that was asked for is laid out."""
+        """Whether the last order is laid out as a whole."""
         return not (self._is_busy or self._plan or self._next)
 
     def close(self) -> None:
@@ -130,7 +106,7 @@ class Layouter(QObject):
         self._plan, self._is_busy = plan, False
         wanted = set(plan.texts.values())
         if self._running and not any(text in wanted for _, text in self._running):
-            self._is_unwanted = True  # it lays out what is not drawn any more
+            self._is_unwanted = True  # its figure is not drawn any more
             self._process.kill()
         if not self._waiting.isActive():
             self._waiting.start()
@@ -185,7 +161,7 @@ class Layouter(QObject):
 
     @qt_slot
     def _arrange(self) -> None:
-        """Arrange what is laid out, and all else as well as it goes without graphviz."""
+        """Arrange the finished layouts, and all else as well as it goes without graphviz."""
         plan = self._plan
         if plan is None or self._is_busy:
             return
@@ -196,7 +172,7 @@ class Layouter(QObject):
             self._plan = None
             self._waiting.stop()
             self._made = {text: self._made[text] for text in plan.texts.values()}
-        order, self._is_busy = plan.order, True
+        self._is_busy = True
 
         def take(drawing: Drawing) -> None:
             self._is_busy = False
@@ -205,8 +181,9 @@ class Layouter(QObject):
             self.ready.emit(drawing)
             self._go_on()
 
-        given = order.figure, order.sizes, plan.parts, layouts, order.shape, before, order.places
-        self._calls.run(lambda: arranged(*given), take, self._give_up)
+        self._calls.run(
+            lambda: arranged(plan.order, plan.parts, layouts, before), take, self._give_up
+        )
 
     def _give_up(self, error: Exception) -> None:
         """Go on after an error of the program."""
@@ -216,7 +193,7 @@ class Layouter(QObject):
         self._begin()
 
 
-def _planned(order: _Order) -> _Plan:
+def _planned(order: DrawingOrder) -> _Plan:
     parts = divide(order.figure)
     leaves = [leaf for part in parts for leaf in part.leaves()]
     texts = {each: to_dot(each.figure, order.sizes, order.gap, each.box) for each in leaves}

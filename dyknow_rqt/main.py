@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``rosrun dyknow dyknow_rqt``: the window on its own, where there is no rqt."""
+"""``rosrun dyknow dyknow_rqt``: the window on its own, without rqt."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ class DyKnowWindow(QMainWindow):
         geometry = settings.value("geometry")
         if geometry is not None:
             self.restoreGeometry(geometry)
-        kept = {name: settings.value(name) for name in widget.state()}
-        widget.restore({name: value for name, value in kept.items() if value is not None})
+        widget.restore({name: settings.value(name) for name in widget.state()})
 
     def closeEvent(self, event: object) -> None:  # noqa: N802
         for name, value in self._widget.state().items():

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -27,25 +27,26 @@ from typing import (
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
-from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
-from dyknow_rqt.graph.rates import Meter, PortRate
+from dyknow_rqt.graph.changes import Change, DoneChange, Present
+from dyknow_rqt.graph.history import UndoHistory
+from dyknow_rqt.graph.rates import Meter, PortRate, Strain
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.remote import Remote
-from dyknow_rqt.stream_watch import StreamWatch
 
 if TYPE_CHECKING:
     from dyknow.formulas import Verdict
     from dyknow.model.graph import Model
     from dyknow.model.statistics import NodeletCount
+    from dyknow.model.streams import StreamStatus
 
 T = TypeVar("T")
 
@@ -58,11 +59,9 @@ _GATHERING = 100
 _SELDOM = 20
 
 
-@dataclass(frozen=True)
-class _Looked:
-    model: Model
-    nodes: Tuple[PlainNode, ...]
-    taken: FrozenSet[str]
+#: Findings of a look: the link to the manager when it began, the model, ordinary nodes, the topics
+#: that are taken.
+_Look = Tuple[int, "Model", Tuple[PlainNode, ...], FrozenSet[str]]
 
 
 class GraphMonitor(QObject):
@@ -78,6 +77,8 @@ class GraphMonitor(QObject):
     decided = Signal(object)
     #: Something has become of a stream: a ``StreamEvent``.
     stream_event = Signal(object)
+    #: The list of streams has changed.
+    streams_changed = Signal()
     #: An error, in words.
     failed = Signal(str)
     #: A change is being made, in words.
@@ -95,43 +96,40 @@ class GraphMonitor(QObject):
         self._client = remote.client
         self.snapshot = Snapshot()
         self.library: Dict[str, Transformation] = {}
+        self.streams: Tuple[StreamStatus, ...] = ()
         self.heart = Heartbeat(remote)
         self.heart.linked.connect(self._follow_link)
+        self.heart.listed.connect(self._take_streams)
+        for signal in (self.stream_event, self.settled):
+            signal.connect(self.heart.list_streams)
         self.history = UndoHistory()
         #: Nodelets and their transformations; whether the next model may be another manager's.
         self._made: Set[Tuple[str, str]] = set()
         self._is_another = False
+        #: How often the manager, or another one, has begun to answer.
+        self._link = 0
         self._calls = BackgroundCalls()
         self._meter = Meter()
         self._revision = -1
         self._library_revision = -1
-        self._looking = self._changing = self._reading = False
+        self._changing = False
         self._system: Tuple[Side, Side] = ((), ())
         self._system_due = 0.0
-        self._timer = QTimer(self)
-        self._timer.setInterval(_PERIOD)
-        self._timer.timeout.connect(self.look)
+        self._timer = QTimer(self, interval=_PERIOD, timeout=self.look)
         self._heard: Optional[Model] = None
-        self._drawing = QTimer(self)
-        self._drawing.setSingleShot(True)
-        self._drawing.setInterval(0)
-        self._drawing.timeout.connect(self._take_heard)
+        self._drawing = QTimer(self, interval=0, singleShot=True, timeout=self._take_heard)
         #: The last verdicts by topic, None before the first one.
         self._verdicts: Dict[str, Optional[Verdict]] = {}
-        self.watch = StreamWatch(self)
-        self.watch.changed.connect(self._take_streams)
-        self._gathering = QTimer(self)
-        self._gathering.setSingleShot(True)
-        self._gathering.setInterval(_GATHERING)
-        self._gathering.timeout.connect(self._tell_verdicts)
+        self._gathering = QTimer(
+            self, interval=_GATHERING, singleShot=True, timeout=self._tell_verdicts
+        )
 
     def start(self) -> None:
-        self.remote.start(
-            self._hear_model,
-            lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
-            self._hear_verdict,
-            self._hear_counts,
-        )
+        remote = self.remote
+        remote.on_model, remote.on_verdict = self._hear_model, self._hear_verdict
+        remote.on_counts = self._hear_counts
+        remote.on_event = lambda event: self._calls.deliver(lambda: self.stream_event.emit(event))
+        remote.start()
         self.heart.start()
         self._timer.start()
         self.look()
@@ -155,8 +153,16 @@ class GraphMonitor(QObject):
         return dict(self._meter.traffic)
 
     @property
+    def strains(self) -> Dict[str, Strain]:
+        """The loads that make nodelets stand out, by name."""
+        return dict(self._meter.strains)
+
+    @property
     def is_changing(self) -> bool:
         return self._changing
+
+    def stream(self, claim_id: str) -> Optional[StreamStatus]:
+        return next((each for each in self.streams if each.claim_id == claim_id), None)
 
     def report(self, text: str) -> None:
         self.failed.emit(text)
@@ -164,15 +170,14 @@ class GraphMonitor(QObject):
     @qt_slot
     def look(self) -> None:
         """Read everything now, unless that is under way."""
-        if not self._looking:
-            self._looking = True
-            self._calls.run(self._looked, self._take_look, self._take_failure)
+        self._calls.run_once("the graph", lambda: self._looked(self.remote.graph), self._take_look)
 
     @qt_slot
     def read_library(self) -> None:
-        if not self._reading:
-            self._reading = True
-            self._calls.run(self._client.get_model, self._take_library, self._take_no_library)
+        link = self._link
+        self._calls.run_once(
+            "the library", self._client.get_model, lambda model: self._take_library(model, link)
+        )
 
     def ask(
         self,
@@ -246,10 +251,18 @@ class GraphMonitor(QObject):
         note: Callable[[DoneChange], None],
         no_way: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make one change at a time: the next depends on the state after this one.
+        """Make one change at a time: the next begins from the graph that this one leaves.
 
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
+
+        def work() -> Tuple[DoneChange, Optional[_Look]]:
+            done = job()
+            try:
+                return done, self._looked(self._whole_graph)
+            except DyKnowError:
+                return done, None
+
         refusal = "" if self.is_linked else self.heart.status.text
         if self._changing:
             refusal = "another change is under way; try again when it is done"
@@ -266,7 +279,10 @@ class GraphMonitor(QObject):
             self.settled.emit()
             self.look()
 
-        def made(done: DoneChange) -> None:
+        def made(result: Tuple[DoneChange, Optional[_Look]]) -> None:
+            done, look = result
+            if look is not None:
+                self._take_look(look)
             self._changing = False  # first: the next change may begin at once
             note(done)
             settle(self.done, f"done: {done.text}")
@@ -278,14 +294,20 @@ class GraphMonitor(QObject):
             what = f"cannot {text}" if isinstance(error, CannotUndo) else text
             settle(self.failed, f"{what}: {_words(error)}")
 
-        self._calls.run(job, made, refused)
+        self._calls.run(work, made, refused)
 
     def _tell_history(self) -> None:
         self.history_changed.emit(*self.history.texts)
 
-    def _looked(self) -> _Looked:
+    def _whole_graph(self) -> Model:
+        """Read the graph, with the library if that has changed; in the background."""
+        model = self._client.get_graph()
+        is_known = model.library_revision == self._library_revision
+        return model if is_known or model.transformations else self._client.get_model()
+
+    def _looked(self, read: Callable[[], Model]) -> _Look:
         """Read everything for a look; in the background."""
-        model = self.remote.graph()
+        link, model = self._link, read()
         model = replace(model, nodelets=self.snapshot.shared(model.nodelets))
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.node for each in model.nodelets}
@@ -296,7 +318,7 @@ class GraphMonitor(QObject):
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
             pass  # the master's last state is shown
-        return _Looked(model, nodes, taken)
+        return link, model, nodes, taken
 
     def _system_state(self) -> Tuple[Side, Side]:
         """Ask the master, unless its answers took a large part of the time; in the background."""
@@ -307,12 +329,14 @@ class GraphMonitor(QObject):
             self._system_due = end + _SELDOM * (end - start)
         return self._system
 
-    def _take_look(self, looked: _Looked) -> None:
-        self._looking = False
-        if looked.model.revision >= self._revision:
-            if self._heard is not None and self._heard.revision <= looked.model.revision:
+    def _take_look(self, look: _Look) -> None:
+        link, model, nodes, taken = look
+        if link != self._link:
+            self.look()  # at once: changes before it count as another manager's
+        elif model.revision >= self._revision:
+            if self._heard is not None and self._heard.revision <= model.revision:
                 self._heard = None  # an older model
-            self._take_model(looked.model, looked.nodes, looked.taken)
+            self._take_model(model, nodes, taken)
 
     def _hear_model(self, model: Model) -> None:
         """Take a model that the manager publishes; in any thread."""
@@ -322,9 +346,10 @@ class GraphMonitor(QObject):
 
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
-        self._heard = model
-        if not self._drawing.isActive():
-            self._drawing.start()
+        if model.revision >= self._revision:  # else a look has brought a newer one
+            self._heard = model
+            if not self._drawing.isActive():
+                self._drawing.start()
 
     @qt_slot
     def _take_heard(self) -> None:
@@ -344,6 +369,8 @@ class GraphMonitor(QObject):
             self.history = UndoHistory()
             self._tell_history()
         self._made, self._is_another = made, False
+        if model.transformations:
+            self._take_library(model, self._link)
         self._take_snapshot(Snapshot(model.nodelets, nodes, taken, self.snapshot.pending))
         if model.library_revision != self._library_revision:
             self.read_library()
@@ -355,21 +382,15 @@ class GraphMonitor(QObject):
             self._calls.deliver(self._tell_rates)
             self._calls.deliver(self._follow_verdicts)
 
-    def _take_library(self, model: Model) -> None:
-        self._reading = False
+    def _take_library(self, model: Model, link: int) -> None:
+        """Take the library that was read over a link, unless a newer one has come since."""
+        if link != self._link or model.library_revision < self._library_revision:
+            return
         self._library_revision = model.library_revision
         library = {each.label: each for each in model.transformations}
         if library != self.library:
             self.library = library
             self.library_changed.emit(library)
-
-    def _take_no_library(self, error: Exception) -> None:
-        self._reading = False
-        self._log_unexpected(error)
-
-    def _take_failure(self, error: Exception) -> None:
-        self._looking = False
-        self._log_unexpected(error)
 
     def _hear_counts(self, counts: Sequence[NodeletCount]) -> None:
         """Take the counts that the manager publishes; in any thread."""
@@ -382,12 +403,15 @@ class GraphMonitor(QObject):
         self.measured.emit(self.traffic)
 
     def _tell_rates(self) -> None:
-        """Tell the rates of the nodelets that run, if the manager answers."""
+        """Tell the rates of connected ports of nodelets that run, if the manager answers."""
         nodelets = self.snapshot.nodelets if self.is_linked else ()
-        running = [each for each in nodelets if each.state is State.RUNNING]
-        self._meter.keep(
-            {PortRef(n.name, port.name): port.topic for n in running for port in n.ports}
-        )
+        ports = [
+            (PortRef(each.name, port.name), port.topic)
+            for each in nodelets
+            for port in each.ports
+            if each.state is State.RUNNING
+        ]
+        self._meter.keep({ref: topic for ref, topic in ports if topic})
         self.measured.emit(self.traffic)
 
     def _follow_verdicts(self) -> None:
@@ -408,20 +432,20 @@ class GraphMonitor(QObject):
             self._gathering.start()
 
     @qt_slot
-    def _take_streams(self) -> None:
+    def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
+        if tuple(streams) == self.streams:
+            return
+        self.streams = tuple(streams)
         self._tell_verdicts()
-        waiting = [each for each in self.watch.streams if each.state is ClaimState.PENDING]
+        waiting = [each for each in streams if each.state is ClaimState.PENDING]
         pending = {each.bound_tag: each.detail.partition(": ")[2] for each in waiting}
         self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
+        self.streams_changed.emit()
 
     @qt_slot
     def _tell_verdicts(self) -> None:
         nodelets = self.snapshot.nodelets
-        self.decided.emit(port_verdicts(nodelets, self._verdicts, self.watch.streams))
-
-    def _log_unexpected(self, error: Exception) -> None:
-        if not isinstance(error, DyKnowError):
-            _LOG.error("a look at the graph failed", exc_info=error)
+        self.decided.emit(port_verdicts(nodelets, self._verdicts, self.streams))
 
     @qt_slot
     def _follow_link(self, is_linked: bool) -> None:
@@ -429,11 +453,12 @@ class GraphMonitor(QObject):
         if is_linked:
             self._is_another = True
             self._revision = self._library_revision = -1
+            self._link += 1
             self.look()
         self._tell_rates()
 
 
 def _words(error: Any) -> str:
-    if isinstance(error, (HostError, PeerTimeout, DyKnowError, OSError)):
+    if isinstance(error, (DyKnowError, OSError)):
         return str(error)
     return f"{type(error).__name__}: {error}"

@@ -8,18 +8,18 @@ from __future__ import annotations
 from typing import Dict, Optional
 
 from python_qt_binding.QtCore import Qt
-from python_qt_binding.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QWidget
 
 from dyknow.model.graph import NodeletStatus
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import set_parameters
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.widgets import form_in
+from dyknow_rqt.widgets import column_in, field_of, form_in
 
 
 class ParametersDialog(QDialog):
-    """Edits what was given at the spawn, and what the transformation says."""
+    """Edits the parameters of a spawn, and those of the transformation."""
 
     def __init__(
         self,
@@ -37,26 +37,21 @@ class ParametersDialog(QDialog):
         self._before: Dict[str, Parameter] = {each.name: each for each in written}
         self._before.update((each.name, each) for each in nodelet.parameters)
         self.fields: Dict[str, QLineEdit] = {}
-        self.more = QLineEdit()
-        self.more.setPlaceholderText("rate=5")
-        self.more.setToolTip("A parameter that is not named here: NAME=VALUE")
+        self.more = field_of("rate=5", "A parameter that is not named here: NAME=VALUE")
         form = form_in()
         for name, parameter in self._before.items():
-            self.fields[name] = field = QLineEdit(parameter.text)
+            self.fields[name] = field = QLineEdit(parameter.text, accessibleName=name)
             field.setReadOnly(name.startswith("?"))  # a variable is bound for life
-            field.setAccessibleName(name)
             form.addRow(f"{name.replace('&', '&&')}:", field)
         form.addRow("Another:", self.more)
         self.buttons = QDialogButtonBox(QDialogButtonBox.Ok | QDialogButtonBox.Cancel)
         self.buttons.accepted.connect(self._set)
         self.buttons.rejected.connect(self.reject)
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        column.addWidget(self.buttons)
+        column_in(self, form, self.buttons)
 
     @qt_slot
     def _set(self) -> None:
-        """Set what has another value now."""
+        """Set the parameters whose values were edited."""
         texts = {name: field.text() for name, field in self.fields.items()}
         wanted = [
             Parameter(name, self._before[name].type, text)
@@ -66,6 +61,11 @@ class ParametersDialog(QDialog):
         name, equals, text = self.more.text().partition("=")
         if name.strip() and equals:
             wanted.append(Parameter(name.strip(), "", text.strip()))
+        elif self.more.text().strip():
+            self.report(
+                f"'{self.more.text()}' sets no parameter; expected NAME=VALUE, such as rate=5"
+            )
+            return
         if wanted:
             self._monitor.do(set_parameters(self._name, wanted, self._before))
         self.accept()

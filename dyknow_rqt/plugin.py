@@ -42,8 +42,7 @@ class DyKnowPlugin(Plugin):
 
     def restore_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
         names = self._widget.state()
-        found = {name: instance_settings.value(f"{_KEY}_{name}") for name in names}
-        self._widget.restore({name: value for name, value in found.items() if value is not None})
+        self._widget.restore({name: instance_settings.value(f"{_KEY}_{name}") for name in names})
 
 
 def _manager(argv: Any) -> str:

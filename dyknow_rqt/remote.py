@@ -24,15 +24,27 @@ class Remote(ABC):
     """A DyKnow manager with its announcements, and the ROS master.
 
     Every method but ``start``, ``follow_verdicts`` and ``close`` may block and is called in worker
-    threads. They raise what the methods of the client raise.
+    threads. They raise the exceptions of the client's methods.
+
+    Messages are handed on in any thread, to functions that are set before ``start``.
 
     Attributes:
         client: speaks with the manager and the proxies of its nodelets.
         master: address of the master.
+        on_model: takes the graph after each change.
+        on_event: takes each event of a stream.
+        on_verdict: takes a topic and its verdict, each as the first of the equal ones.
+        on_counts: takes counts and health of all nodelets, once a second.
     """
 
     client: BaseManagerClient
-    master: str
+
+    def __init__(self, master: str) -> None:
+        self.master = master
+        self.on_model: Callable[[Model], None] = lambda model: None
+        self.on_event: Callable[[StreamEvent], None] = lambda event: None
+        self.on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
+        self.on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
 
     @property
     def manager(self) -> str:
@@ -40,21 +52,12 @@ class Remote(ABC):
         return self.client.manager
 
     @abstractmethod
-    def start(
-        self,
-        on_model: Callable[[Model], None],
-        on_event: Callable[[StreamEvent], None],
-        on_verdict: Callable[[str, Verdict], None],
-        on_counts: Callable[[Sequence[NodeletCount]], None],
-    ) -> None:
-        """Listen to the model, events of streams and counts; each is handed on, in any thread.
-
-        Verdicts are handed on with their topic, each as the first of the equal ones.
-        """
+    def start(self) -> None:
+        """Listen to the model, events of streams and counts."""
 
     @abstractmethod
     def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
-        """Listen to the verdicts of these nodes on these topics, and to no others.
+        """Listen to the verdicts of these nodes on these topics alone.
 
         It returns at once, and is called after ``start`` in the thread of the window.
         """
@@ -63,7 +66,7 @@ class Remote(ABC):
     def follow(
         self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
     ) -> Callable[[], None]:
-        """Listen to a topic of a node, and hand on what is shown of its messages.
+        """Listen to a topic of a node, and hand on its messages, reduced.
 
         At most five a second are handed on, in any thread.
 
@@ -71,10 +74,10 @@ class Remote(ABC):
             topic: global name.
             datatype: its ROS type; empty if unknown.
             node: publishes it.
-            on_sample: takes what messages are reduced to.
+            on_sample: takes the reduced messages.
 
         Returns:
-            What ends it, at once.
+            A function that stops listening, at once.
         """
 
     @abstractmethod

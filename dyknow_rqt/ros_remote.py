@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import AbstractSet, Any, Callable, Collection, Dict, List, Optional, Sequence, Tuple
+from typing import AbstractSet, Any, Callable, Collection, Dict, List, Optional, Tuple
 
 from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
@@ -25,8 +25,6 @@ from dyknow.datatypes import ANY
 from dyknow.errors import HostError
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
-from dyknow.model.statistics import NodeletCount
-from dyknow.model.streams import StreamEvent
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import counts_from, event_from, model_from
@@ -49,40 +47,21 @@ class RosRemote(Remote):
             manager: node name; a relative one begins in the namespace of the environment.
         """
         caller = f"/dyknow_rqt_{os.getpid()}"
-        self.client: ManagerClient = ManagerClient(manager, caller)
         self._master = Master(caller)
-        self.master = self._master.uri
-        self._on_model: Callable[[Model], None] = lambda model: None
-        self._on_event: Callable[[StreamEvent], None] = lambda event: None
-        self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
+        super().__init__(self._master.uri)
+        self.client: ManagerClient = ManagerClient(manager, caller)
         self._service = names.join(self.manager, "list_streams")
         self._address = ""
         self._latest: Optional[Model] = None
-        master, topic = self._master, names.join(self.manager, "model")
-        self._models = TopicFollower(
-            master, self.manager, topic, ModelMessage, self._hear, last_only=True
+        self._models = self._follower("model", ModelMessage, self._hear)
+        counts = self._follower("counts", CountsMessage, lambda m: self.on_counts(counts_from(m)))
+        events = self._follower(
+            "stream_events", StreamEventMessage, lambda m: self.on_event(event_from(m)), False
         )
-        topic = names.join(self.manager, "stream_events")
-        self._events = TopicFollower(
-            master, self.manager, topic, StreamEventMessage, self._hear_event
-        )
-        self._on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
-        topic = names.join(self.manager, "counts")
-        self._counts = TopicFollower(
-            master, self.manager, topic, CountsMessage, self._hear_counts, last_only=True
-        )
-        self._followers = (self._models, self._events, self._counts)
+        self._followers = (self._models, counts, events)
         self._verdicts: Dict[Tuple[str, str], TopicFollower] = {}
 
-    def start(
-        self,
-        on_model: Callable[[Model], None],
-        on_event: Callable[[StreamEvent], None],
-        on_verdict: Callable[[str, Verdict], None],
-        on_counts: Callable[[Sequence[NodeletCount]], None],
-    ) -> None:
-        self._on_model, self._on_event, self._on_verdict = on_model, on_event, on_verdict
-        self._on_counts = on_counts
+    def start(self) -> None:
         for follower in self._followers:
             follower.start()
 
@@ -148,23 +127,24 @@ class RosRemote(Remote):
 
     # Inside
 
+    def _follower(
+        self, name: str, kind: type, take: Callable[[Any], None], last_only: bool = True
+    ) -> TopicFollower:
+        """A follower of a topic of the manager."""
+        topic = names.join(self.manager, name)
+        return TopicFollower(self._master, self.manager, topic, kind, take, last_only=last_only)
+
     def _hear(self, message: ModelMessage) -> None:
         self._latest = model_from(message)
-        self._on_model(self._latest)
-
-    def _hear_event(self, message: StreamEventMessage) -> None:
-        self._on_event(event_from(message))
-
-    def _hear_counts(self, message: CountsMessage) -> None:
-        self._on_counts(counts_from(message))
+        self.on_model(self._latest)
 
     def _hear_verdict(self, topic: str, message: VerdictMessage) -> None:
         since = message.since.to_nsec()
-        self._on_verdict(topic, Verdict(since, Truth(message.value), since, message.why))
+        self.on_verdict(topic, Verdict(since, Truth(message.value), since, message.why))
 
 
 class _Reduced:
-    """Takes the place of a class of messages, of which it reads only what is shown."""
+    """Takes the place of a class of messages, and reads only the shown part of each."""
 
     def __init__(self, message_class: Any) -> None:
         self._class = message_class

@@ -12,8 +12,7 @@ import math
 import os
 import sys
 import time
-from functools import partial
-from typing import Callable, List, Optional, Sequence, Sized
+from typing import Callable, List, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QMouseEvent, QPalette
@@ -28,11 +27,17 @@ from dyknow_rqt.graph.samples import Sample
 from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.window import DyKnowWidget
 
+#: Does something with a window and its manager; its name is that of the picture.
+Pose = Callable[[DyKnowWidget, SimulatedRemote], None]
+
 
 def dressed(application: QApplication) -> QApplication:
     """Make the application look the same on every machine, and return it."""
+    font = QFontDatabase.systemFont(QFontDatabase.GeneralFont)
+    font.setFamily("DejaVu Sans")
+    font.setPointSize(9)
     application.setStyle(QStyleFactory.create("Fusion"))
-    application.setFont(_font())
+    application.setFont(font)
     application.setAttribute(Qt.AA_UseHighDpiPixmaps)
     return application
 
@@ -66,45 +71,25 @@ def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Take all pictures into the folder that is given; returns the exit code.
-
-    A second argument such as ``1366x768`` is the size of the window.
-    """
+    """Take all pictures into the folder that is given; returns the exit code."""
     words = list(argv if argv is not None else sys.argv)
     folder = words[1] if words[1:] else os.path.join("doc", "images")
-    size = [int(part) for part in (words[2] if words[2:] else "1600x760").split("x")]
     os.makedirs(folder, exist_ok=True)
     application = dressed(QApplication(words[:1]))
     light = QPalette(application.palette())
-    for name, palette, pose in (
-        ("graph", light, _pose_graph),
-        ("highlight", light, _pose_highlight),
-        ("nodelets_only", light, _pose_nodelets_only),
-        ("hosts", light, _pose_hosts),
-        ("library", light, _pose_library),
-        ("create", light, _pose_create),
-        ("connect", light, _pose_connect),
-        ("plan", light, _pose_plan),
-        ("card", light, _pose_card),
-        ("timeline", light, _pose_timeline),
-        ("gone", light, _pose_gone),
-        ("dark", dark_palette(), _pose_dark),
+    for pose in (
+        *(_graph, _highlight, _load, _hosts, _connect, _plan, _card, _timeline, _gone, _dark),
+        *(_many, _found, _narrow),
     ):
-        application.setPalette(palette)
-        _take(os.path.join(folder, f"gui_{name}.png"), soccer(), pose, size)
-    for name, count, pose, size in (
-        ("many", 500, _pose_many, [1366, 768]),
-        ("found", 500, _pose_found, [1366, 768]),
-        ("narrow", 30, _pose_narrow, [500, 768]),
-    ):
-        application.setPalette(light)
-        _take(os.path.join(folder, f"gui_{name}.png"), tree(count), pose, size)
+        application.setPalette(dark_palette() if pose is _dark else light)
+        count, size = _TREES.get(pose, (0, (1600, 760)))
+        remote = tree(count) if count else soccer()
+        _take(os.path.join(folder, f"gui{pose.__name__}.png"), remote, pose, size)
     return 0
 
 
-def _take(
-    path: str, remote: SimulatedRemote, pose: Callable[[DyKnowWidget], None], size: Sequence[int]
-) -> None:
+def _take(path: str, remote: SimulatedRemote, pose: Pose, size: Sequence[int]) -> None:
+    """Write a picture of a window that is in a pose."""
     widget = DyKnowWidget(remote)
     widget.resize(*size)
     widget.show()
@@ -114,8 +99,10 @@ def _take(
         wait(lambda: widget.monitor.library, 10.0, "the library is there")
         if remote.client.rates:
             wait(lambda: _has_rates(widget), 20.0, "the rates are there")
-        pose(widget)
-        QTest.qWait(300)
+        pose(widget, remote)
+        for _ in range(2):  # the drawing may then be painted in steps
+            wait(lambda: _is_drawn(widget), 120.0, "all of it is drawn")
+            QTest.qWait(300)
         print(f"screenshots: {path}")
         if not widget.grab().save(path):
             raise OSError(f"cannot write '{path}'")
@@ -124,6 +111,13 @@ def _take(
         widget.close()
         widget.deleteLater()
         QTest.qWait(50)
+
+
+def _is_drawn(widget: DyKnowWidget) -> bool:
+    scene = widget.graph.view.scene()
+    jobs = (scene._draw, scene._tell_looks, scene._picture)
+    is_idle = widget.graph.layouter.is_idle and scene.labels.are_placed
+    return is_idle and not any(map(scene.slices.is_wanted, jobs))
 
 
 def _has_rates(widget: DyKnowWidget) -> bool:
@@ -137,63 +131,58 @@ def _tidy(widget: DyKnowWidget) -> None:
     QTest.qWait(500)
 
 
-def _pose_graph(widget: DyKnowWidget) -> None:
+def _graph(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     widget.graph.bar.choose("nodes", 1)
     wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
     _tidy(widget)
     widget.active.table.choose(["/nao1/ball_detector"])
 
 
-def _pose_many(widget: DyKnowWidget) -> None:
+def _many(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     wait(lambda: len(widget.graph.drawn.vertices) == 1000, 20.0, "all are drawn")
 
 
-def _pose_found(widget: DyKnowWidget) -> None:
-    _pose_many(widget)
+def _found(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
+    _many(widget, remote)
     widget.active.table.filter.setText("part17")
     widget.active.table.choose(["/part17/nodelet3"])
     QTest.qWait(1500)
 
 
-def _pose_narrow(widget: DyKnowWidget) -> None:
+def _narrow(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     widget.graph.bar.panel.trigger()
     wait(lambda: widget.graph.drawn.is_downwards, 20.0, "streams flow downwards")
     QTest.qWait(1500)
 
 
-def _pose_highlight(widget: DyKnowWidget) -> None:
+def _highlight(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     view = widget.graph.view
     QTest.qWait(300)
     view.scene().highlight("n_/nao1/subsampler")
 
 
-def _pose_nodelets_only(widget: DyKnowWidget) -> None:
-    widget.graph.bar.choose("mode", 1)
-    _tidy(widget)
+def _load(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
+    """Two nodelets with much to do, one with an error, images of 40 MB/s, and an old ball."""
+    busy, failing = "/nao1/subsampler", "/nao1/localization"
+    remote.client.strains.update(
+        {busy: (0.9, ""), "/nao1/line_detector": (0.6, ""), failing: (0.1, "no lines")}
+    )
+    remote.client.samples["/nao1/bottom_camera", "yuv"] = (0.1, 1_300_000)
+    remote.client.samples[failing, "field_position"] = (2.5, 64)
+    drawn = [widget.graph.view.scene().vertices[f"n_{each}"] for each in (busy, failing)]
+    wait(lambda: all(each.strain.text for each in drawn), 10.0, "the load is shown")
+    QTest.qWait(5000)  # rates are those of some seconds
 
 
-def _pose_hosts(widget: DyKnowWidget) -> None:
+def _hosts(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     """The robot, and the computer beside the field."""
-    remote = widget.monitor.remote
-    assert isinstance(remote, SimulatedRemote)
     for nodelet in remote.graph().nodelets:
         remote.client.alter(nodelet.name, host=nodelet.name.split("/")[1])
     widget.graph.bar.choose("boxes", list(Boxes).index(Boxes.HOSTS))
     _tidy(widget)
 
 
-def _pose_library(widget: DyKnowWidget) -> None:
-    widget.tabs.setCurrentWidget(widget.library)
-    widget.library.table.choose(["ball_detector"])
-
-
-def _pose_create(widget: DyKnowWidget) -> None:
-    widget.tabs.setCurrentWidget(widget.create_)
-    widget.create_.begin("ball_detector")
-    widget.create_.given.fields["?robot"].setText("nao1")
-
-
-def _pose_connect(widget: DyKnowWidget) -> None:
+def _connect(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     """A connection half drawn by hand, and the same in the panel."""
     widget.tabs.setCurrentWidget(widget.connect_)
     widget.connect_.begin("/field/ceiling_camera", "field_position")
@@ -210,10 +199,9 @@ def _pose_connect(widget: DyKnowWidget) -> None:
         QApplication.sendEvent(view.viewport(), move)
 
 
-def _pose_plan(widget: DyKnowWidget) -> None:
+def _plan(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     """The plan of a stream whose last three nodelets are to be made again."""
-    remote, streams = widget.monitor.remote, widget.streams
-    assert isinstance(remote, SimulatedRemote)
+    streams = widget.streams
     gone = ("/field/tracker", "/nao1/localization", "/nao1/line_detector")
     for name in gone:
         remote.client.destroy(name)
@@ -226,31 +214,24 @@ def _pose_plan(widget: DyKnowWidget) -> None:
     QTest.qWait(1000)
 
 
-def _pose_card(widget: DyKnowWidget) -> None:
+def _card(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     """The ball rolls back and forth."""
-    remote, card = widget.monitor.remote, widget.graph.card
-    assert isinstance(remote, SimulatedRemote)
+    card = widget.graph.card
     card.show_topic("/field/ball")
     for number in range(60):
         x = 1.5 * math.sin(number / 8)
-        lines = [
-            "header:",
-            f"  seq: {900 + number}",
-            "  stamp: 1732550400.25",
-            "  frame_id: field",
-        ]
-        lines += ["point:", f"  x: {x:.6g}", "  y: 0.25", "  z: 0"]
+        header = f"header:\n  seq: {900 + number}\n  stamp: 1732550400.25\n  frame_id: field\n"
+        point = f"point:\n  x: {x:.6g}\n  y: 0.25\n  z: 0"
         numbers = {"point.x": x, "point.y": 0.25, "point.z": 0.0}
-        remote.send("/field/ball", Sample("\n".join(lines), numbers, None, 45))
+        remote.send("/field/ball", Sample(header + point, numbers, None, 45))
         QTest.qWait(80)
     card.place()
 
 
-def _pose_timeline(widget: DyKnowWidget) -> None:
+def _timeline(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     """The graph before some changes."""
-    remote, graph = widget.monitor.remote, widget.graph
-    assert isinstance(remote, SimulatedRemote)
-    client, every = remote.client, graph.timeline.moments.all
+    client, graph = remote.client, widget.graph
+    every = graph.timeline.moments.all
     graph.bar.timeline.trigger()
     for change in (
         lambda: client.acquire_stream(StreamRequest("Track(ball)")),
@@ -261,26 +242,19 @@ def _pose_timeline(widget: DyKnowWidget) -> None:
         count = len(every)
         QTest.qWait(600)  # else it is the same moment
         change()
-        wait(partial(_is_longer, every, count), 10.0, "the change is noted")
+        wait(lambda count=count: len(every) > count, 10.0, "the change is noted")  # type: ignore[misc]
     graph.timeline.track.choose(every[0])
     drawn = graph.view.scene().vertices
     wait(lambda: "n_/field/tracker_2" not in drawn, 10.0, "the past is drawn")
-    wait(lambda: graph.layouter.is_idle, 10.0, "all of it")
 
 
-def _is_longer(every: Sized, count: int) -> bool:
-    return len(every) > count
-
-
-def _pose_gone(widget: DyKnowWidget) -> None:
-    remote = widget.monitor.remote
-    assert isinstance(remote, SimulatedRemote)
+def _gone(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     remote.client.is_up = False
     wait(lambda: " for 2 s" in widget.graph.sign.text(), 10.0, "the manager is missed")
 
 
-def _pose_dark(widget: DyKnowWidget) -> None:
-    _pose_highlight(widget)
+def _dark(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
+    _highlight(widget, remote)
     widget.line.report(
         "connect /field/ceiling_camera:field_position with /nao1/line_detector:hsv: "
         "/field/ceiling_camera:field_position sends geometry_msgs/PointStamped, "
@@ -288,11 +262,8 @@ def _pose_dark(widget: DyKnowWidget) -> None:
     )
 
 
-def _font() -> object:
-    font = QFontDatabase.systemFont(QFontDatabase.GeneralFont)
-    font.setFamily("DejaVu Sans")
-    font.setPointSize(9)
-    return font
+#: Poses of a tree: the number of its nodelets, the size of the window.
+_TREES = {_many: (500, (1366, 768)), _found: (500, (1366, 768)), _narrow: (30, (500, 768))}
 
 
 if __name__ == "__main__":

@@ -34,11 +34,11 @@ class Selection(QObject):
 
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
-        self._watch = monitor.watch
+        self._monitor = monitor
         self.keys: FrozenSet[Key] = frozenset()
         self.claims: FrozenSet[str] = frozenset()
         monitor.changed.connect(self._follow_graph)
-        monitor.watch.changed.connect(self._follow_streams)
+        monitor.streams_changed.connect(self._follow_streams)
 
     @property
     def nodelets(self) -> List[str]:
@@ -67,7 +67,7 @@ class Selection(QObject):
     @qt_slot
     def choose_claims(self, claims: Iterable[str]) -> None:
         """Select claims with their nodelets, and nothing else."""
-        streams = [stream for stream in map(self._watch.stream, claims) if stream is not None]
+        streams = [stream for stream in map(self._monitor.stream, claims) if stream is not None]
         self.choose(
             (key_of(VertexKind.NODELET, name) for each in streams for name in each.nodelets),
             (each.claim_id for each in streams),

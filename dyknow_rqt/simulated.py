@@ -6,13 +6,11 @@
 from __future__ import annotations
 
 import contextlib
-from typing import AbstractSet, Callable, Collection, Dict, Iterable, List, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Dict, Iterable, List, Tuple
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
-from dyknow.model.statistics import NodeletCount
-from dyknow.model.streams import StreamEvent
 from dyknow.periodic import PeriodicWorker
 from dyknow.simulated import SimulatedManagerClient
 from dyknow_rqt.graph.samples import Sample
@@ -38,7 +36,7 @@ class SimulatedRemote(Remote):
 
     def __init__(self) -> None:
         """Start empty, with a master and a manager that are up."""
-        self.master = "http://localhost:11311"
+        super().__init__("http://localhost:11311")
         self.has_master = True
         self.address = "rosrpc://localhost:40001"
         self.client: SimulatedManagerClient = SimulatedManagerClient()
@@ -49,19 +47,10 @@ class SimulatedRemote(Remote):
         self.listeners: Dict[str, List[Callable[[Sample], None]]] = {}
         self._samples: Dict[str, Sample] = {}
         self._verdicts: Dict[str, Verdict] = {}
-        self._on_verdict: Callable[[str, Verdict], None] = lambda topic, verdict: None
-        self._on_counts: Callable[[Sequence[NodeletCount]], None] = lambda counts: None
         self._counting = PeriodicWorker("simulated counts", self._count, _COUNTS_PERIOD)
 
-    def start(
-        self,
-        on_model: Callable[[Model], None],
-        on_event: Callable[[StreamEvent], None],
-        on_verdict: Callable[[str, Verdict], None],
-        on_counts: Callable[[Sequence[NodeletCount]], None],
-    ) -> None:
-        self.client.on_model, self.client.on_event = on_model, on_event
-        self._on_verdict, self._on_counts = on_verdict, on_counts
+    def start(self) -> None:
+        self.client.on_model, self.client.on_event = self.on_model, self.on_event
         self._counting.start()
 
     def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
@@ -115,12 +104,12 @@ class SimulatedRemote(Remote):
 
     def _count(self) -> None:
         with contextlib.suppress(HostError):
-            self._on_counts(self.client.counts())
+            self.on_counts(self.client.counts())
 
     def _hand_on(self, topics: Iterable[str]) -> None:
         followed = {topic for _, topic in self.followed}
         for topic in followed.intersection(topics):
-            self._on_verdict(topic, self._verdicts[topic])
+            self.on_verdict(topic, self._verdicts[topic])
 
     def _ask_master(self) -> None:
         if not self.has_master:

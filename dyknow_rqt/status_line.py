@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The line at the bottom of the window: results, errors, questions, contact to the manager."""
+"""The line at the bottom of the window: results, errors, questions, health, contact."""
 
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from typing import Any, Callable, List, Optional
 
-from python_qt_binding.QtCore import QEvent, Qt, QTimer
+from python_qt_binding.QtCore import QEvent, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAction,
@@ -23,30 +24,25 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.contact import Status
+from dyknow_rqt.graph.health import Ill, ills_of
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.widgets import wrapped
 
 _NOTE_TIME = 6000  # ms
-_KEPT = 50
 
 
 class StatusLine(QWidget):
     """Shows errors until they are dismissed or something succeeds, without dialogs."""
 
-    def __init__(self, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
-        self.history: List[str] = []
-        self._text = QLabel()
+    def __init__(self) -> None:
+        super().__init__()
+        self._text = QLabel(wordWrap=True, textFormat=Qt.PlainText, accessibleName="Message")
         self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
-        self._text.setWordWrap(True)
-        self._text.setAccessibleName("Message")
-        self._text.setTextFormat(Qt.PlainText)
-        self.contact = QLabel()
-        self.contact.setAccessibleName("Contact with the manager")
-        self.contact.setTextFormat(Qt.PlainText)
-        self.yes = QPushButton()
-        self.no = QPushButton("Cancel")
-        self.dismiss = QPushButton("Dismiss")
+        self.contact = QLabel(textFormat=Qt.PlainText, accessibleName="Contact with the manager")
+        self.yes = QPushButton(clicked=self._confirm)
+        self.no = QPushButton("Cancel", clicked=self.clear)
+        self.dismiss = QPushButton("Dismiss", clicked=self.clear)
         row = QHBoxLayout(self)
         row.setContentsMargins(6, 2, 6, 2)
         row.addWidget(self._text, 1)
@@ -54,20 +50,13 @@ class StatusLine(QWidget):
             row.addWidget(button)
         row.addWidget(self.contact)
         #: Declines the question of the line, or dismisses its message; works in the whole window.
-        self.decline = QAction(self)
-        self.decline.setShortcut(QKeySequence(Qt.Key_Escape))
+        self.decline = QAction(self, shortcut=QKeySequence(Qt.Key_Escape), triggered=self.clear)
         self.decline.setShortcutContext(Qt.WidgetWithChildrenShortcut)
-        self.decline.triggered.connect(self.clear)
         self._asked_in: Optional[QWidget] = None
         self._full = ""
         self._status: Optional[Status] = None
         self._answer: Optional[Callable[[], None]] = None
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.timeout.connect(self.clear)
-        self.yes.clicked.connect(self._confirm)
-        self.no.clicked.connect(self.clear)
-        self.dismiss.clicked.connect(self.clear)
+        self._timer = QTimer(self, interval=_NOTE_TIME, singleShot=True, timeout=self.clear)
         self.clear()
 
     def show_beside(self, widget: QWidget) -> None:
@@ -96,7 +85,7 @@ class StatusLine(QWidget):
     def note(self, text: str) -> None:
         if self._answer is None:
             self._show(text, alarm=False)
-            self._timer.start(_NOTE_TIME)
+            self._timer.start()
 
     @qt_slot
     def show_status(self, status: Status) -> None:
@@ -157,4 +146,62 @@ class StatusLine(QWidget):
         if alarm:
             palette.setColor(QPalette.WindowText, colours_of(self.palette()).alarm)
         self._text.setPalette(palette)
-        self.history = [*self.history[-_KEPT:], text]
+
+
+class HealthLabel(QLabel):
+    """Such as ``3 lost, 1 degraded, 2 slow``; each word is a link to the next of its kind."""
+
+    #: Show an ``Ill``.
+    wanted = Signal(object)
+
+    def __init__(self, monitor: GraphMonitor) -> None:
+        super().__init__()
+        self._monitor = monitor
+        self._ills: List[Ill] = []
+        self._last: Optional[Ill] = None
+        self.setTextInteractionFlags(Qt.LinksAccessibleByMouse | Qt.LinksAccessibleByKeyboard)
+        self.setAccessibleName("What is not well")
+        self.linkActivated.connect(self.lead)
+        changes = (monitor.changed, monitor.streams_changed, monitor.measured)
+        for signal in (*changes, monitor.heart.linked):
+            signal.connect(self._look)
+        self.hide()
+
+    @qt_slot
+    def lead(self, word: str) -> None:
+        """Lead to the next one of a word, or the next one at all."""
+        ills = [ill for ill in self._ills if word in ("", ill.word)]
+        if ills:
+            number = ills.index(self._last) + 1 if self._last in ills else 0
+            self._last = ills[number % len(ills)]
+            self.wanted.emit(self._last)
+
+    @qt_slot
+    def next(self) -> None:
+        self.lead("")
+
+    @qt_slot
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802
+        super().changeEvent(event)
+        if event.type() == QEvent.PaletteChange:
+            self._show()
+
+    @qt_slot
+    def _look(self) -> None:
+        """Show nothing while it may be old."""
+        monitor, ills = self._monitor, []
+        if monitor.is_linked:
+            ills = ills_of(monitor.snapshot, monitor.streams, monitor.traffic)
+        if ills != self._ills:
+            self._ills = ills
+            self._show()
+
+    def _show(self) -> None:
+        colour = colours_of(self.palette()).alarm.name()
+        counts = Counter(ill.word for ill in self._ills)  # in their order
+        links = (f"<a href='{w}' style='color: {colour}'>{n} {w}</a>" for w, n in counts.items())
+        text = ", ".join(links)
+        if text != self.text():
+            self.setText(text)
+        self.setToolTip(wrapped("\n".join(f"{ill.word}: {ill.title}" for ill in self._ills)))
+        self.setVisible(bool(self._ills))

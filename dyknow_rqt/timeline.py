@@ -10,14 +10,14 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from python_qt_binding.QtCore import QRectF, Qt, Signal
 from python_qt_binding.QtGui import QColor, QPainter, QPen
-from python_qt_binding.QtWidgets import QLabel, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QLabel, QWidget
 
 from dyknow.model.streams import ClaimState
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.widgets import wrapped
+from dyknow_rqt.widgets import bare_column_in, wrapped
 
 #: Pixels: the line with the moments, a lane of a claim, the most lanes, the margin at the ends.
 _LINE, _LANE, _LANES, _MARGIN = 18, 7, 5, 10
@@ -61,14 +61,14 @@ class MomentTrack(QWidget):
         self.chosen.emit()
 
     def lanes(self) -> List[Tuple[str, str]]:
-        """Ids and tags of the claims whose states are shown: those that were asked for last."""
+        """Ids and tags of the claims whose states are shown: the latest."""
         found: Dict[str, str] = {}
         for moment in self._moments.all:
             found.update((each.claim_id, each.bound_tag) for each in moment.streams)
         return list(found.items())[-_LANES:]
 
     def follow(self) -> None:
-        """Show what was noted; a chosen moment that is forgotten gives way to the present."""
+        """Show the noted moments; a chosen one that is forgotten gives way to the present."""
         every = list(self._moments.all)
         self.setFixedHeight(_LINE + _LANE * len(self.lanes()))
         if self.moment is not None and not any(each is self.moment for each in every):
@@ -151,16 +151,12 @@ class TimelinePanel(QWidget):
         self.moments = Moments()
         self.track = MomentTrack(self.moments, monitor.report)
         self.words = QLabel()
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 2)
-        column.setSpacing(0)
-        column.addWidget(self.words)
-        column.addWidget(self.track)
+        bare_column_in(self, self.words, self.track).setContentsMargins(0, 0, 0, 2)
         self.words.setMinimumWidth(1)
         self.words.setIndent(_MARGIN)
         self.track.chosen.connect(self._tell)
         monitor.changed.connect(self._note)
-        monitor.watch.changed.connect(self._note)
+        monitor.streams_changed.connect(self._note)
         self.hide()
 
     @property
@@ -174,7 +170,7 @@ class TimelinePanel(QWidget):
         monitor = self._monitor
         if not monitor.snapshot.nodelets and before is None:
             return  # nothing is known yet
-        moment = GraphMoment(time.time(), monitor.snapshot, monitor.watch.streams)
+        moment = GraphMoment(time.time(), monitor.snapshot, monitor.streams)
         if self.moments.note(moment):
             self.track.follow()
             if before is not None:
@@ -202,11 +198,11 @@ class TimelinePanel(QWidget):
         if not every:
             return
         moment, lines = self.moment or every[-1], self._difference().lines
-        clock = time.strftime("%H:%M:%S", time.localtime(moment.time))
+        clock = _clock(moment.time)
         when, what = f"{clock} (now)", "last change"
         if self.moment is not None:
             anchor = self.track.anchor
-            until = "now" if anchor is None else time.strftime("%X", time.localtime(anchor.time))
+            until = "now" if anchor is None else _clock(anchor.time)
             when, what = f"{clock}, as it was", f"to {until}"
         more = f", and {len(lines) - _NAMED} more" if len(lines) > _NAMED else ""
         room = self.width() - 3 * _MARGIN
@@ -225,3 +221,7 @@ class TimelinePanel(QWidget):
         super().hideEvent(event)
         if self.moment is not None:
             self.track.choose(None)
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(moment))

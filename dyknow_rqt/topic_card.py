@@ -8,9 +8,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Deque, List, Optional, Sequence, Tuple
 
-from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
+from python_qt_binding.QtCore import QPointF, QRect, QSignalBlocker, QSize, Qt, QTimer
 from python_qt_binding.QtGui import (
     QFontMetrics,
     QImage,
@@ -26,7 +26,6 @@ from python_qt_binding.QtWidgets import (
     QLabel,
     QMenu,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -34,14 +33,15 @@ from dyknow.model.graph import PortRef, State
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.canvas.view import topic_of
-from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.viewers import VIEWERS, add_viewers
-from dyknow_rqt.widgets import row_of, text_of
+from dyknow_rqt.widgets import column_in, row_of, text_of
 
 #: Seconds that a curve shows, and milliseconds from one look at the age to the next.
 _SPAN, _PERIOD = 20.0, 500
+#: Milliseconds until the card tries again to listen.
+_PATIENCE = 2000
 #: Pixels: the distance from the edges of the view, and the widest card.
 _MARGIN, _WIDE = 8, 330
 #: The most lines of a message that are seen at a time.
@@ -104,12 +104,13 @@ class TopicCard(QWidget):
         self.topic = ""
         self._monitor, self._view = monitor, view
         self._calls = BackgroundCalls(1)
-        #: The node that is listened to, and what ends that.
+        #: The publisher of the shown topic, and the function that stops listening.
         self._node = self._datatype = ""
         self._end: Callable[[], None] = lambda: None
         self._number = 0
+        self._again = QTimer(self, singleShot=True, interval=_PATIENCE, timeout=self._follow)
+        self._has_failed = False
         self._refs: Sequence[PortRef] = ()
-        self._traffic: Mapping[PortRef, PortRate] = {}
         self._sample: Optional[Sample] = None
         self._came, self._why = 0.0, ""
         self._title, self.facts, self.image = QLabel(), QLabel(), QLabel()
@@ -117,11 +118,8 @@ class TopicCard(QWidget):
         self.curve, self.field = Curve(), QComboBox()
         self.open_in = QToolButton()
         self._arrange()
-        self._ageing = QTimer(self)
-        self._ageing.setInterval(_PERIOD)
-        self._ageing.timeout.connect(self._tell)
+        self._ageing = QTimer(self, interval=_PERIOD, timeout=self._tell)
         self.field.currentTextChanged.connect(self.curve.clear)
-        monitor.measured.connect(self._take_traffic)
         monitor.changed.connect(self._follow)
         self.hide()
 
@@ -147,6 +145,7 @@ class TopicCard(QWidget):
             self.raise_()
         else:
             self._ageing.stop()
+            self._again.stop()
 
     def place(self) -> None:
         """Stand in the corner of the view where there is the least to see, and not the topic."""
@@ -188,12 +187,13 @@ class TopicCard(QWidget):
             self._tell()
 
     def _listen_to(self, node: str) -> None:
-        if node == self._node:
+        if node == self._node and not self._has_failed:
             return
         self._end()
-        self._node, self._end = node, lambda: None
+        if not self._has_failed:
+            self._why = "no message yet"
+        self._node, self._end, self._has_failed = node, lambda: None, False
         self._number += 1
-        self._why = "no message yet"
         number, topic, datatype = self._number, self.topic, self._datatype
         is_over = threading.Event()
         ends: List[Callable[[], None]] = []
@@ -211,14 +211,20 @@ class TopicCard(QWidget):
             for each in ends:
                 each()
 
+        def tell(why: str) -> None:
+            if number == self._number:
+                self._why = why
+                self._tell()
+
         def fail(error: Exception) -> None:
             if number == self._number:
-                self._why = str(error)
-                self._tell()
+                self._has_failed = True
+                self._again.start()
+            tell(str(error))
 
         if node:
             self._end = end
-            self._calls.run(begin, lambda done: None, fail)
+            self._calls.run(begin, lambda done: tell("no message yet"), fail)
 
     def _take(self, number: int, sample: Sample) -> None:
         if number != self._number:
@@ -228,10 +234,13 @@ class TopicCard(QWidget):
         names = [self.field.itemText(number) for number in range(self.field.count())]
         if list(sample.numbers) != names:
             chosen = self.field.currentText()
-            self.field.clear()
-            self.field.addItems(list(sample.numbers))
-            if chosen in sample.numbers:
-                self.field.setCurrentText(chosen)
+            with QSignalBlocker(self.field):
+                self.field.clear()
+                self.field.addItems(list(sample.numbers))
+                if chosen in sample.numbers:
+                    self.field.setCurrentText(chosen)
+            if self.field.currentText() != chosen:
+                self.curve.clear()
         value = sample.numbers.get(self.field.currentText())
         if value is not None:
             self.curve.add(self._came, value)
@@ -247,10 +256,6 @@ class TopicCard(QWidget):
             self._show_parts()
             self.place()
         self._tell()
-
-    @qt_slot
-    def _take_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
-        self._traffic = traffic
 
     # Showing
 
@@ -280,14 +285,15 @@ class TopicCard(QWidget):
         if not self._node:
             self.facts.setText("nothing publishes it")
             return
-        rates = [self._traffic[ref] for ref in self._refs if ref in self._traffic]
-        facts = [f"{sum(each.rate for each in rates):.3g} Hz"] if rates else []
+        traffic = self._monitor.traffic
+        rates = [traffic[ref].rate for ref in self._refs if ref in traffic]
+        facts = [f"{sum(rates):.3g} Hz"] if rates else []
         if self._sample is None:
             facts.append(self._why)
         else:
             size = self._sample.size
             if rates:
-                facts.append(f"{_bytes(size * sum(each.rate for each in rates))}/s")
+                facts.append(f"{_bytes(size * sum(rates))}/s")
             facts += [f"{_bytes(size)} each", f"{time.monotonic() - self._came:.1f} s ago"]
         self.facts.setText(" · ".join(facts))
         self.facts.setToolTip(f"from {self._node}")
@@ -299,10 +305,7 @@ class TopicCard(QWidget):
         font = self._title.font()
         font.setBold(True)
         self._title.setFont(font)
-        close = QToolButton()
-        close.setText("×")
-        close.setAutoRaise(True)
-        close.setToolTip("Close (Esc)")
+        close = QToolButton(text="×", autoRaise=True, toolTip="Close (Esc)")
         close.setAccessibleName("Close")
         close.clicked.connect(lambda: self.show_topic(""))
         self.facts.setWordWrap(True)
@@ -316,19 +319,14 @@ class TopicCard(QWidget):
         menu = QMenu(self.open_in)
         menu.aboutToShow.connect(lambda: self._fill(menu))
         self.open_in.setMenu(menu)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(8, 4, 4, 6)
-        column.setSpacing(4)
         title = row_of(self._title, close)
         title.setStretch(0, 1)
         row = row_of(self.field, self.open_in)
         row.insertStretch(1)
-        column.addLayout(title)
-        column.addWidget(self.facts)
-        column.addWidget(self.image)
-        column.addWidget(self.curve)
-        column.addWidget(self.text, 1)
-        column.addLayout(row)
+        column = column_in(self, title, self.facts, self.image, self.curve, self.text, row)
+        column.setStretchFactor(self.text, 1)
+        column.setContentsMargins(8, 4, 4, 6)
+        column.setSpacing(4)
 
     def _fill(self, menu: QMenu) -> None:
         menu.clear()

@@ -16,8 +16,10 @@ from python_qt_binding.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
     QLabel,
+    QLayout,
     QLineEdit,
     QPlainTextEdit,
+    QVBoxLayout,
     QWidget,
 )
 
@@ -33,6 +35,28 @@ def row_of(*widgets: QWidget) -> QHBoxLayout:
     return row
 
 
+def column_in(parent: QWidget, *parts: object) -> QVBoxLayout:
+    """A column of widgets and layouts."""
+    column = QVBoxLayout(parent)
+    for part in parts:
+        add = column.addLayout if isinstance(part, QLayout) else column.addWidget
+        add(part)
+    return column
+
+
+def bare_column_in(parent: QWidget, *parts: object) -> QVBoxLayout:
+    """A column without room around and between its parts."""
+    column = column_in(parent, *parts)
+    column.setContentsMargins(0, 0, 0, 0)
+    column.setSpacing(0)
+    return column
+
+
+def field_of(placeholder: str, tip: str = "", name: str = "") -> QLineEdit:
+    """A line of text, with an example for it; a buddy makes up for the name."""
+    return QLineEdit(placeholderText=placeholder, toolTip=tip, accessibleName=name)
+
+
 def form_in(parent: Optional[QWidget] = None) -> QFormLayout:
     """A form whose fields use all of the width."""
     form = QFormLayout(parent)
@@ -42,13 +66,10 @@ def form_in(parent: Optional[QWidget] = None) -> QFormLayout:
 
 def text_of(name: str) -> QPlainTextEdit:
     """A text in a monospace font that the user only reads."""
-    text = QPlainTextEdit()
-    text.setReadOnly(True)
-    text.setTabChangesFocus(True)
+    text = QPlainTextEdit(readOnly=True, tabChangesFocus=True, accessibleName=name)
     fixed = QFont("monospace", text.font().pointSize())
     fixed.setStyleHint(QFont.Monospace)
     text.setFont(fixed)
-    text.setAccessibleName(name)
     return text
 
 
@@ -67,8 +88,8 @@ class FilterEdit(QLineEdit):
     #: The text is a filter again: the reason that was given before.
     mended = Signal(str)
 
-    def __init__(self, what: str, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self, what: str) -> None:
+        super().__init__()
         self.filter = Filter()
         self._names: List[str] = []
         self._complaint = ""
@@ -80,10 +101,7 @@ class FilterEdit(QLineEdit):
             " a leading - excludes.\nExample: /robot, /cam.*, -/robot/debug"
         )
         self._model = QStringListModel(self)
-        completer = QCompleter(self._model, self)
-        completer.setCompletionMode(QCompleter.PopupCompletion)
-        completer.setCaseSensitivity(Qt.CaseSensitive)
-        self.setCompleter(completer)
+        self.setCompleter(QCompleter(self._model, self))
         self.textEdited.connect(self._offer)
         self.textChanged.connect(self._read)
 
@@ -163,13 +181,10 @@ KEYS = (
 class KeysDialog(QDialog):
     """Lists the keys."""
 
-    def __init__(self, parent: Optional[QWidget] = None) -> None:
+    def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Keys")
         form = QFormLayout(self)
         form.setHorizontalSpacing(24)
         for keys, what in KEYS:
-            text = QLabel(what)
-            text.setWordWrap(True)
-            text.setMinimumWidth(300)
-            form.addRow(QLabel(f"<b>{keys}</b>"), text)
+            form.addRow(QLabel(f"<b>{keys}</b>"), QLabel(what, wordWrap=True, minimumWidth=300))

@@ -17,7 +17,6 @@ from python_qt_binding.QtWidgets import (
     QLineEdit,
     QSplitter,
     QTabWidget,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -25,7 +24,6 @@ from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.health import Ill
 from dyknow_rqt.graph_panel import GraphPanel
-from dyknow_rqt.health_label import HealthLabel
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
@@ -34,8 +32,8 @@ from dyknow_rqt.panels.library import LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
-from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import KeysDialog
+from dyknow_rqt.status_line import HealthLabel, StatusLine
+from dyknow_rqt.widgets import KeysDialog, bare_column_in
 
 #: Pixels: a window that is less wide than high and than this is narrow. The control panel is shown
 #: in a narrow one that is higher than the second, and in another that is wider than the first.
@@ -50,8 +48,8 @@ class DyKnowWidget(QWidget):
     It owns the monitor; ``shut_down`` ends it.
     """
 
-    def __init__(self, remote: Remote, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self, remote: Remote) -> None:
+        super().__init__()
         self.setObjectName("DyKnow")
         self.setWindowTitle("DyKnow")
         self.monitor = GraphMonitor(remote)
@@ -84,11 +82,7 @@ class DyKnowWidget(QWidget):
         self.parts.setStretchFactor(1, 1)
         self.parts.setSizes([480, 1120])
         self.tabs.setMinimumSize(160, 120)  # less than its pages would like
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.parts, 1)
-        column.addWidget(self.line)
+        bare_column_in(self, self.parts, self.line).setStretch(0, 1)
         self._listen()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -118,6 +112,11 @@ class DyKnowWidget(QWidget):
         self.graph.bar.panel.setChecked(on)
         self.tabs.setVisible(on)
 
+    def _show_tab(self, panel: QWidget) -> None:
+        """Show a tab of the control panel, which may be away."""
+        self._choose_panel(True)
+        self.tabs.setCurrentWidget(panel)
+
     def start(self) -> None:
         self.monitor.start()
 
@@ -139,7 +138,8 @@ class DyKnowWidget(QWidget):
         }
 
     def restore(self, state: Dict[str, Any]) -> None:
-        """Restore settings; invalid ones are ignored."""
+        """Restore settings; missing and invalid ones are ignored."""
+        state = {name: value for name, value in state.items() if value is not None}
         self.graph.restore(state)
         tab = str(state.get("tab", ""))
         if tab.isdigit() and int(tab) < self.tabs.count():
@@ -152,7 +152,7 @@ class DyKnowWidget(QWidget):
 
     def _listen(self) -> None:
         QApplication.instance().focusChanged.connect(self._follow_focus)
-        for field in self.streams.fields:  # committed: what it was before is not undone in it
+        for field in self.streams.fields:  # committed: undo in it does not go back beyond this
             field.returnPressed.connect(lambda field=field: field.setText(field.text()))
         self.tabs.tabBar().installEventFilter(self)
         self.monitor.failed.connect(self.line.report)
@@ -174,7 +174,7 @@ class DyKnowWidget(QWidget):
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
         self.graph.bar.keys.triggered.connect(self.show_keys)
-        actions = self.graph.graph_actions
+        actions = self.graph.edits
         actions.destroy_wanted.connect(self.active.ask_to_destroy)
         actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
@@ -241,7 +241,7 @@ class DyKnowWidget(QWidget):
     @qt_slot
     def _lead_to(self, ill: Ill) -> None:
         if ill.claim:
-            self.tabs.setCurrentWidget(self.streams)
+            self._show_tab(self.streams)
             self.streams.choose([ill.claim])
         else:
             self.selection.choose_nodelets([ill.nodelet])
@@ -249,12 +249,12 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def _begin_create(self, label: str) -> None:
-        self.tabs.setCurrentWidget(self.create_)
+        self._show_tab(self.create_)
         self.create_.begin(label)
 
     @qt_slot
     def _begin_connection(self, nodelet: str, port: str) -> None:
-        self.tabs.setCurrentWidget(self.connect_)
+        self._show_tab(self.connect_)
         self.connect_.begin(nodelet, port)
 
 

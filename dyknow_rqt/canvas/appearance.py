@@ -5,32 +5,16 @@
 
 from __future__ import annotations
 
-import enum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Dict, FrozenSet, Mapping, NamedTuple, Optional, Sequence
+from typing import Dict, NamedTuple
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
 from dyknow.formulas import Truth
-from dyknow.model.graph import PortRef, State
-from dyknow.model.transformation import IN
-from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind, key_of
+from dyknow.model.graph import State
+from dyknow_rqt.canvas.tones import Tone
+from dyknow_rqt.graph.figure import Figure
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.verdicts import PortVerdict
-
-
-class Tone(enum.Enum):
-    """The relation of an item to the one under the pointer, or to the plan that is shown."""
-
-    NONE = "none"
-    SELF = "self"
-    IN = "in"
-    OUT = "out"
-    BOTH = "both"
-    KEPT = "kept"
-    DROPPED = "dropped"
 
 
 class Colours(NamedTuple):
@@ -44,6 +28,7 @@ class Colours(NamedTuple):
     box_line: QColor
     muted: QColor
     alarm: QColor
+    warning: QColor
     chosen: QColor
     paper: QColor
     self_: QColor
@@ -86,6 +71,7 @@ def colours_of(palette: QPalette) -> Colours:
         box_line=_mix(paper, text, 0.35),
         muted=_mix(text, paper, 0.38),
         alarm=QColor("#ff6b61") if dark else QColor("#c62015"),
+        warning=QColor("#f2c14e") if dark else QColor("#dc7d00"),
         chosen=chosen,
         paper=paper,
         # These differ for every kind of colour blindness, also from the line.
@@ -110,6 +96,7 @@ def greys_of(palette: QPalette) -> Colours:
         topic=paper,
         box=paper,
         alarm=muted,
+        warning=muted,
         true=muted,
         false=muted,
     )
@@ -121,12 +108,13 @@ def _mix(one: QColor, other: QColor, share: float) -> QColor:
     return QColor(*(int(a + (b - a) * share) for a, b in parts))
 
 
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
-
 _PORT_PITCH = 15.0
-#: Font size on arrows, relative to that of vertices.
-RATE_SCALE = 0.78
+#: Pixels of the least text that is written.
+LEAST_TEXT = 9.0
+#: A rate is written so much larger where it would be too small to read, if there is room.
+ROOM = 1.4
+#: Stands for all usual numbers, so that the room for one does not depend on its value.
+NUMBER = "000"
 
 
 class Appearance(NamedTuple):
@@ -143,7 +131,7 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
     for vertex in figure.vertices:
         width, height = _size_of_text(key, vertex.label)
         if vertex.kind.is_square:
-            sizes[vertex.key] = Size(width + 16, height + 8)
+            sizes[vertex.key] = Size(width * 1.1 + 16, height + 8)
         else:
             room = _PORT_PITCH * (max(len(vertex.inputs), len(vertex.outputs)) + 1)
             wide, tall = width * 1.15 + 26, height + 26
@@ -164,109 +152,9 @@ def _size_of_text(font_key: str, text: str) -> Size:
 
 def gap_of(font: QFont) -> float:
     """Room for a rate on an arrow, in pixels."""
-    small = QFont(font)
-    small.setPointSizeF(font.pointSizeF() * RATE_SCALE)
-    return float(QFontMetricsF(small).horizontalAdvance("000.0 Hz")) + 10
+    return float(QFontMetricsF(font).horizontalAdvance(f"{NUMBER} Hz")) * ROOM + 14
 
 
-def appearance_of(nodelet: NodeletStatus) -> Appearance:
-    is_cpp = not nodelet.kind.is_written_for_dyknow
-    return Appearance(nodelet.state, nodelet.is_protected, is_cpp)
-
-
-def dead_keys(snapshot: Snapshot) -> FrozenSet[str]:
-    """Vertices through which nothing can come: lost nodelets, and topics without live sources.
-
-    A topic that nobody is known to publish lives as long as one of its receivers.
-    """
-    lost = {n.name for n in snapshot.nodelets if n.state in (State.LOST, State.FAILED)}
-    published = {topic for node in snapshot.nodes for topic in node.publishes}
-    dead = {key_of(VertexKind.NODELET, name) for name in lost}
-    for topic in snapshot.topics().values() if lost else ():
-        ends = topic.sources or topic.targets
-        if topic.name not in published and all(ref.nodelet in lost for ref in ends):
-            dead.add(key_of(VertexKind.TOPIC, topic.name))
-    return frozenset(dead)
-
-
-def vertex_tip(snapshot: Snapshot, vertex: Vertex, verdicts: Mapping[PortRef, PortVerdict]) -> str:
-    nodelet, topic = snapshot.nodelet(vertex.name), snapshot.topics().get(vertex.name)
-    if vertex.kind is VertexKind.TOPIC and topic is not None:
-        said = [verdicts[ref].text for ref in topic.sources if ref in verdicts]
-        return _tip(vertex.name, topic.datatype or "type not known yet", *(said or topic.tags))
-    if vertex.kind is VertexKind.NODELET and nodelet is not None:
-        return _nodelet_tip(nodelet)
-    what = {
-        VertexKind.BOX: "a collapsed box; double-click to open it",
-        VertexKind.GHOST: f"a nodelet of the plan that is shown: {vertex.note}",
-        VertexKind.CLAIM: f"a stream that waits until it can be made: {vertex.note}",
-    }
-    return _tip(vertex.name, what.get(vertex.kind, "ordinary ROS node"))
-
-
-def port_tip(
-    snapshot: Snapshot,
-    ref: PortRef,
-    traffic: Optional[PortRate],
-    verdict: Optional[PortVerdict],
-) -> str:
-    port = snapshot.port(ref)
-    if port is None:
-        return ""
-    lines = [
-        f"{'in' if port.direction == IN else 'out'}-port {port.name}",
-        port.datatype or "type not known yet",
-        port.topic or "not connected",
-        *(port.tags if verdict is None else [verdict.text]),
-    ]
-    if traffic is not None:
-        verb = "received" if port.direction == IN else "sent"
-        rates = traffic.text.replace("\n", ", ")
-        lines.append(f"{rates} ({traffic.messages} {verb}, {traffic.dropped} dropped)")
-    return _tip(*lines)
-
-
-def edge_traffic(
-    refs: Sequence[PortRef], traffic: Mapping[PortRef, PortRate]
-) -> Optional[PortRate]:
-    """The rate of an arrow, counted by its source or else its sink; None if unknown.
-
-    One that its sink cannot follow has that of the sink.
-    """
-    found = [traffic[ref] for ref in refs if ref in traffic]
-    return found[0 if found[0].drop_rate > 0 else -1] if found else None
-
-
-def edge_verdict(
-    refs: Sequence[PortRef], verdicts: Mapping[PortRef, PortVerdict]
-) -> Optional[PortVerdict]:
-    """The last verdict that came along an arrow from an out-port; None if it carries none."""
-    return next((verdicts[ref] for ref in refs if ref in verdicts), None)
-
-
-def _nodelet_tip(nodelet: NodeletStatus) -> str:
-    inputs = sum(port.direction == IN for port in nodelet.ports)
-    facts = [
-        word
-        for word, holds in (
-            ("protected", nodelet.is_protected),
-            ("in a process of its own", nodelet.isolated),
-            ("its topics are fixed", nodelet.is_fixed),
-        )
-        if holds
-    ]
-    state = nodelet.state.name.lower()
-    return _tip(
-        nodelet.name,
-        nodelet.origin,
-        nodelet.kind.title + (f" in {nodelet.manager}" if nodelet.manager else ""),
-        f"on {nodelet.host}" if nodelet.host else "",
-        " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
-        f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
-        *facts,
-        state + (f": {nodelet.detail}" if nodelet.detail else ""),
-    )
-
-
-def _tip(*lines: str) -> str:
-    return "\n".join(line for line in lines if line)
+def height_of(font: QFont) -> float:
+    """The size of its letters, in pixels."""
+    return float(font.pixelSize() if font.pixelSize() > 0 else QFontMetricsF(font).ascent())

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, Optional, Sequence
+from typing import Any, Match, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
     QBrush,
+    QColor,
     QFont,
     QFontMetricsF,
     QPainter,
@@ -24,18 +25,24 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
-from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of
-from dyknow_rqt.graph.figure import Edge, edge_refs
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, height_of
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of, write
+from dyknow_rqt.canvas.tones import Tone
+from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.verdicts import PortVerdict
 
-_ARROW = 8.0
-#: Zoom below which a rate could not be read.
-_LEAST = 0.4
+#: Pixels: the length of a head, and the width of a line.
+_ARROW, _THIN = 8.0, 1.1
 _DASHES = {Truth.TRUE: Qt.SolidLine, Truth.FALSE: Qt.DashLine, Truth.UNKNOWN: Qt.DotLine}
+_TOPIC = key_of(VertexKind.TOPIC, "")
 _NUMBER = re.compile(r"[\d.]+")
+#: A size of letters between the largest and the plain one; and by how much 0.25 is wider at most
+#: than a usual number.
+_BETWEEN, _SPARE = 1.2, 1.1
+#: Bytes a second from which on an arrow is wider; pixels for each factor of ten, and at most.
+_BROAD, _WIDER, _WIDEST = 1e6, 1.5, 5.0
 
 
 class EdgeItem(Item):
@@ -43,22 +50,22 @@ class EdgeItem(Item):
 
     def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
-        self.edge = edge
+        self.key = self.edge = edge
         #: The ports at its ends, the in-port first.
         self.refs = edge_refs(edge)
         self.traffic: Optional[PortRate] = None
         self.verdict: Optional[PortVerdict] = None
         self.is_dead = False
-        self.shows_name = False
-        self._font = QFont(font)
-        self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
-        self._metrics = QFontMetricsF(self._font)
+        #: Whether its label has the topic: it leads past the rectangle of that.
+        self.shows_name = not any(key.startswith(_TOPIC) for key in (edge.tail, edge.head))
+        self._font, self._height = font, height_of(font)
+        self._metrics = QFontMetricsF(font)
         self.path = QPainterPath()
         self.label_area = QRectF()
         #: Control points of the curve.
         self.curve: Sequence[Point] = ()
         self._ends: object = None
-        self._head = QPolygonF()
+        self._tip = self._along = QPointF()
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setAcceptHoverEvents(True)
 
@@ -81,7 +88,7 @@ class EdgeItem(Item):
         for first, second, third in zip(points[1::3], points[2::3], points[3::3]):
             path.cubicTo(first, second, third)
         self.path = path
-        self._head = self._head_at(points[-1], direction / length)
+        self._tip, self._along = points[-1], direction / length
         self._measure()
 
     def show(
@@ -103,7 +110,7 @@ class EdgeItem(Item):
         return self.label_shape != shape
 
     def place_label(self, area: Optional[Rectangle]) -> None:
-        """Set the area of its label; None if there is no room for it."""
+        """Set the area of its label; None if it has no room."""
         found = QRectF() if area is None else rectangle_of(area)
         if found != self.label_area:
             self.label_area = found
@@ -113,14 +120,37 @@ class EdgeItem(Item):
     def label_shape(self) -> str:
         """Its label without the numbers, which determines its width."""
         name = [self.edge.topic] if self.shows_name else []
-        rate = "00.0 Hz" if self.traffic is None else _NUMBER.sub("00.0", self.traffic.text)
+        text = "0 Hz" if self.traffic is None else self.traffic.text
+        rate = _NUMBER.sub(_usual, text)
         return "\n".join([*name, rate, *(["FALSE"] if self.verdict is not None else [])])
 
     @property
-    def label_size(self) -> Size:
-        lines = self.label_shape.split("\n")
-        width = max(self._metrics.horizontalAdvance(line) for line in lines)
-        return Size(width, self._metrics.height() * len(lines))
+    def label_sizes(self) -> Tuple[Size, ...]:
+        """The sizes that its label may have, the largest first."""
+        shape, height = self.label_shape, self._metrics.height()
+        width, breaks = self._width_of(shape), shape.count("\n")
+        scales = (ROOM, _BETWEEN, 1.0, min(1.0, _SPARE * LEAST_TEXT / self._height))
+        return tuple(
+            Size(
+                scale * width, (scale * breaks + min(scale, 1.0)) * height
+            )  # a line has some room
+            for scale in scales
+        )
+
+    @property
+    def label_scale(self) -> float:
+        """The largest size of the letters for which there is room, by their plain size."""
+        if not self.label or self.label_area.isEmpty():
+            return 0.0
+        scale = min(ROOM, self.label_area.width() / self._width_of(self.label))
+        breaks = self.label_shape.count("\n")
+        if breaks:
+            lines = self.label_area.height() / self._metrics.height()
+            scale = min(scale, max((lines - 1) / breaks, lines / (breaks + 1)))
+        return float(scale)
+
+    def _width_of(self, text: str) -> float:
+        return float(max(self._metrics.horizontalAdvance(line) for line in text.split("\n")))
 
     @property
     def is_dropping(self) -> bool:
@@ -154,11 +184,13 @@ class EdgeItem(Item):
         painter.drawPath(self.path)
         painter.setBrush(QBrush(stroke.color()))
         painter.setPen(Qt.NoPen)
-        painter.drawPolygon(self._head)
-        if not self.label_area.isEmpty() and painter.worldTransform().m11() > _LEAST:
+        painter.drawPolygon(self._head(_ARROW + 2 * (self.breadth - _THIN)))
+        least = LEAST_TEXT / (self._height * painter.worldTransform().m11())
+        most = self.label_scale
+        if least <= most:
             painter.setFont(self._font)
             painter.setPen(self.colours.alarm if self.is_dropping else self.colours.muted)
-            painter.drawText(self.label_area, Qt.AlignCenter, self.label)
+            write(painter, self.label_area, self.label, max(least, min(most, 1.0)))
 
     def stroke(self) -> QPen:
         if self.isSelected():
@@ -172,26 +204,43 @@ class EdgeItem(Item):
     def plain_stroke(self) -> QPen:
         """The pen while nothing is selected or highlighted."""
         if self.is_dead:
-            return QPen(self.colours.box_line, 1.1, Qt.DashLine)
+            return QPen(self.colours.box_line, _THIN, Qt.DashLine)
         if self.verdict is not None:
             truth = self.verdict.truth
             return QPen(self.colours.of_truth(truth), 2.0, _DASHES[truth])
-        return QPen(self.colours.alarm, 1.6) if self.is_dropping else QPen(self.colours.line, 1.1)
+        colour = self._complaint
+        width = max(self.breadth, 1.6 if colour is not None else _THIN)
+        return QPen(self.colours.line if colour is None else colour, width)
 
-    @qt_slot
-    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        self.scene().highlight(self.edge)
+    @property
+    def breadth(self) -> float:
+        """The width of its line by its bandwidth, in steps of half a pixel."""
+        bandwidth = self.traffic.bandwidth if self.traffic is not None else None
+        if bandwidth is None or bandwidth <= _BROAD:
+            return _THIN
+        steps = round(2 * _WIDER * math.log10(bandwidth / _BROAD))
+        return min(_THIN + steps / 2, _WIDEST)
 
-    @qt_slot
-    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        self.scene().highlight(None)
+    @property
+    def _complaint(self) -> Optional[QColor]:
+        """The colour that says that messages are dropped, or else old; None for neither."""
+        if self.is_dropping:
+            return self.colours.alarm
+        is_old = self.traffic is not None and self.traffic.is_old
+        return self.colours.warning if is_old else None
 
-    def _head_at(self, tip: QPointF, along: QPointF) -> QPolygonF:
-        across = QPointF(-along.y(), along.x())
-        tip = tip - along * PORT_RADIUS if self.edge.head_port else tip
-        back = tip - along * _ARROW
-        return QPolygonF([tip, back + across * _ARROW * 0.4, back - across * _ARROW * 0.4])
+    def _head(self, length: float) -> QPolygonF:
+        along, across = self._along, QPointF(-self._along.y(), self._along.x())
+        tip = self._tip - along * PORT_RADIUS if self.edge.head_port else self._tip
+        back = tip - along * length
+        return QPolygonF([tip, back + across * length * 0.4, back - across * length * 0.4])
 
     def _measure(self) -> None:
         area = self.path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
         self.setRect(area.united(self.label_area))
+
+
+def _usual(number: Match[str]) -> str:
+    """The same for all numbers but those of four digits and more."""
+    is_usual = "." in number[0] or len(number[0]) <= len(NUMBER)
+    return NUMBER if is_usual else "0" * len(number[0])

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, Optional, Tuple
+from typing import Any, Optional, Tuple, Union
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -24,21 +24,32 @@ from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import Colours, Tone
+from dyknow_rqt.canvas.appearance import Colours
+from dyknow_rqt.canvas.tones import Tone
+from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.verdicts import PortVerdict
 
 PORT_RADIUS = 4.0
-#: Opacity of the halo around what is marked, of 255.
+#: Opacity of the halo around a marked item, of 255.
 _HALO = 150
 
 
 class Mark(enum.Enum):
-    """What has become of an item."""
+    """The change of an item since the last graph."""
 
     CAME = "came"
     WENT = "went"
     MOVED = "moved"
+
+
+def write(painter: QPainter, area: QRectF, text: str, larger: float) -> None:
+    """Write a text around the middle of an area, larger by a factor."""
+    painter.save()
+    painter.translate(area.center())
+    painter.scale(larger, larger)
+    painter.drawText(QRectF(), Qt.AlignCenter | Qt.TextDontClip, text)
+    painter.restore()
 
 
 def rectangle_of(area: Rectangle) -> QRectF:
@@ -49,7 +60,12 @@ class Item(QGraphicsRectItem):
     """The base of all items: colours, a tone, and a way to report errors.
 
     It paints within its rectangle: Qt asks for that so often that Python must not answer.
+
+    Attributes:
+        key: the thing that is highlighted while the pointer is over it.
     """
+
+    key: Union[str, Edge] = ""
 
     def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
         super().__init__(parent)
@@ -62,15 +78,20 @@ class Item(QGraphicsRectItem):
         if self.scene() is not None:
             self.scene().report(text)
 
-    def set_tone(self, tone: Tone) -> None:
-        if tone is not self.tone:
-            self.tone = tone
-            self.update()
+    def change(self, **looks: object) -> None:
+        """Set attributes on which its look depends, and have it painted again if they differ."""
+        for name, value in looks.items():
+            if value != getattr(self, name):
+                setattr(self, name, value)
+                self.update()
 
-    def set_mark(self, mark: Optional[Mark]) -> None:
-        if mark is not self.mark:
-            self.mark = mark
-            self.update()
+    @qt_slot
+    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
+        self.scene().highlight(self.key)
+
+    @qt_slot
+    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
+        self.scene().highlight(None)
 
     @property
     def mark_colour(self) -> QColor:
@@ -156,16 +177,6 @@ class PortItem(Item):
         self._hovered = False
         self.setRect(self.shape().boundingRect().united(self._name_area()))
 
-    def set_connected(self, is_connected: bool) -> None:
-        if is_connected != self.is_connected:
-            self.is_connected = is_connected
-            self.update()
-
-    def set_verdict(self, verdict: Optional[PortVerdict]) -> None:
-        if verdict != self.verdict:
-            self.verdict = verdict
-            self.update()
-
     @property
     def truth(self) -> Truth:
         return Truth.UNKNOWN if self.verdict is None else self.verdict.truth
@@ -210,10 +221,8 @@ class PortItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        self._hovered = True
-        self.update()
+        self.change(_hovered=True)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        self._hovered = False
-        self.update()
+        self.change(_hovered=False)

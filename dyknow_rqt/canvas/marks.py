@@ -43,13 +43,11 @@ class Marks(QObject):
         self._shown = Difference()
         self.ghosts: Dict[str, VertexItem] = {}
         self.links: List[QGraphicsItem] = []
-        self._ending = QTimer(self)
-        self._ending.setSingleShot(True)
-        self._ending.setInterval(LASTING)
+        self._ending = QTimer(self, singleShot=True, interval=LASTING)
         self._ending.timeout.connect(self.clear)
 
     def show(self, found: Difference, is_lasting: bool = False) -> None:
-        """Mark a difference besides what is marked; ``is_lasting`` until something else is."""
+        """Mark a difference besides the marked ones; ``is_lasting`` until the next one."""
         shown = self._shown
         self._shown = Difference(
             (shown.came | found.came) - found.went,
@@ -87,10 +85,10 @@ class Marks(QObject):
         return True
 
     def apply(self) -> None:
-        """Mark the items that are drawn now, and link what was mended."""
+        """Mark the items that are drawn now, and link nodelets with their replacements."""
         scene, shown = self._scene, self._shown
         for item in (*scene.edges.values(), *scene.vertices.values(), *self.ghosts.values()):
-            item.set_mark(self.of(item))
+            item.change(mark=self.of(item))
         for name in [name for name in self.ghosts if name not in shown.went]:
             scene.removeItem(self.ghosts.pop(name))
         for link in self.links:

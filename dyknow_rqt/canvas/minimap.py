@@ -43,9 +43,7 @@ class Minimap(QWidget):
         self._scene = scene
         self._seen = QRectF()
         self._overview = Overview()
-        self._lag = QTimer(self)
-        self._lag.setSingleShot(True)
-        self._lag.setInterval(_LAG)
+        self._lag = QTimer(self, singleShot=True, interval=_LAG)
         self._lag.timeout.connect(self._look)
         self.setCursor(Qt.SizeAllCursor)
         self.setToolTip("The whole graph: press or drag to move there")

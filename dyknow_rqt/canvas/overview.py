@@ -36,8 +36,10 @@ _SMALL = 0.75
 _NARROW, _MARGIN = 90.0, 3.0
 
 
-#: Pixels from where on an arrow is light, so as not to hide what it passes.
+#: Pixels from where on an arrow is light, so as not to hide the items below it.
 _LONG = 600.0
+#: Pixels: the width of a line that stands for a ring.
+_RING = 2.2
 #: The most shapes that are painted at a time, and pixels of a picture.
 _FEW, _MOST_PIXELS = 150, 6e6
 
@@ -49,7 +51,7 @@ class Overview:
     called thousands of times for 500 nodelets. Until it is done the last picture is shown.
 
     Attributes:
-        area: what it shows, in pixels of the drawing.
+        area: the shown part, in pixels of the drawing.
         scale: pixels of the picture per pixel of the drawing; 0 before the first.
     """
 
@@ -150,7 +152,7 @@ def paint_titles(
     for whole, title in titles:
         owner = whole & seen
         if owner.isEmpty() or (owner != whole and owner.width() < _NARROW * pixel):
-            continue  # what is left of it would hide the title of the next one
+            continue  # the rest of it would hide the title of the next one
         room = max(_NARROW, (owner.width() - 16) / pixel)
         text = metrics.elidedText(title, Qt.ElideMiddle, room)
         size = QRectF(0, 0, metrics.horizontalAdvance(text), metrics.height())
@@ -194,7 +196,9 @@ def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
 
 def _shapes(vertices: Iterable[VertexItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
     for item in vertices:
-        yield _look(item.plain_stroke(), item.fill().rgba()), item.outline()
+        pen, share = item.ring
+        pen.setWidthF(_RING)
+        yield _look(pen if share else item.plain_stroke(), item.fill().rgba()), item.outline()
 
 
 def _look(pen: QPen, fill: int = 0) -> _Look:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Long work of the interface's thread, done in slices between which it takes in what users do."""
+"""Long work of the interface's thread, in slices with the user's input between them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,19 @@ SLICE = 0.02
 
 
 class Slices(QObject):
-    """Does jobs one after the other, each once however often it was wanted meanwhile."""
+    """Does jobs one after the other, each once however often it was wanted meanwhile.
+
+    Attributes:
+        is_working: whether a slice is being done; between two of them a user may be at work.
+    """
 
     def __init__(self, report: Callable[[str], None], parent: QObject) -> None:
         super().__init__(parent)
         self.report = report
+        self.is_working = False
         self._steps: Dict[Job, Iterator[None]] = {}
         self._again: Set[Job] = set()
-        self._timer = QTimer(self)
-        self._timer.setInterval(0)
+        self._timer = QTimer(self, interval=0)
         self._timer.timeout.connect(self.go_on)
 
     def want(self, job: Job) -> None:
@@ -48,7 +52,15 @@ class Slices(QObject):
     @qt_slot
     def go_on(self) -> None:
         """Do one slice."""
-        end = time.monotonic() + SLICE
+        self.is_working = True
+        try:
+            self._do(time.monotonic() + SLICE)
+        finally:
+            self.is_working = False
+        if not self._steps:
+            self._timer.stop()
+
+    def _do(self, end: float) -> None:
         for job in list(self._steps):
             try:
                 for _ in self._steps[job]:
@@ -61,5 +73,3 @@ class Slices(QObject):
             if job in self._again:
                 self._again.discard(job)
                 self._steps[job] = job()
-        if not self._steps:
-            self._timer.stop()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Dict, List, Optional
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Tuple
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -23,25 +23,28 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import Appearance, Colours, Tone
-from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, height_of
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
+from dyknow_rqt.canvas.tones import Tone
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
+from dyknow_rqt.graph.rates import Strain
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
 
-#: Pixels of the least text that is written.
-_LEAST = 9.0
 #: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
 _OVER = 4.0
 #: Pixels that a name may be wider than its vertex, over the ends of its arrows.
 _BESIDE = 44.0
-#: A name that is larger by this factor leaves no room for a badge.
-_MOST = 1.4
-#: What is not there yet.
+#: Size of a badge, in that of the name; a name that is larger by the factor leaves no room for it.
+_BADGE, _MOST = 0.8, 1.1
+#: Kinds of vertices that do not exist yet.
 _DASHED = (VertexKind.CLAIM, VertexKind.GHOST)
-_CENTRE = Qt.AlignCenter | Qt.TextDontClip
+#: Pixels: the width of a ring, and its distance from the line.
+_RING = 3.0
+#: Units of an angle.
+_DEGREE = 16
 
 
 class VertexItem(Item):
@@ -49,17 +52,18 @@ class VertexItem(Item):
 
     def __init__(self, vertex: Vertex, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
-        self.vertex = vertex
+        self.vertex, self.key = vertex, vertex.key
         self.appearance = Appearance()
         self.ports: Dict[str, PortItem] = {}
         self._font = font
         self._metrics = QFontMetricsF(font)
-        self._height = float(font.pixelSize() if font.pixelSize() > 0 else self._metrics.ascent())
+        self._height = height_of(font)
         self._cut_for, self._cut_text = ("", 0.0, 0.0), ""
         self._size = Size(0, 0)
         self._is_downwards = False
         self._label = ""
         self.found = False
+        self.strain = Strain()
         #: The state of the nodelet that it shows.
         self.shown: Optional[NodeletStatus] = None
         self.setAcceptHoverEvents(True)
@@ -71,7 +75,7 @@ class VertexItem(Item):
         if (vertex, size, is_downwards) == (self.vertex, self._size, self._is_downwards):
             return
         self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
-        self.shown = None  # its ports may be others
+        self.shown = None  # its ports may have changed
         self._label = vertex.label
         self.setRect(self.area.adjusted(-5 - _BESIDE / 2, -5, 5 + _BESIDE / 2, 5))
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
@@ -96,10 +100,10 @@ class VertexItem(Item):
             self.appearance = appearance
             self.look_again()
 
-    def set_found(self, found: bool) -> None:
-        if found != self.found:
-            self.found = found
-            self.update()
+    def set_strain(self, strain: Strain) -> None:
+        before, self.strain = self.strain, strain
+        if (before.busy, before.error) != (strain.busy, strain.error):
+            self.look_again()
 
     @property
     def stands_out(self) -> bool:
@@ -159,6 +163,7 @@ class VertexItem(Item):
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         self.paint_mark(painter, self.shape())
+        self._paint_ring(painter)
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
         if self.vertex.kind.is_square:
@@ -175,28 +180,35 @@ class VertexItem(Item):
         font.setStrikeOut(self.tone is Tone.DROPPED)
         painter.setFont(font)
         painter.setPen(self._text_colour())
-        badge = self._badge()
-        larger = _LEAST / (self._height * painter.worldTransform().m11())
-        area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
+        larger = LEAST_TEXT / (self._height * painter.worldTransform().m11())
+        badge, label = self._badge() if larger < _MOST else "", self._label
+        area = self.area.adjusted(0, 0, 0, -10 if badge else 0)
         if larger > 1.0:
-            self._paint_large(painter, area, larger)
-        else:
-            painter.drawText(area, Qt.AlignCenter, self._label)
-        if badge and larger < _MOST:
-            self._paint_badge(painter, badge)
+            label = self._cut((area.width() + _BESIDE) / larger, area.height() / larger)
+        write(painter, area, label, max(1.0, larger))
+        if badge:
+            self._paint_badge(painter, badge, max(1.0, larger / _BADGE))
         if self.mark is Mark.WENT:
             painter.setPen(QPen(self.mark_colour, 2.0))
             painter.drawLine(self.area.bottomLeft(), self.area.topRight())
 
-    def _paint_large(self, painter: QPainter, area: QRectF, larger: float) -> None:
-        """Write the name so large that it can be read, as much of it as there is room for."""
-        width, height = (area.width() + _BESIDE) / larger, area.height() / larger
-        painter.save()
-        painter.translate(area.center())
-        painter.scale(larger, larger)
-        room = QRectF(-width / 2, -height / 2, width, height)
-        painter.drawText(room, _CENTRE, self._cut(width, height))
-        painter.restore()
+    @property
+    def ring(self) -> Tuple[QPen, float]:
+        """The pen of the ring around it, and the share of the circle; 0 for no ring.
+
+        A whole one of dots stands for errors, an arc from the top for the share of a core.
+        """
+        if self.strain.error:
+            return QPen(self.colours.alarm, _RING, Qt.DotLine), 1.0
+        return QPen(self.colours.warning, _RING, Qt.SolidLine, Qt.FlatCap), self.strain.busy
+
+    def _paint_ring(self, painter: QPainter) -> None:
+        pen, share = self.ring
+        if share:
+            painter.setPen(pen)
+            painter.setBrush(Qt.NoBrush)
+            area = self.area.adjusted(-_RING, -_RING, _RING, _RING)
+            painter.drawArc(area, 90 * _DEGREE, -round(share * 360) * _DEGREE)
 
     def _cut(self, width: float, height: float) -> str:
         """As much of the name as there is room for; kept while that is as it was."""
@@ -207,14 +219,6 @@ class VertexItem(Item):
             text = "\n".join(metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines)
             self._cut_for, self._cut_text = (self._label, width, height), text
         return self._cut_text
-
-    @qt_slot
-    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        self.scene().highlight(self.vertex.key)
-
-    @qt_slot
-    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        self.scene().highlight(None)
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:
         width, height = self._size
@@ -279,13 +283,12 @@ class VertexItem(Item):
         ]
         return " · ".join(words)
 
-    def _paint_badge(self, painter: QPainter, text: str) -> None:
+    def _paint_badge(self, painter: QPainter, text: str, larger: float) -> None:
         font = QFont(self._font)
-        font.setPointSizeF(self._font.pointSizeF() * 0.72)
+        font.setPointSizeF(self._font.pointSizeF() * _BADGE)
         painter.setFont(font)
         alarm = self.appearance.state is State.FAILED
         painter.setPen(self.colours.alarm if alarm else self.colours.muted)
         lines = self._label.count("\n") + 1
-        top = QFontMetricsF(self._font).height() * lines / 2 - 5
-        area = QRectF(self.area.left(), top, self.area.width(), 13)
-        painter.drawText(area, Qt.AlignHCenter | Qt.AlignTop, text)
+        top = self._metrics.height() * lines / 2 - 5
+        write(painter, QRectF(self.area.left(), top, self.area.width(), 13), text, larger)

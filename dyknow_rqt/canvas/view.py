@@ -5,18 +5,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, List, Optional, Union
+from typing import Any, Callable, Dict, Iterable, Optional, Union
 
-from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, Signal
-from python_qt_binding.QtGui import QPainter, QPainterPath, QPalette, QPen, QTransform
-from python_qt_binding.QtWidgets import (
-    QApplication,
-    QFrame,
-    QGraphicsPathItem,
-    QGraphicsView,
-    QLabel,
-    QWidget,
-)
+from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
+from python_qt_binding.QtGui import QPainter, QTransform
+from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import qt_slot
@@ -25,7 +18,8 @@ from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.minimap import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Group, VertexKind
+from dyknow_rqt.canvas.wire import Wire
+from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.geometry import Point
 
 #: Where a connection may end: at a port, at the topic of that name, or in an arrow.
@@ -37,6 +31,8 @@ _ROOM = 1.5
 _SMALLEST, _LARGEST = 0.05, 8.0
 #: From the first zoom on names can be made out, from the second on they can be read well.
 _LEGIBLE, _READABLE = 0.45, 0.7
+#: Pixels that a key moves the view.
+_WAY = 60.0
 _ARROWS = {
     Qt.Key_Left: QPointF(-1, 0),
     Qt.Key_Right: QPointF(1, 0),
@@ -92,8 +88,6 @@ class GraphView(QGraphicsView):
         self.is_chosen = False
         #: Whether hands may change the graph.
         self.is_editable = True
-        self._from: Optional[PortItem] = None
-        self._band: Optional[QGraphicsPathItem] = None
         self._target: Target = None
         self._ground: Optional[QPoint] = None
         self._pressed = QPoint()
@@ -105,13 +99,8 @@ class GraphView(QGraphicsView):
         for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
             bar.valueChanged.connect(self._follow)
         self.scene().shown.connect(self._follow)
-        self.hint = QLabel(self.viewport())
-        self.hint.setAttribute(Qt.WA_TransparentForMouseEvents)
-        self.hint.setForegroundRole(QPalette.ToolTipText)
-        self.hint.setBackgroundRole(QPalette.ToolTipBase)
-        self.hint.setAutoFillBackground(True)
-        self.hint.setMargin(4)
-        self.hint.hide()
+        #: The connection that is drawn by hand.
+        self.wire = Wire(self)
 
     # Zoom
 
@@ -181,7 +170,6 @@ class GraphView(QGraphicsView):
     @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
-        event.accept()
 
     def viewportEvent(self, event: QEvent) -> bool:  # noqa: N802
         """Handle an event; in Python, so that items are painted without a wait for each of them.
@@ -210,13 +198,9 @@ class GraphView(QGraphicsView):
                     each.vertex.key: each.pos() for each in chosen if isinstance(each, VertexItem)
                 }
             return
-        self._from = port
-        self._band = QGraphicsPathItem()
-        self._band.setPen(QPen(port.colours.chosen, 2, Qt.DashLine))
-        self._band.setZValue(20)
-        self.scene().addItem(self._band)
+        self.wire.begin(port)
         self.drag_began.emit(port.ref)
-        self._tell_target(None, event.pos())
+        self._tell_target(port, None, event.pos())
 
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
@@ -226,23 +210,19 @@ class GraphView(QGraphicsView):
                 way = self.mapToScene(event.pos()) - self.mapToScene(self._pressed)
                 self.scene().move(self._starts, way)
             return
-        if self._from is None or self._band is None:
+        start = self.wire.start
+        if start is None:
             pans = self._ground is not None and self.dragMode() == QGraphicsView.ScrollHandDrag
             if pans and event.buttons() & Qt.LeftButton:  # a click leaves the view as it is
                 self.is_chosen = self.is_chosen or self._is_far_from_press(event.pos())
             super().mouseMoveEvent(event)
             return
-        start, end = self._from.scenePos(), self.mapToScene(event.pos())
-        path = QPainterPath(start)
-        reach = 50.0 if self._from.direction == "out" else -50.0
-        way = QPointF(0, reach) if self.scene().figure.is_downwards else QPointF(reach, 0)
-        path.cubicTo(start + way, end - way, end)
-        self._band.setPath(path)
-        self._tell_target(self._target_at(event.pos()), event.pos())
+        self.wire.lead(start, self.mapToScene(event.pos()))
+        self._tell_target(start, self._target_at(event.pos()), event.pos())
 
     @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
-        start = self._from
+        start = self.wire.start
         if start is None:
             super().mouseReleaseEvent(event)
             self._end_band()
@@ -265,17 +245,13 @@ class GraphView(QGraphicsView):
     @qt_slot
     def mouseDoubleClickEvent(self, event: Any) -> None:  # noqa: N802
         item = self._item_at(event.pos())
+        group = self.scene().box_at(self.mapToScene(event.pos()))
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.BOX:
             self.box_pressed.emit((*item.vertex.group, item.vertex.name))
-        elif (item is None or item.is_far) and self.box_at(event.pos()):
-            self.box_pressed.emit(self.box_at(event.pos()))
+        elif group and (item is None or item.is_far):
+            self.box_pressed.emit(group)
         else:
             super().mouseDoubleClickEvent(event)
-
-    def box_at(self, place: QPoint) -> Group:
-        """The innermost open box at a place of the view; empty if there is none."""
-        group: Group = self.scene().box_at(self.mapToScene(place))
-        return group
 
     @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
@@ -295,7 +271,7 @@ class GraphView(QGraphicsView):
     def event(self, event: QEvent) -> bool:
         """Keep Escape from other widgets while a connection is drawn: it ends that."""
         is_key = event.type() == QEvent.ShortcutOverride
-        if is_key and event.key() == Qt.Key_Escape and self._from is not None:
+        if is_key and event.key() == Qt.Key_Escape and self.wire.start is not None:
             event.accept()
             return True
         return bool(super().event(event))
@@ -304,7 +280,7 @@ class GraphView(QGraphicsView):
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         """Arrow keys select the next item in their direction; with Ctrl they move the view."""
         key = event.key()
-        if key == Qt.Key_Escape and self._from is not None:
+        if key == Qt.Key_Escape and self.wire.start is not None:
             self._end_drag()
         elif key == Qt.Key_Escape:
             self.topic_pressed.emit("")
@@ -318,7 +294,7 @@ class GraphView(QGraphicsView):
         elif key == Qt.Key_Minus:
             self._zoom_at_centre(1 / _STEP)
         elif key in _ARROWS and event.modifiers() & Qt.ControlModifier:
-            self._move_view(_ARROWS[key])
+            self._show_place(self.seen.center() + _ARROWS[key] * (_WAY / self.zoom))
         elif key in _ARROWS:
             self.select_towards(_ARROWS[key])
         else:
@@ -331,25 +307,19 @@ class GraphView(QGraphicsView):
         self.ensureVisible(item.sceneBoundingRect(), 40, 40)
 
     def select_towards(self, direction: QPointF) -> None:
-        """Select the nearest item in a direction from the selected one."""
+        """Select the nearest item in a direction from the selected one, or else the leftmost."""
         chosen = [item for item in self.scene().selectedItems() if isinstance(item, VertexItem)]
-        others: List[VertexItem] = list(self.scene().vertices.values())
-        if not others:
-            return
-        if not chosen:
-            self.select(min(others, key=lambda item: (item.x(), item.y())))
-            return
-        here = chosen[0].pos()
-
-        def way(item: VertexItem) -> float:
-            off = item.pos() - here
-            along = off.x() * direction.x() + off.y() * direction.y()
+        ways = []
+        for item in self.scene().vertices.values():
+            off = item.pos() - chosen[0].pos() if chosen else item.pos()
+            along = QPointF.dotProduct(off, direction)
             across = abs(off.x() * direction.y()) + abs(off.y() * direction.x())
-            return along + 2 * across if along > 1 else float("inf")
-
-        nearest = min(others, key=way)
-        if way(nearest) < float("inf"):
-            self.select(nearest)
+            if not chosen:
+                ways.append((item.x(), item.y(), item))
+            elif along > 1:
+                ways.append((along + 2 * across, 0.0, item))
+        if ways:
+            self.select(min(ways, key=lambda way: way[:2])[2])
 
     # Inside
 
@@ -370,16 +340,8 @@ class GraphView(QGraphicsView):
         self.zoom_by(factor)
         self.setTransformationAnchor(QGraphicsView.AnchorUnderMouse)
 
-    def _move_view(self, direction: QPointF) -> None:
-        self.is_chosen = True
-        for bar, amount in (
-            (self.horizontalScrollBar(), direction.x()),
-            (self.verticalScrollBar(), direction.y()),
-        ):
-            bar.setValue(bar.value() + int(amount * 60))
-
     def _is_far_from_press(self, place: QPoint) -> bool:
-        """Whether the pointer has moved so far that it is no click."""
+        """Whether the pointer has moved too far for a click."""
         way: int = (place - self._pressed).manhattanLength()
         return way >= int(QApplication.startDragDistance())
 
@@ -398,36 +360,18 @@ class GraphView(QGraphicsView):
         self._starts, self._is_moving = {}, False
         if was_moved:
             items = self.scene().vertices.items()
-            places = {key: item.pos() for key, item in items if key in starts}
-            self.moved.emit({key: Point(at.x(), at.y()) for key, at in places.items()})
+            self.moved.emit({k: Point(item.x(), item.y()) for k, item in items if k in starts})
 
     def _end_drag(self) -> None:
-        if self._band is not None:
-            self.scene().removeItem(self._band)
-        self._from = self._band = None
-        self.hint.hide()
+        self.wire.end()
         self.scene().offer(None)
 
-    def _tell_target(self, target: Target, place: QPoint) -> None:
-        """Tell over what the connection is, and keep what is said of that beside the pointer."""
-        if target != self._target or not self.hint.isVisible():
+    def _tell_target(self, start: PortItem, target: Target, place: QPoint) -> None:
+        """Report the port or topic below the wire, and keep the answer beside the pointer."""
+        if target != self._target or not self.wire.isVisible():
             self._target = target
-            assert self._from is not None
-            self.dragged.emit(self._from.ref, target if target != self._from.ref else None)
-        size, room = self.hint.size(), self.viewport().size()
-        left = max(0, min(place.x() + 18, room.width() - size.width()))
-        below = place.y() + 24
-        is_room = below + size.height() <= room.height()
-        self.hint.move(left, below if is_room else place.y() - 12 - size.height())
-
-    def say(self, text: str) -> None:
-        """Say something beside the connection that is drawn."""
-        self.hint.setText(text)
-        self.hint.setWordWrap(False)
-        width = min(self.hint.sizeHint().width(), self.viewport().width())
-        self.hint.setWordWrap(True)
-        self.hint.resize(width, self.hint.heightForWidth(width))
-        self.hint.show()
+            self.dragged.emit(start.ref, target if target != start.ref else None)
+        self.wire.stay_beside(place)
 
     def _target_at(self, place: QPoint) -> Target:
         port, item = self._port_at(place), self._item_at(place)
@@ -438,16 +382,18 @@ class GraphView(QGraphicsView):
         return item.edge if isinstance(item, EdgeItem) else None
 
     def _port_at(self, place: QPoint) -> Optional[PortItem]:
-        return next((item for item in self._items_at(place) if isinstance(item, PortItem)), None)
+        found: Optional[PortItem] = self._hit(place, PortItem)
+        return found
 
-    def _item_at(self, place: QPoint) -> Optional[Item]:
-        kinds = (VertexItem, EdgeItem)
-        return next((item for item in self._items_at(place) if isinstance(item, kinds)), None)
+    def _item_at(self, place: QPoint) -> Union[None, EdgeItem, VertexItem]:
+        found: Union[None, EdgeItem, VertexItem] = self._hit(place, VertexItem, EdgeItem)
+        return found
 
-    def _items_at(self, place: QPoint) -> List[Any]:
-        reach = 3
-        area = QRectF(place.x() - reach, place.y() - reach, 2 * reach, 2 * reach).toRect()
-        return [item for item in self.items(area) if item.isEnabled()]
+    def _hit(self, place: QPoint, *kinds: type) -> Any:
+        """The uppermost item of these kinds that is hit at a place, or nearly so; or None."""
+        area = QRect(place, place).adjusted(-3, -3, 3, 3)
+        items = (item for item in self.items(area) if item.isEnabled())
+        return next((item for item in items if isinstance(item, kinds)), None)
 
     def place_of(self, ref: PortRef) -> Optional[QPoint]:
         port = self.scene().port_item(ref)

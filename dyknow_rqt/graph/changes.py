@@ -17,7 +17,6 @@ from typing import (
     Mapping,
     NamedTuple,
     NoReturn,
-    Optional,
     Sequence,
     Tuple,
 )
@@ -33,8 +32,6 @@ from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring
 from dyknow_rqt.graph.snapshot import Snapshot
 
-#: The most changes that can be undone.
-DEPTH = 100
 Do = Callable[[], object]
 DoAndUndo = Tuple[Do, Do]
 
@@ -71,7 +68,7 @@ class DoneChange(NamedTuple):
         """Undo the steps, the last first, up to the first that is refused.
 
         Raises:
-            CannotUndo: there is no way back, or another client has changed the same things since.
+            CannotUndo: it has no inverse, or another client has changed the same things since.
         """
         for step in self.steps:
             step.check()
@@ -118,7 +115,7 @@ class Steps(Change):
 
 
 def _one_step(text: str, make: Callable[[Present], DoAndUndo]) -> Change:
-    """Return a change of one step; `make` returns what does and undoes it."""
+    """Return a change of one step; `make` returns the functions that do and undo it."""
     return Steps(text, lambda present: [ReversibleStep(text, "", *make(present))])
 
 
@@ -281,17 +278,6 @@ def protect(name: str, on: bool) -> Change:
     )
 
 
-def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
-    """Decide how a switch of the protection of nodelets works.
-
-    Returns:
-        The nodelets to protect, those that are not yet; or if all are, all of them, to release.
-    """
-    nodelets = (snapshot.nodelet(name) for name in names)
-    free = [each.name for each in nodelets if each is not None and not each.is_protected]
-    return (free, True) if free or not names else (list(names), False)
-
-
 def add_transformations(specification: str, origin: str = "a specification") -> Change:
     """Add the transformations of an XML text that comes from `origin`."""
 
@@ -396,48 +382,3 @@ def replan(claim_id: str, tag: str) -> Change:
         f"replan {tag}",
         lambda present: (lambda: present.client.replan_stream(claim_id), _no_way(reason)),
     )
-
-
-class UndoHistory:
-    """Two stacks: changes to undo and changes to redo."""
-
-    def __init__(self) -> None:
-        self._done: List[DoneChange] = []
-        self._undone: List[Change] = []
-
-    def note(self, done: DoneChange) -> None:
-        """Note a change; nothing can be redone after it."""
-        self._done.append(done)
-        del self._done[:-DEPTH]
-        self._undone.clear()
-
-    def note_undone(self) -> None:
-        """Note that the last change was undone."""
-        self._undone.append(self._done.pop().change)
-
-    def note_redone(self, done: DoneChange) -> None:
-        """Note that the last undone change was redone."""
-        self._undone.pop()
-        self._done.append(done)
-
-    def drop(self) -> None:
-        """Forget the last change, which cannot be undone, so that those before it can be."""
-        self._done.pop()
-
-    @property
-    def last(self) -> Optional[DoneChange]:
-        """The change that undo undoes, or None."""
-        return self._done[-1] if self._done else None
-
-    @property
-    def next(self) -> Optional[Change]:
-        """The change that redo makes, or None."""
-        return self._undone[-1] if self._undone else None
-
-    @property
-    def texts(self) -> Tuple[str, str]:
-        """The changes that undo and redo would make, in words; empty for none."""
-        return (
-            self.last.change.text if self.last is not None else "",
-            self.next.text if self.next is not None else "",
-        )

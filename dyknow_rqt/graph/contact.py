@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the window hears of the master and of the manager, and since when."""
+"""The last answers of the master and of the manager, and their times."""
 
 from __future__ import annotations
 

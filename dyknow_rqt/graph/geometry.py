@@ -23,6 +23,11 @@ class Point(NamedTuple):
     def minus(self, other: Point) -> Point:
         return Point(self.x - other.x, self.y - other.y)
 
+    @property
+    def turned(self) -> Point:
+        """With x and y swapped."""
+        return Point(self.y, self.x)
+
     def distance(self, other: Point) -> float:
         """The larger of the distances in x and in y."""
         return max(abs(self.x - other.x), abs(self.y - other.y))
@@ -96,28 +101,28 @@ class Layout:
     boxes: Mapping[Tuple[str, ...], Rectangle] = field(default_factory=dict)
 
     def turned(self) -> Layout:
-        """Swap x and y: from left to right becomes from top to bottom."""
+        """Swap x and y: from left to right becomes from top to bottom; it has no boxes then."""
         return Layout(
-            {key: Point(y, x) for key, (x, y) in self.centres.items()},
-            {edge: tuple(Point(y, x) for x, y in curve) for edge, curve in self.curves.items()},
-            {
-                group: Rectangle(r.top, r.left, r.bottom, r.right)
-                for group, r in self.boxes.items()
-            },
+            {key: place.turned for key, place in self.centres.items()},
+            {edge: tuple(each.turned for each in curve) for edge, curve in self.curves.items()},
         )
 
     def moved(self, by: Point) -> Layout:
-        return Layout(
-            {key: place.plus(by) for key, place in self.centres.items()},
-            {
-                edge: tuple(place.plus(by) for place in curve)
-                for edge, curve in self.curves.items()
-            },
-            {
-                group: Rectangle(r.left + by.x, r.top + by.y, r.right + by.x, r.bottom + by.y)
-                for group, r in self.boxes.items()
-            },
-        )
+        """Move everything; it has no boxes then."""
+        return self.put_at({key: place.plus(by) for key, place in self.centres.items()})
+
+    def put_at(self, places: Mapping[str, Point]) -> Layout:
+        """Move vertices to their places; it has no boxes then.
+
+        Arrows whose two ends move alike go along, the rest are left out.
+        """
+        ways = {k: places[k].minus(place) for k, place in self.centres.items() if k in places}
+        curves, still = {}, Point(0.0, 0.0)
+        for edge, curve in self.curves.items():
+            tail, head = ways.get(edge.tail, still), ways.get(edge.head, still)
+            if tail.distance(head) < 1.0:
+                curves[edge] = tuple(place.plus(tail) for place in curve)
+        return Layout({key: places.get(key, each) for key, each in self.centres.items()}, curves)
 
 
 @dataclass(frozen=True)
@@ -178,9 +183,9 @@ def boxes_around(
 
 
 #: Pieces that each part of a curve is cut into; a label may stand beside the end of each.
-_PIECES = 8
+_PIECES = 16
 #: Where a label may stand beside a point of its curve: shares of its width and height that its
-#: centre is off, and what is better first. A steep curve would run through one that is centred.
+#: centre is off, and the better one first. A steep curve would run through one that is centred.
 _SIDES = (
     *((0.0, -0.5, 0.0), (0.5, -0.5, 1.0), (-0.5, -0.5, 1.0)),
     *((0.0, 0.5, 1.5), (0.5, 0.5, 2.5), (-0.5, 0.5, 2.5)),
@@ -193,14 +198,15 @@ _CELL = 32.0
 
 def place_labels(
     curves: Mapping[Edge, Sequence[Point]],
-    sizes: Mapping[Edge, Size],
+    sizes: Mapping[Edge, Sequence[Size]],
     obstacles: Iterable[Rectangle],
 ) -> Dict[Edge, Rectangle]:
     """Place labels beside their curves, as near to the middle as there is room.
 
     Args:
         curves: control points of cubic Bézier curves, 3 n + 1 of them.
-        sizes: of the labels.
+        sizes: those that each label may have, the best first; the tallest labels, which have
+            most to say, are placed first.
         obstacles: rectangles that labels must not cover, besides curves and each other.
 
     Returns:
@@ -214,12 +220,12 @@ def place_labels(
         for start, end in zip(path, path[1:]):
             ground.take(_between(start, end))
     places = {}
-    for edge in sorted(sizes):
-        for area in _candidates(paths[edge], sizes[edge]):
-            if ground.is_free(area):
-                places[edge] = area
-                ground.take(area)
-                break
+    for edge in sorted(sizes, key=lambda edge: (-sizes[edge][0].height, edge)):
+        if not any(map(ground.is_free, _candidates(paths[edge], sizes[edge][-1]))):
+            continue  # a larger one would cover all that the smallest does
+        areas = (area for size in sizes[edge] for area in _candidates(paths[edge], size))
+        places[edge] = next(filter(ground.is_free, areas))
+        ground.take(places[edge])
     return places
 
 

@@ -32,7 +32,7 @@ def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) ->
     for part in parts:
         key = _key(part, snapshot, drawn)
         if part.is_new:
-            note = f"cost {part.cost or 0}"
+            note = "\n".join(filter(None, (part.bindings, f"cost {part.cost or 0}")))
             ghosts[key] = Vertex(key, VertexKind.GHOST, part.label, note=note)
         del above[part.depth :]
         if part.port and {key, above[-1]} <= drawn | set(ghosts):

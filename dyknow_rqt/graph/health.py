@@ -42,7 +42,7 @@ class Ill(NamedTuple):
 def ills_of(
     snapshot: Snapshot, streams: Iterable[StreamStatus], traffic: Mapping[PortRef, PortRate]
 ) -> List[Ill]:
-    """List what is not well, the worst first, each nodelet and claim once."""
+    """List the nodelets and claims in a bad state, the worst first, each once."""
     slow = {ref.nodelet for ref, each in traffic.items() if each.drop_rate > 0}
     words = {name: "slow" for name in slow}
     sick = (each for each in snapshot.nodelets if each.state in _OF_NODELETS)

@@ -8,15 +8,13 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-from dataclasses import replace
-from types import MappingProxyType
+from dataclasses import dataclass, field, replace
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.graphviz import quote
 from dyknow_rqt.graph.figure import Edge, Figure, Group, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
 from dyknow_rqt.graph.parts import MOST, Page, Piece, finished, spread
-from dyknow_rqt.graph.places import put_at
 
 
 def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
@@ -175,28 +173,44 @@ def _curve(text: str, height: float) -> Tuple[Point, ...]:
     return tuple(points)
 
 
+@dataclass(frozen=True)
+class DrawingOrder:
+    """A figure that is to be drawn.
+
+    Attributes:
+        figure: the vertices, arrows and boxes.
+        sizes: of its vertices.
+        gap: pixels between ranks, for the words on an arrow.
+        shape: of the view, width by height.
+        anew: whether to ignore the last drawing.
+        places: where the user has put vertices.
+    """
+
+    figure: Figure
+    sizes: Mapping[str, Size]
+    gap: float = 52.0
+    shape: float = 1.5
+    anew: bool = False
+    places: Mapping[str, Point] = field(default_factory=dict)
+
+
 def arranged(
-    figure: Figure,
-    sizes: Mapping[str, Size],
+    order: DrawingOrder,
     parts: Sequence[Piece],
     layouts: Mapping[Piece, Layout],
-    shape: float,
     before: Optional[Drawing] = None,
-    places: Mapping[str, Point] = MappingProxyType({}),
 ) -> Drawing:
     """Arrange the parts of a figure.
 
     All but graphviz works from left to right, and a downward flow is turned for that.
 
     Args:
-        figure: what to draw.
-        sizes: of its vertices.
-        parts: of the figure.
+        order: what to draw.
+        parts: of its figure.
         layouts: those that graphviz has made; other parts are spread.
-        shape: of the view, width by height.
         before: the drawing on the screen; None to make a drawing without regard to it.
-        places: where the user has put vertices.
     """
+    figure, sizes, shape, places = order.figure, order.sizes, order.shape, order.places
     is_turned = figure.is_downwards
     widths = _turned_sizes(sizes) if is_turned else sizes
 
@@ -214,8 +228,8 @@ def arranged(
         old = replace(before, layout=turned, sizes=_turned_sizes(before.sizes))
     layout = Page(layout_of, widths, shape, is_turned).arrange(parts, old) if parts else Layout()
     if is_turned:
-        places = {key: Point(y, x) for key, (x, y) in places.items()}
-    layout = finished(figure, put_at(layout, places), widths)
+        places = {key: place.turned for key, place in places.items()}
+    layout = finished(figure, layout.put_at(places), widths)
     vertices = tuple(without_crossings(figure, layout))
     if is_turned:
         layout = finished(figure, layout.turned(), sizes)

@@ -27,14 +27,14 @@ class GraphMoment:
 
     @property
     def essence(self) -> object:
-        """What makes it another moment; details that come and go by themselves do not."""
+        """The part that tells moments apart, without details that change by themselves."""
         claims = [(s.claim_id, s.state, s.topic, s.nodelets) for s in self.streams]
         return self.snapshot.nodelets, claims
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What is different in a later moment.
+    """The difference of a later moment from an earlier one.
 
     Attributes:
         came: names of nodelets.
@@ -59,7 +59,7 @@ class Moments:
 
     def note(self, moment: GraphMoment) -> bool:
         """Note a moment; returns whether it differs from the last one."""
-        moment = replace(moment, snapshot=replace(moment.snapshot))  # without what it has computed
+        moment = replace(moment, snapshot=replace(moment.snapshot))  # without its cached values
         if self.all and moment.essence == self.all[-1].essence:
             return False
         if len(self.all) > 1 and moment.time - self.all[-1].time < _TOGETHER:

@@ -3,9 +3,9 @@
 
 """Divides a figure into parts that graphviz lays out one by one, and packs them like a page.
 
-A part is what hangs together by arrows and boxes. One that is large is divided into its boxes, and
-these into the boxes in them. A change of one part thus moves no other, and boxes are around their
-nodelets by construction.
+A part is a set of vertices that arrows and boxes connect. One that is large is divided into its
+boxes, and these into the boxes in them. A change of one part thus moves no other, and boxes are
+around their nodelets by construction.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def divide(
     """Divide a figure, in reading order.
 
     Args:
-        figure: what is inside of boxes of that depth.
+        figure: the inside of boxes of that depth.
         most: vertices of a part that is not divided.
         depth: of the boxes around it.
         fineness: 0: arrows hold a part together; 1: those outside of boxes, and those of topics
@@ -88,7 +88,7 @@ def divide(
 
 
 def _components(figure: Figure, depth: int, fineness: int) -> List[Figure]:
-    """Divide a figure into what is held together, in reading order."""
+    """Divide a figure into its connected components, in reading order."""
     leaders: Dict[str, str] = {vertex.key: vertex.key for vertex in figure.vertices}
 
     def leader(key: str) -> str:
@@ -152,7 +152,7 @@ class Page:
         """Arrange all parts of a figure.
 
         Those that are as they were ``before`` keep their places. Those that changed do so too if
-        there is room; the rest comes below or beside all others.
+        there is room; the rest comes below or beside all of these.
         """
         known = before.layout.centres if before is not None else {}
         vertices = [vertex.key for part in parts for vertex in part.figure.vertices]
@@ -210,7 +210,7 @@ class Page:
         return _joined(moved)
 
     def _beside(self, taken: List[Rectangle], layout: Layout, parts: Sequence[Piece]) -> Layout:
-        """Move a layout below or to the right of all others, where the page stays larger."""
+        """Move a layout below or to the right of the others, where the page stays larger."""
         own = _area([a for part in parts for a in self._outlines(part, layout)])
         area = _area(taken)
         below = layout.moved(Point(area.left - own.left, area.bottom + _GAP - own.top))

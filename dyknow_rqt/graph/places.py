@@ -9,7 +9,7 @@ import json
 import zlib
 from typing import Dict, Iterable, Mapping
 
-from dyknow_rqt.graph.geometry import Layout, Point
+from dyknow_rqt.graph.geometry import Point
 
 #: The most wirings whose places are kept.
 _MOST = 20
@@ -65,15 +65,3 @@ class Places:
             self._kept[self._wiring] = dict(self.present)
         for wiring in list(self._kept)[:-_MOST]:
             del self._kept[wiring]
-
-
-def put_at(layout: Layout, places: Mapping[str, Point]) -> Layout:
-    """Move vertices to their places; their arrows are to be led anew."""
-    moved = {key for key, place in places.items() if layout.centres.get(key, place) != place}
-    centres = {key: places[key] if key in moved else c for key, c in layout.centres.items()}
-    curves = {
-        edge: curve
-        for edge, curve in layout.curves.items()
-        if edge.tail not in moved and edge.head not in moved
-    }
-    return Layout(centres, curves)

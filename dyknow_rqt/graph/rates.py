@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Rates of ports, from the counts that the manager publishes."""
+"""Rates of ports and loads of nodelets, from the counts that the manager publishes."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
-from typing import Dict, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 from dyknow.model.graph import PortRef
-from dyknow.model.statistics import NodeletCount
+from dyknow.model.statistics import NodeletCount, NodeletLoad, PortCount
 
 #: Seconds over which rates are computed at most, and drops are counted at least.
 _STRETCH = 4.0
@@ -19,22 +20,71 @@ _OVERDUE = 1.4
 _UNKNOWN = 1.5
 #: Seconds between two counts of a nodelet that was stopped, or did not answer.
 _PAUSE = 2.5
+#: Counts over which a load is computed: a callback that takes long is not in each of them.
+_LOADS = 5
+#: Seconds from which on messages are old, and from which on their stamps are of another clock.
+_OLD, _OTHER_CLOCK = 1.0, 3600.0
+#: Share of a core from which on a nodelet is busy.
+_BUSY = 0.5
 
 
 @dataclass(frozen=True)
 class PortRate:
-    """The traffic of a port: messages a second now, and counts since its nodelet was loaded."""
+    """The traffic of a port.
+
+    Attributes:
+        rate: messages a second now.
+        drop_rate: dropped messages a second now.
+        messages: since its nodelet was loaded.
+        dropped: since its nodelet was loaded.
+        bandwidth: bytes a second now; None if the size of a message is not known.
+        age: seconds between the stamp of a message and its publication; None if not known.
+    """
 
     rate: float
     drop_rate: float
     messages: int
     dropped: int
+    bandwidth: Optional[float] = None
+    age: Optional[float] = None
+
+    @property
+    def is_old(self) -> bool:
+        """Whether messages are old when they are published, by stamps of the same clock."""
+        return self.age is not None and _OLD <= self.age < _OTHER_CLOCK
 
     @property
     def text(self) -> str:
+        lines = [f"{_number(self.rate)} Hz"]
         if self.drop_rate > 0:
-            return f"{_number(self.rate)} Hz\n−{_number(self.drop_rate)}/s"
-        return f"{_number(self.rate)} Hz"
+            lines.append(f"−{_number(self.drop_rate)}/s")
+        if self.is_old and self.age is not None:
+            lines.append(f"{_number(self.age)} s old")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Strain:
+    """The load of a nodelet that makes it stand out.
+
+    Attributes:
+        load: share of one core, of 1 at most; without processor time that of its callbacks.
+        error: text of the last error of a callback, if that was lately; empty if not.
+    """
+
+    load: float = 0.0
+    error: str = ""
+
+    @property
+    def text(self) -> str:
+        load = f"{100 * self.busy:.0f} % of a core" if self.busy else ""
+        error = f"an error less than half a minute ago: {self.error}" if self.error else ""
+        return "\n".join(filter(None, (load, error)))
+
+    @property
+    def busy(self) -> float:
+        """The load in steps of 5 %; 0 for one that does not stand out."""
+        return round(self.load * 20) / 20 if self.load >= _BUSY else 0.0
 
 
 @dataclass
@@ -44,31 +94,42 @@ class _Track:
     Attributes:
         moves: times and numbers of messages of the last counts that found new ones.
         drops: times and numbers of drops where two stretches began.
+        begin: time of the first count, which is not that of a message.
         is_overdue: no message came when the next was due.
     """
 
     moves: List[Tuple[float, int]] = field(default_factory=list)
     drops: List[Tuple[float, int]] = field(default_factory=list)
+    begin: float = -1.0
     is_overdue: bool = False
 
-    def take(self, time: float, messages: int, dropped: int) -> Optional[PortRate]:
+    def take(self, time: float, count: PortCount) -> Optional[PortRate]:
         """Take a count; returns the traffic, None while it is not known."""
+        messages, dropped = count.messages, count.dropped
         self.drops = self.drops or [(time, dropped)]
         if time - self.drops[-1][0] >= _STRETCH:
             self.drops = [self.drops[-1], (time, dropped)]
         since, before = self.drops[0]
         drop_rate = (dropped - before) / (time - since) if time > since else 0.0
         rate = self._rate(time, messages)
-        return None if rate is None else PortRate(rate, drop_rate, messages, dropped)
+        if rate is None:
+            return None
+        bandwidth = rate * count.size if count.size else None
+        return PortRate(rate, drop_rate, messages, dropped, bandwidth, count.age if rate else None)
 
     def _rate(self, time: float, messages: int) -> Optional[float]:
         moves = self.moves
+        if self.begin < 0.0:
+            self.begin = time
         if not moves or messages != moves[-1][1]:
-            is_resumed = moves and time - moves[-1][0] > _STRETCH and messages > moves[-1][1] + 1
+            pause = _STRETCH if len(moves) > 1 else _UNKNOWN  # it may not have sent before
+            is_resumed = moves and time - moves[-1][0] > pause and messages > moves[-1][1] + 1
             if self.is_overdue or is_resumed:
                 moves.clear()  # no rate is averaged over a pause
             self.is_overdue = False
             moves.append((time, messages))
+        if len(moves) > 2 and moves[0][0] == self.begin and moves[1][0] - self.begin > _UNKNOWN:
+            del moves[0]
         while len(moves) > 2 and time - moves[0][0] > _STRETCH:
             del moves[0]
         (begin, first), (end, last) = moves[0], moves[-1]
@@ -82,32 +143,38 @@ class _Track:
 class Meter:
     """Computes rates from counts.
 
-    They begin anew when a nodelet was connected elsewhere, loaded again, or stopped for a while:
-    what was sent or dropped before says nothing about its present connections.
+    They start again when a nodelet was connected elsewhere, loaded again, or stopped for a while:
+    counts from before say nothing about its present connections.
     """
 
     def __init__(self) -> None:
-        self._last: Dict[str, Tuple[float, NodeletCount]] = {}
+        self._last: Dict[str, Tuple[float, Deque[NodeletCount]]] = {}
         self._topics: Mapping[PortRef, str] = {}
         self._tracks: Dict[PortRef, _Track] = {}
         #: The traffic of all ports where it is known.
         self.traffic: Dict[PortRef, PortRate] = {}
+        #: That of nodelets, by name, where it is known.
+        self.strains: Dict[str, Strain] = {}
 
     def take(self, counts: Iterable[NodeletCount], now: float) -> None:
         """Take the counts that came ``now``, in seconds of a steady clock."""
         for each in counts:
-            _, before = self._last.get(each.nodelet, (now, each))
-            self._last[each.nodelet] = now, each
-            if each.reconfigurations != before.reconfigurations or not (
-                0.0 <= each.uptime - before.uptime < _PAUSE
-            ):
+            _, counted = self._last.get(each.nodelet, (now, deque([each], _LOADS)))
+            before = counted[-1]
+            is_paused = not 0.0 <= each.uptime - before.uptime < _PAUSE
+            if is_paused or each.reconfigurations != before.reconfigurations:
                 self._forget({each.nodelet})
-            for port, (messages, dropped) in each.ports.items():
+            if is_paused:
+                counted.clear()
+            counted.append(each)
+            self._last[each.nodelet] = now, counted
+            self._strain(counted)
+            for port, count in each.ports.items():
                 ref = PortRef(each.nodelet, port)
                 if ref not in self._topics:
                     continue
                 track = self._tracks.setdefault(ref, _Track())
-                traffic = track.take(each.uptime, messages, dropped)
+                traffic = track.take(each.uptime, count)
                 if traffic is None:
                     self.traffic.pop(ref, None)
                 else:
@@ -115,12 +182,21 @@ class Meter:
         missed = {name for name, (came, _) in self._last.items() if now - came > _PAUSE}
         for name in missed:
             del self._last[name]
+            self.strains.pop(name, None)
         self._forget(missed)
 
     def keep(self, topics: Mapping[PortRef, str]) -> None:
-        """Measure these ports from now on, and anew if their topics are others than before."""
+        """Measure these ports from now on, and again from zero if their topics have changed."""
         before, self._topics = self._topics, topics
         self._drop(ref for ref in before if before[ref] != topics.get(ref))
+        measured = {ref.nodelet for ref in topics}
+        self.strains = {name: each for name, each in self.strains.items() if name in measured}
+
+    def _strain(self, counted: Sequence[NodeletCount]) -> None:
+        first, last = counted[0], counted[-1]
+        load = last.load_since(first) or NodeletLoad(0.0, None, None)
+        share = load.busy if load.cpu is None else load.cpu
+        self.strains[last.nodelet] = Strain(min(share, 1.0), last.recent_error)
 
     def _forget(self, nodelets: Set[str]) -> None:
         if nodelets:
@@ -137,4 +213,4 @@ def _number(value: float) -> str:
         return "0"
     if value < 0.995:
         return f"{value:.2f}"
-    return f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
+    return f"{value:.1f}" if value < 9.95 else f"{value:.0f}"

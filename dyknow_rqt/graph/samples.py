@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Messages reduced to what a person can look at: a bounded text, numbers, a small image."""
+"""Messages reduced to a form that a person can read: a bounded text, numbers, a small image."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _pixels(message: Any) -> Optional[Any]:
 
 
 def _stretched(values: Any) -> Any:
-    """Spread values over 256 greys, those that are no numbers black."""
+    """Spread values over 256 greys, NaN and infinities black."""
     values = values.astype(float)
     known = values[numpy.isfinite(values)]
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)

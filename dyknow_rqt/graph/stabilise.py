@@ -12,9 +12,9 @@ without need, or if much has changed, the new layout is used as it is.
 from __future__ import annotations
 
 from statistics import median
-from typing import Dict, List, Mapping, Sequence, Set, Tuple
+from typing import Dict, List, Mapping, Sequence, Set
 
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
+from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import (
     Layout,
     Point,
@@ -22,7 +22,6 @@ from dyknow_rqt.graph.geometry import (
     Size,
     around,
     boxes_around,
-    curve_between,
 )
 
 #: So many vertices may move when something is added or removed.
@@ -49,7 +48,8 @@ def stabilise(
 ) -> Layout:
     """Move the vertices of a new layout to their old places on the screen, if that looks well.
 
-    Nothing is placed where something else is that has ``taken`` its place.
+    Nothing is placed where something else is that has ``taken`` its place. Arrows whose ends do
+    not move alike are left out.
     """
     common = sorted(set(old.centres) & set(new.centres))
     if not common:
@@ -73,8 +73,7 @@ def stabilise(
         backwards(centres, after, sizes) > backwards(fresh.centres, after, sizes)
     ):
         return fresh
-    boxes = boxes_around({v.key: v.group for v in after.vertices}, centres, sizes)
-    return Layout(centres, _curves(fresh, centres, after, sizes), boxes)
+    return fresh.put_at(centres)
 
 
 def moved(old: Layout, new: Layout) -> List[str]:
@@ -172,23 +171,3 @@ def _strangers(
         for other in groups
         if one < other and other[: len(one)] != one
     )
-
-
-def _curves(
-    fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
-) -> Dict[Edge, Tuple[Point, ...]]:
-    """Shift the curves whose two ends moved equally; compute the rest again.
-
-    What graphviz has not laid out yet has none.
-    """
-    curves: Dict[Edge, Tuple[Point, ...]] = {}
-    for edge in after.edges:
-        tail = centres[edge.tail].minus(fresh.centres[edge.tail])
-        head = centres[edge.head].minus(fresh.centres[edge.head])
-        if edge in fresh.curves and tail.distance(head) < 1.0:
-            curves[edge] = tuple(place.plus(tail) for place in fresh.curves[edge])
-        else:
-            curves[edge] = curve_between(
-                centres[edge.tail], sizes[edge.tail], centres[edge.head], sizes[edge.head]
-            )
-    return curves

@@ -51,12 +51,12 @@ def port_verdicts(
     verdicts: Mapping[str, Optional[Verdict]],
     streams: Iterable[StreamStatus],
 ) -> Dict[PortRef, PortVerdict]:
-    """Find what each out-port of verdicts said last.
+    """Find the last verdict of each out-port.
 
     Args:
         nodelets: all of the graph.
         verdicts: the last ones, by topic.
-        streams: claims; they know what the variables in tags of ports stand for.
+        streams: claims; they have the bindings of the variables in tags of ports.
     """
     tags: Dict[str, List[str]] = {}
     for stream in streams:

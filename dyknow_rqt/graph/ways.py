@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import replace
-from typing import Dict, FrozenSet, Iterator, List, NamedTuple, Tuple
+from typing import Callable, Dict, FrozenSet, Iterator, List, NamedTuple, Tuple, Union
 
-from dyknow.errors import StreamRefused
+from dyknow.errors import Refused
 from dyknow.manager.planning.explanation import Entry, read_tree
-from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import State
-from dyknow.model.streams import Replanned, StreamRequest, StreamStatus
+from dyknow.model.graph import NodeletStatus, State
+from dyknow.model.streams import Acquisition, Replanned, StreamStatus
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.snapshot import Snapshot
 
@@ -33,7 +31,7 @@ class WayPart(NamedTuple):
         what: transformation with out-port, or a topic.
         how: such as ``new`` or ``runs as /tracker``.
         cost: as a text; empty for nothing.
-        bindings: what its variables stand for.
+        bindings: values of its variables.
     """
 
     depth: int
@@ -80,22 +78,34 @@ def read_way(text: str) -> Way:
     return (whole, *map(_part_of, entries))
 
 
-def next_ways(client: BaseManagerClient, request: StreamRequest, way: Way) -> List[Way]:
-    """Plan without each transformation of a way: the ways that differ, the cheapest first."""
+def next_ways(plan: Callable[[str], Union[Acquisition, Replanned]], way: Way) -> List[Way]:
+    """Plan without each transformation of a way: the ways that differ, the cheapest first.
+
+    Args:
+        plan: plans without a transformation (label), or raises Refused.
+        way: the best way.
+    """
     labels = dict.fromkeys(part.label for part in way[1:] if part.label)
     found: Dict[str, Tuple[float, str]] = {}
     for label in list(labels)[:_TRIED]:
-        with suppress(StreamRefused):
-            other = replace(request, exclude=(*request.exclude, label))
-            answer = client.acquire_stream(other, dry_run=True)
+        with suppress(Refused):
+            answer = plan(label)
             found.setdefault(answer.plan, (answer.cost, f"without {label}"))
     ways = [(read_way(plan), how) for plan, (_, how) in sorted(found.items(), key=lambda e: e[1])]
     return [(way[0]._replace(what=how), *way[1:]) for way, how in ways]
 
 
-def dropped_by(found: Replanned, stream: StreamStatus) -> Way:
-    """The nodelets that a stream uses no longer when it is planned again; empty for none."""
-    names = sorted(set(stream.nodelets) - set(found.reused))
+def dropped_by(way: Way, found: Replanned, stream: StreamStatus, snapshot: Snapshot) -> Way:
+    """The nodelets that a stream uses no longer when it is made in another way; empty for none.
+
+    Nodelets at the way's ends stay connected as they are, so that those behind them stay too.
+    """
+    kept, members = set(found.reused), frozenset(stream.nodelets)
+    for part, following in zip(way, (*way[1:], way[0])):
+        nodelet = snapshot.nodelet(part.nodelet)
+        if nodelet is not None and following.depth <= part.depth:
+            kept.update(each.nodelet for each in _inputs(nodelet, 1, members, snapshot))
+    names = sorted(members - kept)
     parts = tuple(WayPart(1, "", name, f"dropped as {name}") for name in names)
     return (WayPart(0, "", "Used no longer"), *parts) if parts else ()
 
@@ -131,10 +141,20 @@ def _parts(
             f"{verb} as {ref.nodelet}",
             bindings=" ".join(each for each in given if each.startswith("?")),
         )
-        for each in nodelet.ports:
-            if each.direction == IN and each.topic and each.topic not in seen:
-                before = seen | {topic, each.topic}
-                yield from _parts(each.topic, each.name, depth + 1, members, snapshot, before)
+        yield from _inputs(nodelet, depth + 1, members, snapshot, seen | {topic})
+
+
+def _inputs(
+    nodelet: NodeletStatus,
+    depth: int,
+    members: FrozenSet[str],
+    snapshot: Snapshot,
+    seen: FrozenSet[str] = frozenset(),
+) -> Iterator[WayPart]:
+    for each in nodelet.ports:
+        if each.direction == IN and each.topic and each.topic not in seen:
+            before = seen | {each.topic}
+            yield from _parts(each.topic, each.name, depth, members, snapshot, before)
 
 
 def _part_of(entry: Entry) -> WayPart:

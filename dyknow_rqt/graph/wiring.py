@@ -76,8 +76,8 @@ def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
     """Connect a port to a named topic.
 
     Raises:
-        CannotConnect: the graph knows another type of the topic, or there is no such port.
-        InvalidName: it is not the name of a topic.
+        CannotConnect: the graph knows another type of the topic, or the port is unknown.
+        InvalidName: the text is not the name of a topic.
     """
     port = snapshot.port(ref)
     if port is None:
@@ -110,7 +110,7 @@ def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: st
 def splice(snapshot: Snapshot, ref: PortRef, edge: Edge) -> Rewire:
     """Lead an arrow through the nodelet of a port, or raise CannotConnect.
 
-    The nodelet receives what came along the arrow, and what it sends goes where the arrow led to.
+    The nodelet receives the arrow's messages, and its own go to the arrow's target.
     Where it has no free port for its other side, only the port is connected to the arrow.
     """
     port, ends = snapshot.port(ref), {end.nodelet: end for end in edge_refs(edge)}
@@ -156,7 +156,7 @@ def _side(snapshot: Snapshot, ref: PortRef) -> str:
 def offers(
     snapshot: Snapshot, library: Mapping[str, Transformation], ref: PortRef
 ) -> List[Tuple[str, Port]]:
-    """Find what could be made for a port: labels with ports that fit, known types first."""
+    """Find the transformations that fit a port: labels with ports, known types first."""
     start = snapshot.port(ref)
     if start is None:
         return []

@@ -5,21 +5,22 @@
 
 from __future__ import annotations
 
-from typing import Optional, Sequence
+from typing import Sequence
 
 from python_qt_binding.QtCore import QPoint, Qt, Signal
-from python_qt_binding.QtWidgets import QPushButton, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QPushButton
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import destroy, protect, protection
+from dyknow_rqt.graph.changes import destroy, protect
+from dyknow_rqt.graph.guards import not_destroyed, protection
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import row_of
+from dyknow_rqt.widgets import column_in, row_of
 
 #: The most nodelets that are named in a question; of more, only the tool tip has the names.
 _NAMED = 5
@@ -32,27 +33,16 @@ class ActivePanel(Panel):
     #: A context menu of the selection is wanted, at this place on the screen.
     menu_wanted = Signal(QPoint)
 
-    def __init__(
-        self,
-        monitor: GraphMonitor,
-        line: StatusLine,
-        selection: Selection,
-        parent: Optional[QWidget] = None,
-    ) -> None:
-        super().__init__(monitor, line, parent)
+    def __init__(self, monitor: GraphMonitor, line: StatusLine, selection: Selection) -> None:
+        super().__init__(monitor, line)
         self._selection = selection
         self.table = KeyedTable(_TITLES, "Active nodelets")
         self.table.setContextMenuPolicy(Qt.CustomContextMenu)
-        self.destroy = QPushButton("Des&troy …")
-        self.protect = QPushButton("&Protect")
+        self.destroy = QPushButton("Des&troy …", clicked=self._destroy_chosen)
+        self.protect = QPushButton("&Protect", clicked=self._protect_chosen)
         row = row_of(self.protect, self.destroy)
         row.insertStretch(0, 1)
-        column = QVBoxLayout(self)
-        column.addWidget(self.table.filter)
-        column.addWidget(self.table)
-        column.addLayout(row)
-        self.destroy.clicked.connect(self._destroy_chosen)
-        self.protect.clicked.connect(self._protect_chosen)
+        column_in(self, self.table.filter, self.table, row)
         self.table.picked.connect(selection.choose_nodelets)
         self.table.customContextMenuRequested.connect(self._want_menu)
         selection.changed.connect(self._follow_selection)
@@ -62,6 +52,10 @@ class ActivePanel(Panel):
 
     @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
+        why_not = not_destroyed(names, self._monitor.snapshot)
+        if why_not:
+            self._line.report(why_not)
+            return
         changes = [destroy(name) for name in names]
         question = f"Destroy {', '.join(names)}?"
         if len(names) > _NAMED:
@@ -110,10 +104,9 @@ class ActivePanel(Panel):
     def _follow_selection(self) -> None:
         names = self._selection.nodelets
         self.table.follow(names)
-        nodelets = [self._monitor.snapshot.nodelet(name) for name in names]
-        protected = [each for each in nodelets if each is not None and each.is_protected]
-        self.destroy.setEnabled(bool(names) and not protected)
-        self.destroy.setToolTip("Release them from protection first" if protected else "Delete")
+        why_not = not_destroyed(names, self._monitor.snapshot)
+        self.destroy.setEnabled(bool(names) and not why_not)
+        self.destroy.setToolTip(why_not or "Delete")
         self.protect.setEnabled(bool(names))
         _, on = protection(names, self._monitor.snapshot)
         self.protect.setText("&Protect" if on else "&Release")

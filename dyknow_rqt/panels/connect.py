@@ -6,18 +6,15 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Iterable, List, Optional, Tuple
+from typing import Mapping, Optional, Sequence, Tuple
 
-from python_qt_binding.QtCore import QEvent, QStringListModel, Qt
+from python_qt_binding.QtCore import QEvent, QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QComboBox,
     QCompleter,
     QGroupBox,
     QLabel,
-    QLineEdit,
     QPushButton,
-    QVBoxLayout,
-    QWidget,
 )
 
 from dyknow.errors import InvalidName
@@ -37,7 +34,7 @@ from dyknow_rqt.graph.wiring import (
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import form_in, row_of
+from dyknow_rqt.widgets import column_in, field_of, form_in, row_of
 
 
 class _PortChoice:
@@ -55,11 +52,11 @@ class _PortChoice:
         port = self.port.currentData()
         return PortRef(self.nodelet.currentText(), port) if port is not None else None
 
-    def offer_nodelets(self, names: Iterable[str]) -> None:
-        _refill(self.nodelet, [(name, name) for name in names])
-
-    def offer_ports(self, ports: Iterable[PortState]) -> None:
-        _refill(self.port, [(_words(port), port.name) for port in ports])
+    def offer(self, ports: Mapping[str, Sequence[PortState]]) -> None:
+        """Offer nodelets with these ports; choices that are still there are kept."""
+        _refill(self.nodelet, [(name, name) for name in sorted(ports) if ports[name]])
+        found = ports.get(self.nodelet.currentText(), ())
+        _refill(self.port, [(_words(port), port.name) for port in found])
 
     def choose(self, ref: PortRef) -> None:
         self.nodelet.setCurrentText(ref.nodelet)
@@ -71,53 +68,42 @@ class _PortChoice:
 class ConnectPanel(Panel):
     """Offers only ports and topics that fit."""
 
-    def __init__(
-        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
-    ) -> None:
-        super().__init__(monitor, line, parent)
+    def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
+        super().__init__(monitor, line)
         self.source, self.sink = _PortChoice("From"), _PortChoice("To")
         self.single = _PortChoice("Single")
         self.topic_chosen, self.now, self.replaced = (QLabel(wordWrap=True) for _ in range(3))
         self.topic_chosen.setTextInteractionFlags(Qt.TextSelectableByMouse)
-        self.connect = QPushButton("Connect")
-        self.topic = QLineEdit()
-        self.topic.setPlaceholderText("/camera/image")
+        self.connect = QPushButton("Connect", clicked=self._connect)
+        self.topic = field_of("/camera/image")
         self._topics = QStringListModel(self)
         self.topic.setCompleter(QCompleter(self._topics, self))
-        self.connect_topic = QPushButton("Connect")
-        self.disconnect_port = QPushButton("D&isconnect")
-        column = QVBoxLayout(self)
-        column.addWidget(
-            _box(
-                "Two nodelets",
-                ("From:", self.source.nodelet),
-                ("port:", self.source.port),
-                ("&To:", self.sink.nodelet),
-                ("port:", self.sink.port),
-                ("over topic:", self.topic_chosen),
-                ("", self.connect),
-            )
+        self.connect_topic = QPushButton("Connect", clicked=self._connect_topic)
+        self.disconnect_port = QPushButton("D&isconnect", clicked=self._disconnect)
+        two = _box(
+            "Two nodelets",
+            ("From:", self.source.nodelet),
+            ("port:", self.source.port),
+            ("&To:", self.sink.nodelet),
+            ("port:", self.sink.port),
+            ("over topic:", self.topic_chosen),
+            ("", self.connect),
         )
-        column.addWidget(
-            _box(
-                "One port and a topic",
-                ("Nodelet:", self.single.nodelet),
-                ("port:", self.single.port),
-                ("now:", self.now),
-                ("To&pic:", self.topic),
-                ("", self.replaced),
-                ("", row_of(self.connect_topic, self.disconnect_port)),
-            )
+        one = _box(
+            "One port and a topic",
+            ("Nodelet:", self.single.nodelet),
+            ("port:", self.single.port),
+            ("now:", self.now),
+            ("To&pic:", self.topic),
+            ("", self.replaced),
+            ("", row_of(self.connect_topic, self.disconnect_port)),
         )
-        column.addStretch(1)
+        column_in(self, two, one).addStretch(1)
         for choice in (self.source, self.sink, self.single):
             choice.nodelet.currentIndexChanged.connect(self._follow)
             choice.port.currentIndexChanged.connect(self._follow)
         self.topic.textChanged.connect(self._follow)
         self.topic.returnPressed.connect(self._connect_topic)
-        self.connect.clicked.connect(self._connect)
-        self.connect_topic.clicked.connect(self._connect_topic)
-        self.disconnect_port.clicked.connect(self._disconnect)
         monitor.changed.connect(self._follow)
         self._follow()
 
@@ -169,10 +155,14 @@ class ConnectPanel(Panel):
         if not self.isVisible():
             return
         snapshot = self._monitor.snapshot
-        self._offer(self.source, snapshot, lambda ref: _direction(snapshot, ref) == OUT)
+        every = {nodelet.name: nodelet.ports for nodelet in snapshot.nodelets}
+        outs = {name: [p for p in ports if p.direction == OUT] for name, ports in every.items()}
+        self.source.offer(outs)
         fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()
-        self._offer(self.sink, snapshot, lambda ref: ref in fitting)
-        self._offer(self.single, snapshot, lambda ref: True)
+        self.sink.offer(
+            {n: [p for p in ports if PortRef(n, p.name) in fitting] for n, ports in every.items()}
+        )
+        self.single.offer(every)
         self._show_choice(snapshot)
         ref = self.single.ref
         port = snapshot.port(ref) if ref is not None else None
@@ -201,15 +191,6 @@ class ConnectPanel(Panel):
         self.topic_chosen.setText(text.strip())
         self.connect.setEnabled(possible)
 
-    def _offer(self, choice: _PortChoice, snapshot: Snapshot, fits) -> None:  # type: ignore[no-untyped-def]
-        """Offer the ports that fit, and the nodelets that have such ports."""
-        ports = {
-            nodelet.name: [p for p in nodelet.ports if fits(PortRef(nodelet.name, p.name))]
-            for nodelet in snapshot.nodelets
-        }
-        choice.offer_nodelets(name for name in sorted(ports) if ports[name])
-        choice.offer_ports(ports.get(choice.nodelet.currentText(), []))
-
 
 def _box(title: str, *rows: Tuple[str, object]) -> QGroupBox:
     box = QGroupBox(title)
@@ -220,26 +201,18 @@ def _box(title: str, *rows: Tuple[str, object]) -> QGroupBox:
     return box
 
 
-def _direction(snapshot: Snapshot, ref: PortRef) -> str:
-    port = snapshot.port(ref)
-    return port.direction if port is not None else ""
-
-
 def _words(port: PortState) -> str:
     arrow = "→" if port.direction == OUT else "←"
     return f"{arrow} {port.name}" + (f"  [{port.datatype}]" if port.datatype else "")
 
 
-def _refill(box: QComboBox, wanted: List) -> None:  # type: ignore[type-arg]
+def _refill(box: QComboBox, wanted: Sequence[Tuple[str, str]]) -> None:
     """Replace the entries of a box; the chosen one stays chosen if it is among them."""
-    present = [(box.itemText(i), box.itemData(i)) for i in range(box.count())]
-    if present == wanted:
+    if [(box.itemText(i), box.itemData(i)) for i in range(box.count())] == wanted:
         return
     chosen = box.currentData()
-    box.blockSignals(True)
-    box.clear()
-    for text, data in wanted:
-        box.addItem(text, data)
-    found = box.findData(chosen) if chosen is not None else -1
-    box.setCurrentIndex(found if found >= 0 else (0 if wanted else -1))
-    box.blockSignals(False)
+    with QSignalBlocker(box):
+        box.clear()
+        for text, data in wanted:
+            box.addItem(text, data)
+        box.setCurrentIndex(max(box.findData(chosen), 0 if wanted else -1))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shlex
 from typing import Dict, List, Mapping, Optional, Tuple
 
-from python_qt_binding.QtCore import QStringListModel, Qt
+from python_qt_binding.QtCore import QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -16,7 +16,6 @@ from python_qt_binding.QtWidgets import (
     QLabel,
     QLineEdit,
     QPushButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -32,7 +31,7 @@ from dyknow_rqt.graph.wiring import free_name
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import form_in
+from dyknow_rqt.widgets import column_in, field_of, form_in
 
 
 class GivenFields(QWidget):
@@ -43,8 +42,8 @@ class GivenFields(QWidget):
         more: for parameters that the transformation does not name; None without a transformation.
     """
 
-    def __init__(self, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.fields: Dict[str, QLineEdit] = {}
         self.more: Optional[QLineEdit] = None
         self._form = form_in(self)
@@ -64,14 +63,11 @@ class GivenFields(QWidget):
             return
         needed = filling_variables(transformation)
         for variable in sorted(variables(transformation)):
-            is_needed = variable in needed
-            self.fields[variable] = self._add(
-                variable,
-                "a name" if is_needed else "as connected",
-                "Fills parameters: expected a name"
-                if is_needed
-                else "Follows from the streams at the in-ports, unless a name is given",
-            )
+            placeholder, tip = "a name", "Fills parameters: expected a name"
+            if variable not in needed:
+                placeholder = "as connected"
+                tip = "Follows from the streams at the in-ports, unless a name is given"
+            self.fields[variable] = self._add(variable, placeholder, tip)
         for parameter in transformation.parameters:
             tip = f"{parameter.type}; empty: as it is shown"
             self.fields[parameter.name] = self._add(parameter.name, parameter.text, tip)
@@ -92,10 +88,7 @@ class GivenFields(QWidget):
         return tuple(found)
 
     def _add(self, name: str, placeholder: str, tip: str) -> QLineEdit:
-        field = QLineEdit()
-        field.setPlaceholderText(placeholder)
-        field.setToolTip(tip)
-        field.setAccessibleName(name)
+        field = field_of(placeholder, tip, name)
         self._form.addRow(f"{name.replace('&', '&&')}:", field)
         return field
 
@@ -113,32 +106,24 @@ _ANY = "(the manager's choice)"
 class CreatePanel(Panel):
     """Edits transformation, name, protection, process, variables and parameters."""
 
-    def __init__(
-        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
-    ) -> None:
-        super().__init__(monitor, line, parent)
-        self.name = QLineEdit()
-        self.name.setPlaceholderText("/robot/ball_detector")
-        self.label = QComboBox()
+    def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
+        super().__init__(monitor, line)
+        self.name = field_of("/robot/ball_detector")
+        self.label = QComboBox(editable=True, minimumContentsLength=12)
         self._labels = QStringListModel(self)
         self.label.setModel(self._labels)
-        self.label.setEditable(True)
         self.label.setInsertPolicy(QComboBox.NoInsert)
-        self.label.setMinimumContentsLength(12)
         self.label.setSizeAdjustPolicy(QComboBox.AdjustToMinimumContentsLengthWithIcon)
         self.label.completer().setCompletionMode(QCompleter.PopupCompletion)
         self.label.completer().setFilterMode(Qt.MatchContains)
         self.label.setCurrentText("")
         self.is_protected = QCheckBox("&Protected from being destroyed")
-        self.isolated = QCheckBox("In a process of its o&wn")
-        self.manager = QComboBox()
-        self.manager.setEditable(True)
+        self.isolated = QCheckBox("In a process of its o&wn", toggled=self._follow)
+        self.manager = QComboBox(editable=True)
         self.manager.addItem(_ANY)
-        self.ports = QLabel()
-        self.ports.setTextFormat(Qt.PlainText)
-        self.ports.setWordWrap(True)
+        self.ports = QLabel(textFormat=Qt.PlainText, wordWrap=True)
         self.given = GivenFields()
-        self.create = QPushButton("Create")
+        self.create = QPushButton("Create", clicked=self._create)
         form = form_in()
         form.addRow("&Transformation:", self.label)
         form.addRow("Na&me:", self.name)
@@ -148,17 +133,13 @@ class CreatePanel(Panel):
         form.addRow("Ports:", self.ports)
         form.addRow("Parameters:", self.given)
         form.addRow("", self.create)
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        column.addStretch(1)
+        column_in(self, form).addStretch(1)
         monitor.library_changed.connect(self._show_library)
         monitor.changed.connect(self._show_managers)
         monitor.settled.connect(self._follow)
-        self.create.clicked.connect(self._create)
         self.name.returnPressed.connect(self._create)
         self.name.textChanged.connect(self._follow)
         self.label.currentTextChanged.connect(self._follow)
-        self.isolated.toggled.connect(self._follow)
         self._follow()
 
     def begin(self, label: str = "") -> None:
@@ -174,10 +155,10 @@ class CreatePanel(Panel):
     def _create(self) -> None:
         if not self.create.isEnabled():
             return
-        name, manager = names.check(self.name.text().strip()), self.manager.currentText().strip()
+        text, manager = self.name.text(), self.manager.currentText().strip()
         request = SpawnRequest(
             self.label.currentText().strip(),
-            name,
+            names.check(text.strip()),
             is_protected=self.is_protected.isChecked(),
             isolated=self.isolated.isChecked(),
             manager="" if manager == _ANY or self.isolated.isChecked() else manager,
@@ -185,7 +166,12 @@ class CreatePanel(Panel):
         )
         self.create.setEnabled(False)
         self.create.setText("Creating …")
-        self._monitor.do(spawn(request), self.name.clear)
+        self._monitor.do(spawn(request), lambda: self._clear(text))
+
+    def _clear(self, name: str) -> None:
+        """Clear the name of a nodelet that was made, unless the user has typed another one."""
+        if self.name.text() == name:
+            self.name.clear()
 
     @qt_slot
     def _follow(self) -> None:
@@ -195,24 +181,19 @@ class CreatePanel(Panel):
         self.create.setEnabled(transformation is not None and bool(self.name.text().strip()))
         self.manager.setEnabled(not self.isolated.isChecked())
         self.given.show_transformation(transformation)
-        lines = [
-            line
-            for port in (transformation.ports if transformation is not None else ())
-            for line in (
-                f"{port.direction}  {port.name}  {port.datatype}".rstrip(),
-                *(f"        {tag}" for tag in port.tags),
-            )
-        ]
+        lines = []
+        for port in transformation.ports if transformation is not None else ():
+            lines.append(f"{port.direction}  {port.name}  {port.datatype}".rstrip())
+            lines += [f"        {tag}" for tag in port.tags]
         self.ports.setText("\n".join(lines) or "–")
 
     @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
-        self.label.blockSignals(True)
-        labels = sorted(label for label, each in library.items() if not each.is_described)
-        self._labels.setStringList(labels)
-        self.label.setCurrentText(text)
-        self.label.blockSignals(False)
+        with QSignalBlocker(self.label):
+            labels = sorted(label for label, each in library.items() if not each.is_described)
+            self._labels.setStringList(labels)
+            self.label.setCurrentText(text)
         self._follow()
 
     @qt_slot

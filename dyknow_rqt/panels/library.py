@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Mapping, Optional
+from typing import Mapping
 
 from python_qt_binding.QtCore import Qt, Signal
-from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
 from dyknow.model.transformation import IN, Transformation
 from dyknow_rqt.background_calls import qt_slot
@@ -16,7 +16,7 @@ from dyknow_rqt.graph.changes import add_transformations, as_specification, remo
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import row_of, text_of
+from dyknow_rqt.widgets import column_in, row_of, text_of
 
 _FILES = "Specifications (*.xml);;All files (*)"
 
@@ -27,31 +27,23 @@ class LibraryPanel(Panel):
     #: A nodelet is to be made from a transformation: its label.
     create_wanted = Signal(str)
 
-    def __init__(
-        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
-    ) -> None:
-        super().__init__(monitor, line, parent)
+    def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
+        super().__init__(monitor, line)
         self.table = KeyedTable(("Label", "Source", "In", "Out", "Cost"), "Transformations")
         self.specification = text_of("Specification")
-        self.import_ = QPushButton("&Import …")
-        self.export = QPushButton("E&xport …")
-        self.delete = QPushButton("Delete …")
-        self.create = QPushButton("Ne&w nodelet …")
+        self.import_ = QPushButton("&Import …", clicked=self._ask_what_to_import)
+        self.export = QPushButton("E&xport …", clicked=self._ask_where_to_export)
+        self.delete = QPushButton("Delete …", clicked=self._ask_to_delete)
+        self.create = QPushButton("Ne&w nodelet …", clicked=self._want_create)
         parts = QSplitter(Qt.Vertical)
         parts.addWidget(self.table)
         parts.addWidget(self.specification)
         parts.setStretchFactor(0, 3)
         parts.setStretchFactor(1, 2)
-        column = QVBoxLayout(self)
-        column.addWidget(self.table.filter)
-        column.addWidget(parts, 1)
-        column.addLayout(row_of(self.import_, self.export, self.delete, self.create))
+        buttons = row_of(self.import_, self.export, self.delete, self.create)
+        column_in(self, self.table.filter, parts, buttons).setStretch(1, 1)
         monitor.library_changed.connect(self._show)
         self.table.selectionModel().selectionChanged.connect(self._follow_selection)
-        self.import_.clicked.connect(self._ask_what_to_import)
-        self.export.clicked.connect(self._ask_where_to_export)
-        self.delete.clicked.connect(self._ask_to_delete)
-        self.create.clicked.connect(self._want_create)
         self.table.on_delete(self._ask_to_delete)
         self.table.activated.connect(self._want_create)
         self._follow_selection()

@@ -8,7 +8,8 @@ from __future__ import annotations
 import getpass
 import socket
 import time
-from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Sequence, Tuple, Union
 
 from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtWidgets import (
@@ -19,7 +20,6 @@ from python_qt_binding.QtWidgets import (
     QLineEdit,
     QPushButton,
     QSplitter,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -30,14 +30,14 @@ from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
 from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.panels.tables import KeyedTable, Panel
-from dyknow_rqt.panels.way_tree import WayTree
+from dyknow_rqt.panels.tables import KeyedTable, Panel, WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import form_in, row_of, text_of
+from dyknow_rqt.widgets import column_in, field_of, form_in, row_of, text_of
 
 if TYPE_CHECKING:
-    from dyknow.model.streams import Replanned, StreamEvent, StreamStatus
+    from dyknow.model.client import BaseManagerClient
+    from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamStatus
 
 #: The first column, the key of the rows, is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
@@ -52,35 +52,22 @@ class StreamsPanel(Panel):
     #: A plan is shown that is not made yet: its parts; none for no plan.
     planned = Signal(object)
 
-    def __init__(
-        self,
-        monitor: GraphMonitor,
-        line: StatusLine,
-        selection: Selection,
-        parent: Optional[QWidget] = None,
-    ) -> None:
-        super().__init__(monitor, line, parent)
-        self.watch, self._selection = monitor.watch, selection
-        self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
-        self.prefer, self.avoid = QLineEdit(), QLineEdit()
-        self.tag.setPlaceholderText("FieldPosition(ball)")
-        self.datatype.setPlaceholderText("any")
-        self.exclude.setPlaceholderText("labels, separated by ;")
-        self.exclude.setToolTip("Transformations that must not be used")
-        for field, what in ((self.prefer, "is a choice"), (self.avoid, "is no other choice")):
-            field.setPlaceholderText("concepts or labels")
-            field.setToolTip(f"Concepts or labels, separated by ;: used where there {what}")
-        self.require = QLineEdit()
-        self.require.setPlaceholderText("it.pose.covariance[0] < 0.05")
-        self.require.setToolTip(
+    def __init__(self, monitor: GraphMonitor, line: StatusLine, selection: Selection) -> None:
+        super().__init__(monitor, line)
+        self._selection = selection
+        names, where = "concepts or labels", "Concepts or labels, separated by ;: used where there"
+        self.tag, self.datatype = field_of("FieldPosition(ball)"), field_of("any")
+        unused = "Transformations that must not be used"
+        self.exclude = field_of("labels, separated by ;", unused)
+        self.prefer = field_of(names, f"{where} is a choice", "Prefer")
+        self.avoid = field_of(names, f"{where} is no other choice", "Avoid")
+        self.require = field_of(
+            "it.pose.covariance[0] < 0.05",
             "A formula over 'it', the messages of the stream; the stream is repaired when it is "
-            "FALSE.\nExample: historically[0 s, 3 s] it.pose.covariance[0] < 0.05"
+            "FALSE.\nExample: historically[0 s, 3 s] it.pose.covariance[0] < 0.05",
         )
-        self.prefer.setAccessibleName("Prefer")
-        self.avoid.setAccessibleName("Avoid")
-        self.fields = (
-            *(self.tag, self.datatype, self.exclude, self.prefer, self.avoid, self.require),
-        )
+        of_plan = (self.exclude, self.prefer, self.avoid)
+        self.fields = (self.tag, self.datatype, *of_plan, self.require)
         self._tags: List[str] = []
         self._offered, self._types = QStringListModel(self), QStringListModel(self)
         for field, model in ((self.tag, self._offered), (self.datatype, self._types)):
@@ -88,14 +75,11 @@ class StreamsPanel(Panel):
             completer.setFilterMode(Qt.MatchContains)
             completer.setCaseSensitivity(Qt.CaseInsensitive)
             field.setCompleter(completer)
-        self.silence = _limit(
-            "never", " s", 0.5, "The stream is repaired if it is silent for longer"
-        )
-        self.rate = _limit("any rate", " Hz", 1.0, "The stream is repaired if it is slower")
-        self.age = _limit("any age", " s", 0.1, "The stream is repaired if its messages are older")
-        self.rate.setAccessibleName("Rate at least")
-        self.age.setAccessibleName("Age at most")
-        self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
+        self.silence = _limit("never", " s", 0.5, "it is silent for longer")
+        self.rate = _limit("any rate", " Hz", 1.0, "it is slower", "Rate at least")
+        self.age = _limit("any age", " s", 0.1, "its messages are older", "Age at most")
+        self.preview = QPushButton("&Preview", clicked=self._preview)
+        self.acquire = QPushButton("Ac&quire", clicked=self._acquire)
         self.plan = WayTree("Plan")
         #: The claim whose present plan is shown; empty for another text.
         self._explained = ""
@@ -106,8 +90,9 @@ class StreamsPanel(Panel):
         self.table.hideColumn(0)
         self.table.sortByColumn(1, Qt.AscendingOrder)
         self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
-        self.ended = QCheckBox("Those that ended too")
-        self.replan, self.release = QPushButton("Replan …"), QPushButton("Release")
+        self.ended = QCheckBox("Those that ended too", toggled=self._show_streams)
+        self.replan = QPushButton("Replan …", clicked=self._replan)
+        self.release = QPushButton("Release", clicked=self._release)
         self.events = text_of("Events of streams")
         self.events.setMaximumBlockCount(_EVENTS_KEPT)
         self.events.setPlaceholderText("What becomes of streams from now on is shown here")
@@ -136,16 +121,11 @@ class StreamsPanel(Panel):
         """Show how a stream would be made, and then the next best ways."""
         request = self.request()
 
-        def ask(way: Way) -> None:
-            def add(others: Sequence[Way]) -> None:
-                if self.plan.ways == (way,):
-                    self.plan.show_ways(way, *others)
+        def without(client: BaseManagerClient, label: str) -> Acquisition:
+            other = replace(request, exclude=(*request.exclude, label))
+            return client.acquire_stream(other, dry_run=True)
 
-            self._monitor.ask(
-                lambda client: next_ways(client, request, way), add, lambda reason: None
-            )
-
-        self._explain(request, ask)
+        self._explain(request, lambda way: self._add_next_ways(without, way))
 
     @qt_slot
     def _acquire(self) -> None:
@@ -153,7 +133,7 @@ class StreamsPanel(Panel):
         request = self.request()
 
         def act(way: Way) -> None:
-            self._awaited = request.tag, frozenset(each.claim_id for each in self.watch.streams)
+            self._awaited = request.tag, frozenset(each.claim_id for each in self._monitor.streams)
             self._monitor.do(acquire(request))
 
         self._explain(request, act)
@@ -175,6 +155,23 @@ class StreamsPanel(Panel):
                 lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
             )
 
+    def _add_next_ways(
+        self,
+        plan: Callable[[BaseManagerClient, str], Union[Acquisition, Replanned]],
+        *shown: Way,
+    ) -> None:
+        """Add the next best ways to the shown ones, if these are still shown."""
+
+        def add(found: Sequence[Way]) -> None:
+            if self.plan.ways == shown:
+                self.plan.show_ways(*shown, *found)
+
+        self._monitor.ask(
+            lambda client: next_ways(lambda label: plan(client, label), shown[0]),
+            add,
+            lambda reason: None,
+        )
+
     # What there is
 
     @qt_slot
@@ -189,8 +186,13 @@ class StreamsPanel(Panel):
 
     def _ask_to_replan(self, stream: StreamStatus) -> None:
         def ask(found: Replanned) -> None:
+            way = read_way(found.plan)
+            ways = way, dropped_by(way, found, stream, self._monitor.snapshot)
             self._explained = ""
-            self._show_plan(read_way(found.plan), dropped_by(found, stream))
+            self._show_plan(*ways)
+            self._add_next_ways(
+                lambda client, label: client.plan_stream(stream.claim_id, (label,)), *ways
+            )
             change = replan(stream.claim_id, stream.tag)
             self._line.ask(
                 f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
@@ -203,7 +205,7 @@ class StreamsPanel(Panel):
     @qt_slot
     def _show_streams(self) -> None:
         rows = []
-        for each in self.watch.streams:
+        for each in self._monitor.streams:
             if not each.state.ended or self.ended.isChecked():
                 state, topic = _state(each), each.topic or "–"
                 cells = (
@@ -215,7 +217,7 @@ class StreamsPanel(Panel):
         self.table.show_rows(rows)
         self._follow()
         tag, before = self._awaited
-        for each in self.watch.streams:
+        for each in self._monitor.streams:
             if each.tag == tag and each.claim_id not in before:
                 self._awaited = ("", frozenset())
                 self._explained = each.claim_id
@@ -224,7 +226,7 @@ class StreamsPanel(Panel):
     @qt_slot
     def _show_way(self, claim: str) -> None:
         """Show how a stream is made now, also after a repair."""
-        stream = self.watch.stream(claim)
+        stream = self._monitor.stream(claim)
         if stream is not None:
             self._explained = claim
             self.plan.show_ways(present_way(stream, self._monitor.snapshot))
@@ -290,18 +292,13 @@ class StreamsPanel(Panel):
 
     def _chosen(self) -> List[StreamStatus]:
         """The selected streams that have not ended."""
-        found = map(self.watch.stream, sorted(self._selection.claims))
+        found = map(self._monitor.stream, sorted(self._selection.claims))
         return [stream for stream in found if stream is not None and not stream.state.ended]
 
     def _listen(self) -> None:
         self.tag.textChanged.connect(self._follow)
         for field in self.fields:
             field.returnPressed.connect(self._preview)
-        self.preview.clicked.connect(self._preview)
-        self.acquire.clicked.connect(self._acquire)
-        self.release.clicked.connect(self._release)
-        self.replan.clicked.connect(self._replan)
-        self.ended.toggled.connect(self._show_streams)
         self.table.picked.connect(self.choose)
         self.plan.picked.connect(self._selection.choose_nodelets)
         self.tag.textEdited.connect(self._forget_plan)
@@ -309,7 +306,7 @@ class StreamsPanel(Panel):
         self.tag.textEdited.connect(self._complete_tag)
         self._selection.changed.connect(self._follow)
         self.table.on_delete(self._release)
-        self.watch.changed.connect(self._show_streams)
+        self._monitor.streams_changed.connect(self._show_streams)
         self._monitor.stream_event.connect(self._show_event)
         self._monitor.library_changed.connect(self._show_library)
 
@@ -326,18 +323,12 @@ class StreamsPanel(Panel):
         having = row_of(self.ended, self.replan, self.release)
         having.insertStretch(1, 1)
         middle = QWidget()
-        column = QVBoxLayout(middle)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.table.filter)
-        column.addWidget(self.table)
-        column.addLayout(having)
+        column_in(middle, self.table.filter, self.table, having).setContentsMargins(0, 0, 0, 0)
         parts = QSplitter(Qt.Vertical)
         for part, stretch in ((self.plan, 3), (middle, 2), (self.events, 2)):
             parts.addWidget(part)
             parts.setStretchFactor(parts.count() - 1, stretch)
-        whole = QVBoxLayout(self)
-        whole.addLayout(form)
-        whole.addWidget(parts, 1)
+        column_in(self, form, parts).setStretch(1, 1)
 
 
 def _state(stream: StreamStatus) -> str:
@@ -356,11 +347,8 @@ def _names(field: QLineEdit) -> Tuple[str, ...]:
     return tuple(name for name in names if name)
 
 
-def _limit(none: str, unit: str, step: float, tip: str) -> QDoubleSpinBox:
-    box = QDoubleSpinBox()
-    box.setRange(0.0, 3600.0)
-    box.setSingleStep(step)
-    box.setSuffix(unit)
+def _limit(none: str, unit: str, step: float, fault: str, name: str = "") -> QDoubleSpinBox:
+    box = QDoubleSpinBox(maximum=3600.0, singleStep=step, suffix=unit, accessibleName=name)
     box.setSpecialValueText(none)
-    box.setToolTip(tip)
+    box.setToolTip(f"The stream is repaired if {fault}")
     return box

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Tables of the panels, and what all panels share."""
+"""Tables and trees of the panels, and what all panels share."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from python_qt_binding.QtCore import (
     Qt,
     Signal,
 )
-from python_qt_binding.QtGui import QKeySequence
+from python_qt_binding.QtGui import QGuiApplication, QKeySequence
 from python_qt_binding.QtWidgets import (
     QAbstractItemView,
     QAction,
     QHeaderView,
-    QLineEdit,
     QTableView,
+    QTreeWidget,
+    QTreeWidgetItem,
     QWidget,
 )
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import Change
+from dyknow_rqt.graph.ways import Way
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.widgets import wrapped
+from dyknow_rqt.widgets import field_of, wrapped
 
 
 class Panel(QWidget):
     """A tab of the control panel: makes changes by the monitor, and asks in the status line."""
 
-    def __init__(
-        self, monitor: GraphMonitor, line: StatusLine, parent: Optional[QWidget] = None
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
+        super().__init__()
         self._monitor, self._line = monitor, line
         self.report = line.report
 
@@ -133,8 +133,8 @@ class KeyedTable(QTableView):
     #: The user selected other rows: their keys.
     picked = Signal(object)
 
-    def __init__(self, titles: Sequence[str], name: str, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self, titles: Sequence[str], name: str) -> None:
+        super().__init__()
         self._rows = _Rows(titles, self)
         self._has_widths = self._refilling = False
         self.setModel(self._rows)
@@ -148,9 +148,8 @@ class KeyedTable(QTableView):
         self.setAlternatingRowColors(True)
         self.setAccessibleName(name)
         #: Shows only rows with a cell that contains its text; the panel places it.
-        self.filter = QLineEdit()
-        self.filter.setPlaceholderText(f"filter {name[0].lower()}{name[1:]}")
-        self.filter.setAccessibleName(f"Filter of {name[0].lower()}{name[1:]}")
+        what = f"{name[0].lower()}{name[1:]}"
+        self.filter = field_of(f"filter {what}", name=f"Filter of {what}")
         self.filter.setClearButtonEnabled(True)
         self.filter.textChanged.connect(self._filter_rows)
         self.verticalHeader().hide()
@@ -174,10 +173,8 @@ class KeyedTable(QTableView):
         return bool(super().viewportEvent(event))
 
     def on_delete(self, function: Callable[[], None]) -> None:
-        action = QAction(self)
-        action.setShortcut(QKeySequence(Qt.Key_Delete))
+        action = QAction(self, shortcut=QKeySequence(Qt.Key_Delete), triggered=function)
         action.setShortcutContext(Qt.WidgetShortcut)
-        action.triggered.connect(function)
         self.addAction(action)
 
     def show_rows(self, rows: Sequence[Row]) -> None:
@@ -247,3 +244,56 @@ class KeyedTable(QTableView):
 
     def _name(self, row: int) -> str:
         return self._rows.shown[row][0][0]
+
+
+class WayTree(QTreeWidget):
+    """Ways with their parts; the first is unfolded. Nothing is wrapped."""
+
+    #: The user selected a part: the names of its nodelet, or none.
+    picked = Signal(object)
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.ways: Tuple[Way, ...] = ()
+        self.setHeaderLabels(("Part", "Cost", "How", "Bindings"))
+        self.header().setSectionResizeMode(QHeaderView.ResizeToContents)
+        self.setUniformRowHeights(True)
+        self.setIndentation(14)
+        self.setAlternatingRowColors(True)
+        self.setAccessibleName(name)
+        self.itemSelectionChanged.connect(self._pick)
+
+    @property
+    def text(self) -> str:
+        """All of it, as it is copied: a line for each part."""
+        parts = (part for way in self.ways for part in way)
+        return "\n".join("  " * part.depth + "  ".join(filter(None, part.cells)) for part in parts)
+
+    def show_ways(self, *ways: Way) -> None:
+        if ways == self.ways:
+            return
+        self.ways = ways
+        self.clear()
+        for way in filter(None, ways):
+            path: List[Any] = [self]
+            for part in way:
+                del path[part.depth + 1 :]
+                item = QTreeWidgetItem(path[-1], part.cells)
+                path.append(item)
+                for column, cell in enumerate(part.cells):
+                    item.setToolTip(column, cell)
+        self.expandAll()
+        for number in range(1, self.topLevelItemCount()):
+            self.topLevelItem(number).setExpanded(False)
+
+    @qt_slot
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        if event.matches(QKeySequence.Copy):
+            QGuiApplication.clipboard().setText(self.text)
+        else:
+            super().keyPressEvent(event)
+
+    @qt_slot
+    def _pick(self) -> None:
+        names = [item.text(2).partition(" as ")[2] for item in self.selectedItems()]
+        self.picked.emit([name for name in names if name])

@@ -18,16 +18,12 @@ def remote():
 @pytest.fixture
 def window(qtbot, remote):
     """The whole window, once it shows the graph."""
-    from unit.rqt.hands import until
+    from unit.rqt.hands import until, window_of
 
-    from dyknow_rqt.window import DyKnowWidget
-
-    widget = DyKnowWidget(remote)
-    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
-    widget.resize(1400, 800)
+    widget = window_of(qtbot, remote)
     with qtbot.waitActive(widget):
-        widget.show()
         widget.activateWindow()
-    widget.start()
     until(qtbot, lambda: len(widget.graph.drawn.vertices) > 15 and widget.monitor.library)
+    # Before that changes are refused, or count as another manager's.
+    until(qtbot, lambda: widget.monitor.is_linked and not widget.monitor._is_another)
     return widget

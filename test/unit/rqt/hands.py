@@ -49,13 +49,15 @@ def until(qtbot, condition):
 def is_settled(window):
     """Whether all that was asked for is laid out and drawn."""
     graph, scene = window.graph, window.graph.view.scene()
-    is_drawn = not (graph._is_figuring or scene.slices.is_wanted(scene._draw))
+    is_drawn = not (graph._calls.is_calling or scene.slices.is_wanted(scene._draw))
     return is_drawn and graph.layouter.is_idle
 
 
 def topic(remote, ref):
+    """The topic of a port; empty for none, and for a nodelet that is not there (yet)."""
     nodelet = remote.graph().nodelet(ref.nodelet)
-    return nodelet.port(ref.port).topic
+    port = nodelet.port(ref.port) if nodelet is not None else None
+    return port.topic if port is not None else ""
 
 
 def drag(view, start, end):
@@ -76,6 +78,7 @@ def move(view, place):
 
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
+    until(qtbot, lambda: window.monitor.is_linked and not window.monitor._is_another)
     window.monitor.do(spawn(SpawnRequest("tracker", name)))
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)
@@ -86,8 +89,10 @@ def centre_of(view, key):
 
 
 def click(qtbot, button):
-    """Click a button, or that of an action."""
+    """Click a button, or that of an action, when the change before is made: one at a time."""
     button = button_of(button) if isinstance(button, QAction) else button
+    window = button.window()
+    until(qtbot, lambda: not (isinstance(window, DyKnowWidget) and window.monitor.is_changing))
     assert button.isEnabled()
     qtbot.mouseClick(button, Qt.LeftButton)
 

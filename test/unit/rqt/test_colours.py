@@ -27,6 +27,9 @@ def test_highlights_differ_for_everybody(palette, sight):
     told_apart = [colours.self_, colours.in_, colours.out, colours.both, colours.line]
     for one, other in combinations(told_apart, 2):
         assert difference(one, other, sight) > 18, (one.name(), other.name())
+    complaints = [colours.alarm, colours.warning, colours.line]
+    for one, other in combinations(complaints, 2):
+        assert difference(one, other, sight) > 18, (one.name(), other.name())
     verdicts = [colours.of_truth(truth) for truth in Truth]
     for one, other in combinations(verdicts, 2):
         assert difference(one, other, sight) > 18, (one.name(), other.name())
@@ -38,5 +41,6 @@ def test_texts_stand_out_from_the_paper(palette):
     for drawn in (colours, greys):
         for name in texts:
             assert contrast(getattr(drawn, name), drawn.paper) >= 4.5, name
+        assert contrast(drawn.warning, drawn.paper) >= 3.0, "of lines"
         assert contrast(drawn.text, drawn.nodelet) >= 4.5
         assert contrast(drawn.text, drawn.topic) >= 4.5

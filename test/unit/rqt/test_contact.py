@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import re
 import time
 
 import pytest
 from clocks import HandClock, eventually
 from python_qt_binding.QtGui import QPalette
+from unit.cli.fake_client import cases
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
@@ -22,12 +22,8 @@ from dyknow_rqt.graph.changes import protect
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.screenshots import dark_palette
-from dyknow_rqt.window import DyKnowWidget
 
 _MASTER = "http://robot:11311"
-_MOMENT = time.strftime("%H:%M:%S", time.localtime(0.0))
-_FINE = f"/manager answers since {_MOMENT}"
-_OLD = "{}: what is shown is that old"
 _STEPS = {
     "manager": lambda contact: contact.hear_manager(),
     "manager silent": lambda contact: contact.miss_manager(is_gone=False),
@@ -39,61 +35,45 @@ _STEPS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("steps", "is_current", "is_sound", "short", "text"),
-    [
-        ((), False, False, "waiting for /manager", "{}"),
-        (
-            ("no master", "manager gone", 60.0),
-            *(False, False, f"no ROS master at {_MASTER}", "{}; waiting for /manager"),
-        ),
-        (("master", "manager", 1.5), True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
-        *(
-            (
-                ("manager", seconds, "master", "manager silent"),
-                *(False, False, f"/manager silent for {words}", _OLD),
-            )
-            for seconds, words in (
-                (7.2, "7 s"),
-                (119.0, "119 s"),
-                (150.0, "2 min"),
-                (9000.0, "2 h"),
-            )
-        ),
-        (
-            ("master", "manager", "manager gone", 1.0),
-            *(False, False, "/manager gone for 1 s", _OLD),
-        ),
-        (
-            ("master", "manager", "manager gone", "manager"),
-            *(True, True, _FINE, f"{{}}; ROS master at {_MASTER}"),
-        ),
-        (
-            ("master", 3.0, "manager"),
-            *(True, False, f"no ROS master at {_MASTER} for 3 s"),
-            "{}; /manager answers; nothing new can be asked for",
-        ),
-        (
-            ("master", 3.0, "manager", "manager gone"),
-            *(False, False, "/manager gone for 0 s"),
-            f"no ROS master at {_MASTER} for 3 s; {_OLD}",
-        ),
-        (
-            ("manager", "new master"),
-            *(True, False, f"the ROS master at {_MASTER} does not know /manager"),
-            "{}; /manager answers: a new roscore; its nodes are registered again within seconds",
-        ),
-    ],
-)
-def test_the_status_says_who_answers_and_since_when(steps, is_current, is_sound, short, text):
+#: Steps and seconds; whether the manager's state is current, and all is sound; the short and the
+#: whole status, with MASTER, SHORT and FINE as they are below.
+STATUS = """
+ |  | waiting for /manager | SHORT
+no master, manager gone, 60 |  | no ROS master at MASTER | SHORT; waiting for /manager
+master, manager, 1.5 | current sound | FINE | SHORT; ROS master at MASTER
+master, manager, master late | current sound | FINE | SHORT; ROS master at MASTER
+manager, 7.2, master, manager silent |  | /manager silent for 7 s | OLD
+manager, 119, master, manager silent |  | /manager silent for 119 s | OLD
+manager, 150, master, manager silent |  | /manager silent for 2 min | OLD
+manager, 9000, master, manager silent |  | /manager silent for 2 h | OLD
+master, manager, manager gone, 1 |  | /manager gone for 1 s | OLD
+master, manager, manager gone, manager | current sound | FINE | SHORT; ROS master at MASTER
+master, 3, manager | current | no ROS master at MASTER for 3 s | SHORT; ANSWERS
+master, 3, manager, manager gone |  | /manager gone for 0 s | no ROS master at MASTER for 3 s; OLD
+manager, new master | current | the ROS master at MASTER does not know /manager | SHORT; REGISTERS
+"""
+_TEXTS = {
+    "OLD": "SHORT: what is shown is that old",
+    "ANSWERS": "/manager answers; nothing new can be asked for",
+    "REGISTERS": "/manager answers: a new roscore; its nodes are registered again within seconds",
+    "FINE": f"/manager answers since {time.strftime('%H:%M:%S', time.localtime(0.0))}",
+    "MASTER": _MASTER,
+}
+
+
+@pytest.mark.parametrize(("steps", "marks", "short", "text"), cases(STATUS))
+def test_the_status_says_who_answers_and_since_when(steps, marks, short, text):
     clock = HandClock(100.0)
     contact = Contact("/manager", _MASTER, clock, now=lambda: 0.0)
-    for step in steps:
-        if isinstance(step, float):
-            clock.time += step
-        else:
+    for step in filter(None, steps.split(", ")):
+        if step in _STEPS:
             _STEPS[step](contact)
-    assert contact.status() == (is_current, is_sound, short, text.format(short))
+        else:
+            clock.time += float(step)
+    for word, meaning in _TEXTS.items():
+        short, text = short.replace(word, meaning), text.replace(word, meaning)
+    said = (short, text.replace("SHORT", short))
+    assert contact.status() == ("current" in marks, "sound" in marks, *said)
 
 
 def test_a_window_that_was_stopped_or_starved_takes_nobody_for_silent():
@@ -109,17 +89,6 @@ def test_a_window_that_was_stopped_or_starved_takes_nobody_for_silent():
         wall.time += 0.25
         beats += 1
     assert beats * 0.25 < 2.0
-
-
-def test_a_master_that_is_late_is_not_gone():
-    clock = HandClock(100.0)
-    contact = Contact("/manager", _MASTER, clock, now=lambda: 0.0)
-    contact.hear_manager()
-    contact.hear_master(is_known=True)
-    contact.miss_master(is_gone=False)
-    assert contact.status().is_sound
-    contact.miss_master(is_gone=True)
-    assert not contact.status().is_sound
 
 
 def test_answers_are_noted_while_the_window_is_at_work(qtbot, remote):
@@ -171,6 +140,10 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     assert sign.isVisible() and "what is shown is that old" in sign.text()
     assert is_grey(window)
     until(qtbot, lambda: not rates(window))
+    assert not window.health.isVisible()
+    window.streams.tag.setText("Track(ball)")
+    window.streams.preview.click()
+    assert "/dyknow_manager gone for" in window.streams.plan.text
     window.create_.begin("tracker")
     window.create_.create.click()
     assert window.line.text.startswith("create /tracker: /dyknow_manager gone for")
@@ -178,7 +151,7 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     window.monitor.do(protect("/field/tracker", True))
     assert window.line.text.startswith("protect /field/tracker: /dyknow_manager gone for")
     remote.client.is_up = True
-    until(qtbot, lambda: is_fine(window) and rates(window))
+    until(qtbot, lambda: is_fine(window) and rates(window) and window.health.isVisible())
     create(qtbot, window, "/field/second")
 
 
@@ -193,6 +166,8 @@ def test_what_is_lost_looks_dead_with_its_topic_and_arrows(qtbot, window, remote
         remote.client.alter(lost, state=state)
         grey = scene.vertices["n_/nao1/resize"].colours.box_line
         until(qtbot, lambda on=is_dead: scene.edges[after].is_dead is on)
+        steps = (scene._show_states, scene._show_all_traffic)
+        until(qtbot, lambda steps=steps: not any(map(scene.slices.is_wanted, steps)))
         for edge in dead:
             assert (scene.edges[edge].stroke().color() == grey) is is_dead
             assert "Hz" not in scene.edges[edge].label or not is_dead
@@ -203,26 +178,6 @@ def test_what_is_lost_looks_dead_with_its_topic_and_arrows(qtbot, window, remote
     remote.client.alter(lost, state=State.LOST)
     until(qtbot, lambda: scene.edges[next(e for e in dead if e.head == topic.vertex.key)].is_dead)
     until(qtbot, lambda: not scene.edges[after].is_dead)
-
-
-def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, remote):
-    until(qtbot, lambda: window.monitor.is_linked)
-    until(qtbot, lambda: rates(window))
-    remote.client.answers.clear()
-    silences = set()
-
-    def has_grown():
-        silences.update(re.findall(r"⚠ /dyknow_manager silent for (\d+) s", contact_of(window)))
-        return len(silences) > 1
-
-    until(qtbot, has_grown)
-    assert is_grey(window)
-    until(qtbot, lambda: not rates(window))
-    window.streams.tag.setText("Track(ball)")
-    window.streams.preview.click()
-    assert "/dyknow_manager silent for" in window.streams.plan.text
-    remote.client.answers.set()
-    until(qtbot, lambda: is_fine(window))
 
 
 def test_the_master_goes_and_another_one_does_not_know_the_manager(qtbot, window, remote):
@@ -243,7 +198,14 @@ def test_the_master_goes_and_another_one_does_not_know_the_manager(qtbot, window
     until(qtbot, lambda: not sign.isVisible())
 
 
-def test_another_manager_of_the_name_is_read_from_the_beginning(qtbot, window, remote):
+def test_another_manager_of_the_name_is_read_from_the_beginning_without_undo(
+    qtbot, window, remote
+):
+    create(qtbot, window, "/first")
+    remote.address = "rosrpc://localhost:40002"  # of its next life
+    until(qtbot, lambda: window.monitor.heart._address == remote.address)
+    until(qtbot, lambda: not window.monitor._is_another)
+    assert window.graph.bar.undo.isEnabled()
     remote.client.remove_transformation("recorder")
     until(qtbot, lambda: "recorder" not in window.library.table.names())
     other = soccer()
@@ -252,32 +214,12 @@ def test_another_manager_of_the_name_is_read_from_the_beginning(qtbot, window, r
     revisions = [each.client.get_model().library_revision for each in (remote, other)]
     assert revisions[0] == revisions[1], "that alone does not tell them apart"
     remote.client.core, remote.client.host = other.client.core, other.client.host
-    remote.address = "rosrpc://localhost:40002"
+    remote.address = "rosrpc://localhost:40003"
     until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
     until(qtbot, lambda: "tracker" not in window.library.table.names())
     assert "recorder" in window.library.table.names()
-
-
-def test_what_takes_long_is_said(qtbot, window, remote):
-    remote.client.answers.clear()
-    window.monitor.do(protect("/field/tracker", True))
-    assert window.line.text == "protect /field/tracker …"
-    remote.client.answers.set()
-    until(qtbot, lambda: window.line.text == "done: protect /field/tracker")
-
-
-def test_a_window_without_anybody_says_for_whom_it_waits(qtbot):
-    remote = soccer()
-    remote.client.is_up = remote.has_master = False
-    window = DyKnowWidget(remote)
-    qtbot.addWidget(window, before_close_func=lambda w: w.shut_down())
-    window.show()
-    assert contact_of(window) == "⚠ waiting for /dyknow_manager"
-    window.start()
-    text = "no ROS master at http://localhost:11311; waiting for /dyknow_manager"
-    until(qtbot, lambda: window.graph.sign.text() == text)
-    remote.client.is_up = remote.has_master = True
-    until(qtbot, lambda: "n_/nao1/resize" in vertex_keys(window))
+    until(qtbot, lambda: not window.graph.bar.undo.isEnabled())
+    assert window.monitor.history.texts == ("", "")
 
 
 def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import TRACKER, click, no_boxes, topic, until, vertex_keys
+from unit.rqt.hands import TRACKER, cells_of, click, no_boxes, topic, until, vertex_keys
 
 from dyknow.model.graph import OUTDATED
 
@@ -17,8 +17,7 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     table = window.active.table
     assert table.names() == sorted(each.name for each in remote.graph().nodelets)
     row = table.names().index("/nao1/subsampler")
-    cells = [table.model().index(row, column).data() for column in range(6)]
-    assert cells[1:5] == ["subsampler", "1", "3", "running"]
+    assert cells_of(table, row)[1:5] == ["subsampler", "1", "3", "running"]
     table.choose(["/nao1/bottom_camera"])
     assert not window.active.destroy.isEnabled()
     click(qtbot, window.active.protect)
@@ -26,13 +25,6 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     click(qtbot, window.active.destroy)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: "/nao1/bottom_camera" not in table.names())
-
-
-def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
-    window.active.table.choose(["/nao1/resize"])
-    remote.client.spawn("tracker", "/a_first_one")
-    until(qtbot, lambda: "/a_first_one" in window.active.table.names())
-    assert window.active.table.chosen() == ["/nao1/resize"]
 
 
 def test_active_marks_what_is_outdated(qtbot, window, remote):
@@ -95,6 +87,7 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     qtbot.keyClick(panel.name, Qt.Key_Return)
     until(qtbot, lambda: "n_/field/second" in vertex_keys(window))
     assert remote.graph().nodelet("/field/second").is_protected
+    until(qtbot, lambda: panel.name.text() == "")
     panel.begin("tracker")
     panel.name.setText("/field/second")
     click(qtbot, panel.create)
@@ -102,6 +95,18 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     panel.name.setText("no name")
     click(qtbot, panel.create)
     assert "'no name' is not a valid" in window.line.text
+
+
+def test_a_name_that_is_typed_while_a_nodelet_is_made_stays(qtbot, window, remote):
+    panel = window.create_
+    window.tabs.setCurrentWidget(panel)
+    panel.begin("tracker")
+    remote.client.answers.clear()
+    click(qtbot, panel.create)
+    panel.name.setText("/next")
+    remote.client.answers.set()
+    until(qtbot, lambda: remote.graph().nodelet("/tracker") and not window.monitor.is_changing)
+    assert panel.name.text() == "/next"
 
 
 def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
@@ -140,7 +145,7 @@ def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
     panel.begin("tracker")
     assert panel.given.fields == {}
     item = next(i for i in window.graph.view.scene().items() if "n_/eye" in str(_key(i)))
-    tip = window.graph.view.scene().tip_of(item)
+    tip = window.graph.view.scene().facts.tip_of(item)
     assert "?camera=left place=the field rate=5 speed=3" in tip
 
 

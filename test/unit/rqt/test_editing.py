@@ -76,7 +76,7 @@ def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, re
     arrow = next(e for e in scene.edges if e.head == MOVED)
     tip = scene.edges[arrow].path.currentPosition()
     assert (tip - item.anchor("image", leaving=False)).manhattanLength() < 1
-    box = scene._boxes[("/nao1",)].area
+    box = scene.boxes[("/nao1",)].area
     assert box.contains(item.area.translated(item.pos()))
     QTest.mouseRelease(port, Qt.LeftButton, Qt.NoModifier, end)
     put = place_of(window, MOVED)
@@ -90,6 +90,23 @@ def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, re
     tip = scene.edges[arrow].path.currentPosition()
     assert (tip - item.anchor("image", leaving=False)).manhattanLength() < 1
     assert not window.graph.card.isVisible()
+
+
+def test_a_nodelet_is_moved_while_a_changed_graph_is_being_drawn(qtbot, window, remote):
+    scene, ready = window.graph.view.scene(), []
+    window.graph.layouter.ready.disconnect()
+    window.graph.layouter.ready.connect(ready.append)
+    remote.client.spawn("tracker", "/new/tracker", {})
+    until(qtbot, lambda: ready and "n_/new/tracker" in ready[-1].layout.centres)
+    scene._drawing = ready[-1]
+    steps = scene._draw()
+    while "n_/new/tracker" not in scene.vertices:
+        next(steps)
+    before = scene.vertices[MOVED].pos()
+    scene.move({MOVED: before}, QPoint(5, 5))
+    assert scene.vertices[MOVED].pos() == before + QPoint(5, 5)
+    list(steps)
+    assert ("/new",) in scene.boxes
 
 
 def test_places_are_kept_with_the_settings_until_the_graph_is_tidied(qtbot, window, remote):
@@ -152,7 +169,7 @@ def test_places_belong_to_a_wiring_and_are_taken_over_by_the_next():
 # Wires
 
 
-def test_a_wire_dropped_on_the_ground_makes_what_fits_there(qtbot, window, remote):
+def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, window, remote):
     view = window.graph.view
     ground = QPoint(300, view.viewport().height() - 60)
     place = view.mapToScene(ground)
@@ -167,10 +184,6 @@ def test_a_wire_dropped_on_the_ground_makes_what_fits_there(qtbot, window, remot
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker_2") is None)
     assert topic(remote, CEILING) == ""
-
-
-def test_a_wire_from_an_in_port_makes_its_source(qtbot, window, remote):
-    view = window.graph.view
     remote.client.set_config("/field/tracker", {"position": ""})
     until(qtbot, lambda: window.monitor.snapshot.port(TRACKER).topic == "")
     wait_for_drawing(qtbot, window)
@@ -200,7 +213,7 @@ def test_a_wire_dropped_on_an_arrow_splices(qtbot, window, remote, side):
     start, on = view.place_of(ends[side]), middle_of(view, MOVED, f"t_{YUV}")
     QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
     move(view, on)
-    lines = view.hint.text().split("\n")
+    lines = view.wire.text().split("\n")
     assert f"splice /nao1/half into {YUV}" in lines
     assert f"replaces {YUV} at /nao1/resize:image" in lines
     QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, on)
@@ -265,6 +278,9 @@ def test_parameters_are_shown_and_set(qtbot, window, remote):
     (dialog,) = window.findChildren(ParametersDialog)
     assert dialog.fields["?robot"].isReadOnly() and dialog.fields["colour"].text() == "orange"
     dialog.fields["colour"].setText("yellow")
+    dialog.more.setText("rate")
+    dialog.buttons.accepted.emit()
+    assert dialog.isVisible() and "expected NAME=VALUE" in window.line.text
     dialog.more.setText("rate = 5")
     dialog.buttons.accepted.emit()
 

@@ -50,16 +50,9 @@ def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
     assert offered == {CEILING, TRACKER, PortRef("/nao1/localization", "objects")}
 
 
-def test_a_drag_to_a_port_that_does_not_fit_says_why(qtbot, window, remote):
-    view = window.graph.view
-    drag(view, view.place_of(CEILING), view.place_of(HSV_IN))
-    assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in window.line.text
-    assert topic(remote, CEILING) == "" and no_boxes()
-
-
 def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     view = window.graph.view
-    lines = view.hint.text
+    lines = view.wire.text
     qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
     assert lines() == "geometry_msgs/PointStamped"
     said = {}
@@ -72,7 +65,7 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     ):
         move(view, place)
         said[what] = lines().split("\n")
-        assert view.viewport().rect().contains(view.hint.geometry())
+        assert view.viewport().rect().contains(view.wire.geometry())
     assert said["fits"] == [
         "geometry_msgs/PointStamped",
         "to /field/tracker:position",
@@ -84,27 +77,26 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     assert said["topic"] == ["geometry_msgs/PointStamped", "to /field/ball"]
     assert said["ground"] == ["geometry_msgs/PointStamped"]
     qtbot.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, QPoint(5, 5))
-    assert not view.hint.isVisible() and topic(remote, CEILING) == ""
+    assert not view.wire.isVisible() and topic(remote, CEILING) == ""
     fitting = "/field/tracker:position, /nao1/localization:objects"
     words = f"{CEILING} is not connected: end the arrow at a port that fits ({fitting}"
     assert window.line.text.startswith(words) and window.line.text.endswith("or at a topic")
-
-
-def test_a_drag_to_a_topic_connects_to_it(qtbot, window, remote):
-    view = window.graph.view
+    drag(view, view.place_of(CEILING), view.place_of(HSV_IN))
+    assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in window.line.text
+    assert topic(remote, CEILING) == "" and no_boxes()
     drag(view, view.place_of(CEILING), centre_of(view, "t_/field/ball"))
     until(qtbot, lambda: topic(remote, CEILING) == "/field/ball")
 
 
-def test_delete_disconnects_the_selected_arrow(qtbot, window, remote):
+def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, window, remote):
     scene = window.graph.view.scene()
     arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
     scene.edges[arrow].setSelected(True)
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
     until(qtbot, lambda: topic(remote, TRACKER) == "")
-
-
-def test_delete_destroys_selected_nodelets_after_asking(qtbot, window, remote):
+    until(qtbot, window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
     window.graph.view.select(window.graph.view.scene().vertices["n_/field/tracker"])
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
     assert window.line.text == "Destroy /field/tracker?"
@@ -115,8 +107,7 @@ def test_delete_destroys_selected_nodelets_after_asking(qtbot, window, remote):
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is None)
     until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
-    until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is not None)
-    assert topic(remote, TRACKER) == "/field/ball"
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
 
 
 def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
@@ -130,8 +121,13 @@ def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
     entries["&Disconnect"].trigger()
     until(qtbot, lambda: topic(remote, TRACKER) == "")
     entries = context_menu(qtbot, window, None)
+    window.graph.bar.panel.trigger()
+    assert not window.tabs.isVisible()
     entries["&Create nodelet …"].trigger()
-    assert window.tabs.currentWidget() is window.create_
+    assert window.tabs.currentWidget() is window.create_ and window.create_.isVisible()
+    window.graph.bar.panel.trigger()
+    window.graph.edits.connection_wanted.emit("/field/tracker", "")
+    assert window.connect_.isVisible() and window.graph.bar.panel.isChecked()
 
 
 def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remote, tmp_path):

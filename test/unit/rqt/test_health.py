@@ -12,7 +12,7 @@ from unit.rqt.hands import until
 from dyknow.errors import StreamRefused
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
-from dyknow_rqt.graph.health import Ill, ills_of
+from dyknow_rqt.graph.health import ills_of
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
 
@@ -62,21 +62,23 @@ def test_the_line_counts_what_is_not_well_and_leads_there(qtbot, window, remote)
     assert {"/nao1/recorder", "/nao1/resize", "/field/ceiling_camera"} <= seen
 
 
+def test_what_is_published_on_no_topic_does_not_make_a_nodelet_slow(qtbot, window, remote):
+    until(qtbot, lambda: "1 slow" in window.health.text())
+    remote.client.rates["/nao1/subsampler", "bgr"] = (0.0, 30.0)
+    counted = []
+    window.monitor.measured.connect(lambda traffic: counted.append(traffic))
+    until(qtbot, lambda: len(counted) > 6)
+    assert PortRef("/nao1/subsampler", "bgr") not in window.monitor.traffic
+    assert "1 slow" in window.health.text()
+
+
 def test_a_claim_that_waits_is_led_to_in_its_tab(qtbot, window, remote):
     with pytest.raises(StreamRefused) as refusal:
         remote.client.acquire_stream(StreamRequest("Weather(today)", client_id="test"))
     claim = refusal.value.claim_id
     until(qtbot, lambda: "1 waiting" in window.health.text())
+    window.graph.bar.panel.trigger()
     window.health.linkActivated.emit("waiting")
-    assert window.tabs.currentWidget() is window.streams
+    assert window.tabs.currentWidget() is window.streams and window.streams.isVisible()
     assert window.selection.claims == {claim} == set(window.streams.table.chosen())
     assert window.streams.plan.ways[0][0].what == "Weather(today)"
-
-
-def test_nothing_is_counted_while_the_manager_is_silent(qtbot, window, remote):
-    until(qtbot, window.health.isVisible)
-    remote.client.is_up = False
-    until(qtbot, lambda: not window.health.isVisible())
-    remote.client.is_up = True
-    until(qtbot, window.health.isVisible)
-    assert Ill("lost", "/nao1/recorder", nodelet="/nao1/recorder") in window.health._ills

@@ -9,9 +9,9 @@ import stat
 
 import pytest
 from unit.rqt.hands import until
-from unit.rqt.test_graph import sizes_of
-from unit.rqt.test_parts import chains, check_boxes, figure_of_all
+from unit.rqt.test_graph import chains, check_boxes, figure_of_all, sizes_of
 
+from dyknow_rqt.graph.layout import DrawingOrder
 from dyknow_rqt.layouter import Layouter
 
 
@@ -26,7 +26,7 @@ class Watched:
 
     def lay_out(self, nodelets, **options):
         figure = figure_of_all(nodelets)
-        self.layouter.lay_out(figure, sizes_of(figure), **options)
+        self.layouter.lay_out(DrawingOrder(figure, sizes_of(figure), **options))
         return figure
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from dyknow.model.graph import PortRef
-from dyknow.model.statistics import NodeletCount
+from dyknow.model.statistics import NodeletCount, PortCount
 from dyknow_rqt.graph.rates import Meter
 
 REF, PERIOD = PortRef("/n", "out"), 0.8
@@ -26,6 +26,7 @@ class Source:
         self.time = self.messages = self.dropped = 0.0
         self.reconfigurations = 0
         self.up_since = -100.0
+        self.age, self.size = None, 0
 
     def shown(self):
         traffic = self.meter.traffic.get(REF)
@@ -39,7 +40,8 @@ class Source:
             self.messages += rate * PERIOD
             self.dropped += lost * PERIOD
             if told:
-                counts = {"out": (int(self.messages + 1e-6), int(self.dropped + 1e-6))}
+                sums = int(self.messages + 1e-6), int(self.dropped + 1e-6)
+                counts = {"out": PortCount(*sums, self.age, self.size)}
                 uptime = self.time - self.up_since
                 count = NodeletCount("/n", uptime, self.reconfigurations, counts)
                 self.meter.take([count], self.time)
@@ -80,6 +82,17 @@ def test_no_rate_is_averaged_over_a_pause(told):
     shown = source.rates(8.0, 10)
     assert all(rate is None or rate == pytest.approx(10.0, rel=0.15) for rate in shown[told:])
     assert source.shown()[0] == pytest.approx(10.0, rel=0.05)
+
+
+@pytest.mark.parametrize("periods", range(1, 8))
+@pytest.mark.parametrize("hertz", [2, 10, 30])
+def test_no_rate_is_averaged_over_a_pause_at_the_beginning(periods, hertz):
+    source = Source()
+    assert set(source.rates(periods * PERIOD)) <= {None, 0.0}
+    shown = source.rates(8.0, hertz)
+    wrong = [each for each in shown if each and each != pytest.approx(hertz, rel=0.3)]
+    assert len(wrong) <= (hertz == 2), "one message is no pace yet"
+    assert source.shown()[0] == pytest.approx(hertz, rel=0.15)
 
 
 def test_a_process_that_does_not_answer_has_no_rate():
@@ -137,3 +150,66 @@ def test_ports_that_are_not_known_are_not_measured():
     source.passes(8.0, 10)
     source.meter.keep({})
     assert source.rates(8.0, 10) == [None]
+
+
+def test_bandwidth_is_the_rate_times_the_size():
+    source = Source()
+    source.passes(8.0, 10)
+    assert source.meter.traffic[REF].bandwidth is None, "no size is known"
+    source.size = 2_000_000
+    source.passes(8.0, 10)
+    assert source.meter.traffic[REF].bandwidth == pytest.approx(20e6, rel=0.15)
+    source.passes(8.0)
+    assert source.meter.traffic[REF].bandwidth == 0.0
+
+
+@pytest.mark.parametrize(
+    ("age", "is_old"), [(None, False), (-5.0, False), (0.9, False), (1.5, True), (1e9, False)]
+)
+def test_messages_are_old_by_stamps_of_the_same_clock(age, is_old):
+    source = Source()
+    source.age = age
+    source.passes(8.0, 10)
+    traffic = source.meter.traffic[REF]
+    assert traffic.is_old is is_old
+    assert traffic.text == "10 Hz" + ("\n1.5 s old" if is_old else "")
+    source.passes(8.0)
+    assert not source.meter.traffic[REF].is_old, "what does not send is not old, it is silent"
+
+
+def counted(meter, *seconds, **fields):
+    """Let counts of a nodelet come whose callbacks, or processor time, grew so."""
+    for number, (busy, cpu) in enumerate(seconds):
+        count = NodeletCount("/n", 10.0 + number, 0, {}, busy=busy, cpu=cpu, **fields)
+        meter.take([count], float(number))
+    return meter.strains["/n"]
+
+
+def test_a_load_is_measured_over_some_counts():
+    meter = Meter()
+    assert counted(meter, (5.0, None)).load == 0.0, "one count says nothing"
+    assert counted(Meter(), (5.0, None), (5.5, None), (6.5, None)).load == pytest.approx(0.75)
+    assert counted(Meter(), (5.0, 1.0), (6.0, 1.2)).load == pytest.approx(0.2), "not waiting"
+    assert counted(Meter(), (5.0, None), (9.0, None)).load == 1.0, "with several threads"
+    many = [(float(number), None) for number in range(9)]
+    assert counted(Meter(), *many, *[(8.0, None)] * 5).load == 0.0, "it is over"
+
+
+def test_only_a_high_load_and_late_errors_stand_out():
+    calm = counted(Meter(), (0.0, None), (0.49, None))
+    assert (calm.busy, calm.text) == (0.0, "")
+    busy = counted(Meter(), (0.0, None), (0.83, None))
+    assert (busy.busy, busy.text) == (pytest.approx(0.85), "85 % of a core")
+    failing = counted(Meter(), (0.0, None), recent_error="ZeroDivisionError")
+    assert failing.text.endswith(": ZeroDivisionError") and failing.busy == 0.0
+
+
+def test_the_load_of_what_runs_no_more_is_forgotten():
+    meter = Meter()
+    meter.keep({REF: "/t"})
+    counted(meter, (0.0, None), (1.0, None))
+    meter.take([], 9.0)
+    assert meter.strains == {}
+    counted(meter, (0.0, None), (1.0, None))
+    meter.keep({})
+    assert meter.strains == {}

@@ -10,6 +10,7 @@ from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QApplication, QMenu
 from unit.rqt.hands import TRACKER, centre_of, context_menu, topic, until, vertex_keys
 
+from dyknow_rqt.canvas import slices
 from dyknow_rqt.graph.figure import VertexKind
 
 OTHER_TRACKER = (
@@ -44,17 +45,25 @@ def test_the_table_and_the_graph_select_the_same(qtbot, window):
     click_on(qtbot, window, "t_/field/ball")
     assert table.chosen() == [] and drawn_selection(window) == {"t_/field/ball"}
     assert not window.active.destroy.isEnabled()
-    table.choose(["/nao1/resize"])
-    assert drawn_selection(window) == {"n_/nao1/resize"}
-
-
-def test_a_row_that_is_clicked_is_selected_alone(qtbot, window):
-    click_on(qtbot, window, "n_/nao1/localization")
-    table = window.active.table
     row = table.names().index("/nao1/resize")
     place = table.visualRect(table.model().index(row, 0)).center()
     qtbot.mouseClick(table.viewport(), Qt.LeftButton, Qt.NoModifier, place)
     assert drawn_selection(window) == {"n_/nao1/resize"}
+
+
+def test_what_is_selected_between_two_slices_of_a_drawing_stays_selected(
+    qtbot, window, monkeypatch
+):
+    scene = window.graph.view.scene()
+    monkeypatch.setattr(slices, "SLICE", -1.0)  # each step is one
+    scene.show_drawing(scene._drawing)
+    while not scene.is_drawing:
+        scene.slices.go_on()
+    window.graph.view.select(scene.vertices["n_/field/tracker"])
+    assert scene.is_drawing and window.selection.nodelets == ["/field/tracker"]
+    until(qtbot, lambda: not scene.is_drawing)
+    assert drawn_selection(window) == {"n_/field/tracker"}
+    assert window.selection.nodelets == ["/field/tracker"]
 
 
 def test_what_is_hidden_stays_selected_in_the_table_and_an_arrow_does_not(qtbot, window):
@@ -106,15 +115,12 @@ def test_the_menu_is_for_all_that_is_selected(qtbot, window, remote):
     until(qtbot, lambda: not set(THREE) & {each.name for each in remote.graph().nodelets})
 
 
-def test_the_menu_of_something_else_selects_that(qtbot, window):
+def test_the_menu_of_something_else_selects_that_and_the_table_has_the_same(qtbot, window, remote):
     window.active.table.choose(THREE)
     entries = context_menu(qtbot, window, window.graph.view.scene().vertices["t_/field/ball"])
     assert window.selection.keys == {"t_/field/ball"} and window.active.table.chosen() == []
     assert entries["&Disconnect all ports"].isEnabled()
     assert window.selection.names(VertexKind.TOPIC) == ["/field/ball"]
-
-
-def test_the_table_has_the_same_menu(qtbot, window, remote):
     window.active.table.choose(["/field/tracker"])
     window.active.table.customContextMenuRequested.emit(QPoint(5, 5))
     menu = next(menu for menu in window.graph.findChildren(QMenu) if menu.isVisible())

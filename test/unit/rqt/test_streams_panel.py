@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import pytest
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtGui import QGuiApplication
 from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_keys
 
 from dyknow.model.graph import State
 from dyknow.model.streams import Replanned, StreamRequest
-from dyknow_rqt.canvas.appearance import Tone
+from dyknow_rqt.canvas.tones import Tone
 from dyknow_rqt.graph.filters import tag_completions
 
 _WEATHER = (
@@ -73,18 +74,6 @@ def test_what_matters_is_asked_for(qtbot, window, remote):
     assert "runs as /field/ceiling_camera" in panel.plan.text  # instead of a detector
 
 
-def test_a_stream_that_needs_new_nodelets_brings_them(qtbot, window, remote):
-    remote.client.destroy("/field/tracker")
-    panel = _ask_for(qtbot, window, "Track(ball)")
-    click(qtbot, panel.preview)
-    until(qtbot, lambda: "tracker.track  1  new" in panel.plan.text)
-    click(qtbot, panel.acquire)
-    until(qtbot, lambda: "n_/tracker_1" in vertex_keys(window))
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
-    until(qtbot, lambda: remote.client.list_streams()[0].state.name == "RELEASED")
-
-
 def test_what_variables_stand_for_is_shown(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "FieldPosition(?what)")
     click(qtbot, panel.acquire)
@@ -103,7 +92,7 @@ def test_a_stream_that_is_not_possible_waits_and_says_for_what(qtbot, window, re
     item = window.graph.view.scene().vertices["c_Weather(today)"]
     assert item.stroke().style() == Qt.DashLine and item.fill() == item.colours.paper
     assert item.vertex.label == "Weather(today)\nnothing supplies Weather(today)"
-    tip = window.graph.view.scene().tip_of(item)
+    tip = window.graph.view.scene().facts.tip_of(item)
     assert "waits until it can be made: nothing supplies Weather(today)" in tip
     until(qtbot, lambda: "waits, no plan for Weather(today)" in window.line.text)
     remote.client.add_transformation(_WEATHER)
@@ -167,7 +156,7 @@ def test_the_plan_that_is_shown_is_the_present_one(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "FieldPosition(ball)")
     click(qtbot, panel.acquire)
     until(qtbot, lambda: "FieldPosition(ball)  on /" in panel.plan.text)
-    (stream,) = panel.watch.streams
+    (stream,) = window.monitor.streams
     first = panel.plan.ways
     source = first[0][1].nodelet
     assert source in stream.nodelets
@@ -228,6 +217,9 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     until(
         qtbot, lambda: "n_/tracker_1" in vertex_keys(window) and ghost not in vertex_keys(window)
     )
+    until(qtbot, window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: remote.client.list_streams()[0].state.name == "RELEASED")
 
 
 def test_what_a_new_plan_drops_is_struck_out(qtbot, window, remote):
@@ -236,20 +228,26 @@ def test_what_a_new_plan_drops_is_struck_out(qtbot, window, remote):
     remote.client.alter("/field/ceiling_camera", state=State.RUNNING)
     click(qtbot, panel.acquire)
     until(qtbot, lambda: bool(panel.table.names()) and not window.monitor.is_changing)
-    (stream,) = panel.watch.streams
+    (stream,) = window.monitor.streams
     client, scene = remote.client, window.graph.view.scene()
     client.replan_stream = lambda claim, dry_run: Replanned(
-        ("tracker",), (), 1.0, f"{stream.tag}: cost 1 (proven least)\n└─ t.p (new, cost 1)", ""
+        ("tracker",),
+        (),
+        1.0,
+        f"{stream.tag}: cost 1 (proven least)\n└─ t.p [?robot=nao1] (new, cost 1)",
+        "",
     )
     panel.table.choose(panel.table.names())
     click(qtbot, panel.replan)
     until(qtbot, lambda: "Used no longer" in panel.plan.text)
     dropped = scene.vertices[f"n_{stream.nodelets[0]}"]
     assert dropped.tone is Tone.DROPPED
-    until(qtbot, lambda: "g_t" in vertex_keys(window))
+    ghost = "g_t ?robot=nao1"
+    until(qtbot, lambda: ghost in vertex_keys(window))
+    assert scene.vertices[ghost].vertex.label == "t\n?robot=nao1\ncost 1"
     panel.table.choose(panel.table.names())
     panel._show_way(stream.claim_id)
-    until(qtbot, lambda: "g_t" not in vertex_keys(window))
+    until(qtbot, lambda: ghost not in vertex_keys(window))
     assert dropped.tone is Tone.NONE
 
 
@@ -270,3 +268,34 @@ def test_a_tag_is_completed_within_its_parentheses():
         ("RawYUV(nao1, top)", ["RawYUV(nao1, top)"]),
     ):
         assert tag_completions(text, tags) == found, text
+
+
+def _replanned(qtbot, window, remote, request):
+    """Show how a stream would be made again."""
+    panel = window.streams
+    window.tabs.setCurrentWidget(panel)
+    claim_id = remote.client.acquire_stream(request).claim_id
+    until(qtbot, lambda: claim_id in panel.table.names())
+    panel.table.choose([claim_id])
+    click(qtbot, panel.replan)
+    until(qtbot, lambda: remote.client.calls.count(("plan_stream", claim_id)) == 1)
+    return panel
+
+
+@pytest.mark.parametrize(
+    ("exclude", "others"), [((), ["without ceiling_camera"]), (("localization",), [])]
+)
+def test_replan_lists_the_next_best_ways_within_the_claims_limits(
+    qtbot, window, remote, exclude, others
+):
+    remote.client.alter("/field/ceiling_camera", state=State.RUNNING)
+    request = StreamRequest("FieldPosition(ball)", exclude=exclude)
+    panel = _replanned(qtbot, window, remote, request)
+    until(qtbot, lambda: [way[0].what for way in panel.plan.ways[2:]] == others)
+
+
+def test_what_feeds_a_stream_that_stays_is_not_struck_out(qtbot, window, remote):
+    panel = _replanned(qtbot, window, remote, StreamRequest("Track(ball)"))
+    assert panel.plan.text.startswith("Track(ball) [nav_msgs/Path]  0")
+    assert "Used no longer" not in panel.plan.text
+    assert len(window.monitor.streams[0].nodelets) > 1

@@ -100,6 +100,7 @@ def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remo
     remote.client.destroy("/nao1/recorder")
     until(qtbot, lambda: "n_/nao1/recorder" not in scene.vertices)
     ghost = marks.ghosts["/nao1/recorder"]
+    assert scene.facts.tip_of(ghost) == "/nao1/recorder\nremoved"
     assert ghost.mark is Mark.WENT and ghost.scene() is scene and not ghost.isEnabled()
     assert window.graph.view._item_at(window.graph.view.mapFromScene(ghost.pos())) is None
     assert window.graph.view.grab().toImage() != plain
@@ -147,6 +148,10 @@ def track(qtbot, window, remote):
 
 def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, track):
     timeline, scene = window.graph.timeline, window.graph.view.scene()
+    assert [tag for _, tag in track.lanes()] == ["Track(ball)"]
+    picture = track.grab().toImage()
+    lowest = {picture.pixelColor(x, track.height() - 4).name() for x in range(track.width())}
+    assert track._colour(ClaimState.ACTIVE).name() in lowest
     paper = scene.backgroundBrush().color()
     assert "(now); last change: − /nao1/recorder" in timeline.words.text()
     qtbot.mouseClick(track, Qt.LeftButton, pos=QPoint(0, 5))
@@ -163,10 +168,7 @@ def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, t
     until(qtbot, lambda: "n_/nao1/recorder" not in vertex_keys(window))
     assert timeline.moment is None and scene.backgroundBrush().color() == paper
     until(qtbot, lambda: any(item.traffic for item in scene.edges.values()))
-
-
-def test_two_moments_of_the_past_are_compared(qtbot, window, track):
-    timeline = window.graph.timeline
+    # Two moments of the past are compared.
     qtbot.keyClick(track, Qt.Key_Home)
     qtbot.keyClick(track, Qt.Key_Home, Qt.ShiftModifier)
     qtbot.keyClick(track, Qt.Key_Right, Qt.ShiftModifier)
@@ -189,10 +191,3 @@ def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track):
     until(qtbot, lambda: "n_/nao1/recorder" not in vertex_keys(window))
     context_menu(qtbot, window, None)["Time"].trigger()
     assert window.graph.timeline.isVisible()
-
-
-def test_states_of_claims_have_lanes(qtbot, window, track):
-    assert [tag for _, tag in track.lanes()] == ["Track(ball)"]
-    picture = track.grab().toImage()
-    lowest = {picture.pixelColor(x, track.height() - 4).name() for x in range(track.width())}
-    assert track._colour(ClaimState.ACTIVE).name() in lowest

@@ -95,7 +95,7 @@ def test_the_arrow_of_a_formula_has_the_colour_of_its_verdict(qtbot, charged, re
         assert port.truth is arrow.verdict.truth
         said = f"{truth.name} since 12.300\np = 1 < 2" if truth is not None else "no verdict yet"
         for item in (arrow, port, scene.vertices["t_/charged_1/holds"]):
-            assert f"Holds(charged, nao): {said}" in scene.tip_of(item)
+            assert f"Holds(charged, nao): {said}" in scene.facts.tip_of(item)
         looks.append((arrow.label.split("\n")[1:], pen.color().name(), pen.style()))
     colours = arrow.colours
     assert looks == [
@@ -106,6 +106,9 @@ def test_the_arrow_of_a_formula_has_the_colour_of_its_verdict(qtbot, charged, re
     ]
     others = [item for edge, item in scene.edges.items() if edge.tail != "n_/charged_1"]
     assert {item.verdict for item in others} == {None}
+    remote.client.alter("/charged_1", state=State.LOST)
+    until(qtbot, lambda: _arrow(charged).verdict.verdict is None)
+    assert not remote.followed
 
 
 def test_the_port_shows_the_verdict_where_nothing_listens(qtbot, charged, remote):
@@ -126,11 +129,3 @@ def test_the_port_shows_the_verdict_where_nothing_listens(qtbot, charged, remote
     for truth, colour in ((Truth.TRUE, colours.true), (Truth.FALSE, colours.false)):
         remote.decide("/charged_1/holds", truth)
         until(qtbot, lambda colour=colour: colour.name() in port_colours())
-
-
-def test_a_formula_that_is_lost_has_no_verdict(qtbot, charged, remote):
-    remote.decide("/charged_1/holds", Truth.TRUE)
-    until(qtbot, lambda: "TRUE" in _arrow(charged).label)
-    remote.client.alter("/charged_1", state=State.LOST)
-    until(qtbot, lambda: _arrow(charged).verdict.verdict is None)
-    assert not remote.followed

@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -12,9 +15,18 @@ from clocks import PATIENCE
 from python_qt_binding.QtCore import QSize, QTimer
 from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QMainWindow, QWidget
-from unit.rqt.hands import click, create, pauses, until, vertex_keys, window_of
+from unit.rqt.hands import TRACKER, click, create, pauses, until, vertex_keys, window_of
 
+from dyknow.model.graph import SpawnRequest
 from dyknow_rqt.example_graphs import tree
+from dyknow_rqt.graph.changes import (
+    add_transformations,
+    as_specification,
+    destroy,
+    protect,
+    spawn,
+)
+from dyknow_rqt.graph.wiring import connect_topic
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget, make_room
 
@@ -29,8 +41,11 @@ def test_a_manager_that_hangs_does_not_hold_up_the_window(qtbot, window, remote)
     until(qtbot, lambda: len(ticks) > 100)
     timer.stop()
     assert not answers.is_set(), "the window has waited for the manager"
+    window.monitor.do(protect("/field/tracker", True))
+    assert window.line.text == "protect /field/tracker …"
     last.cancel()
     answers.set()
+    until(qtbot, lambda: window.line.text == "done: protect /field/tracker")
 
 
 def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
@@ -42,6 +57,71 @@ def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: "cannot undo 'destroy /field/tracker'" in window.line.text)
     assert not window.graph.bar.undo.isEnabled()
+
+
+def test_a_change_begins_from_the_graph_that_the_last_one_left(qtbot, remote, monkeypatch):
+    late = remote.graph()
+    monkeypatch.setattr(remote, "graph", lambda: late)  # messages of the model are on the way
+    monkeypatch.setattr(remote, "start", lambda: None)
+    window = window_of(qtbot, remote)
+    monitor, name = window.monitor, "/field/tracker"
+
+    def connected():
+        ports = remote.client.get_config(name)
+        return {port.name: port.topic for port in ports}["position"]
+
+    until(qtbot, lambda: monitor.is_linked and monitor.snapshot.nodelet(name) and monitor.library)
+    assert connected() == "/field/ball"
+    for change in (connect_topic(monitor.snapshot, TRACKER, "/other"), destroy(name)):
+        monitor.do(change)
+        until(qtbot, lambda: not monitor.is_changing)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: not monitor.is_changing)
+    assert connected() == "/other"
+
+
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_a_change_begins_from_the_library_that_the_last_one_left(
+    qtbot, window, remote, monkeypatch, is_whole
+):
+    monitor, client = window.monitor, remote.client
+    fresh = monitor.library["tracker"]._replace(label="fresh")
+    monkeypatch.setattr(monitor, "read_library", lambda: None)  # its answer is on the way
+    if is_whole:
+        monkeypatch.setattr(client, "get_graph", client.get_model)  # as that of a real manager
+    for change in (
+        add_transformations(as_specification([fresh])),
+        spawn(SpawnRequest("fresh", "/fresh")),
+        destroy("/fresh"),
+    ):
+        monitor.do(change)
+        until(qtbot, lambda: not monitor.is_changing)
+    assert remote.graph().nodelet("/fresh") is None
+    monitor.undo()
+    until(qtbot, lambda: not monitor.is_changing)
+    assert remote.graph().nodelet("/fresh") is not None
+
+
+def test_a_library_that_was_read_before_a_newer_one_is_not_taken(qtbot, window, remote):
+    monitor, client = window.monitor, remote.client
+    late, link = client.get_model(), monitor._link
+    client.remove_transformation("tracker")
+    until(qtbot, lambda: "tracker" not in monitor.library)
+    monitor._take_library(late, link)
+    assert "tracker" not in monitor.library
+
+
+def test_a_model_that_comes_after_a_newer_one_is_not_shown(qtbot, window, remote):
+    monitor, late, seen, turns = window.monitor, remote.graph(), [], []
+    monitor.do(connect_topic(monitor.snapshot, TRACKER, "/other"))
+    until(qtbot, lambda: not monitor.is_changing)
+    until(qtbot, lambda: not (monitor._calls.is_calling or monitor._drawing.isActive()))
+    assert monitor.snapshot.port(TRACKER).topic == "/other"
+    monitor.changed.connect(lambda snapshot: seen.append(snapshot.port(TRACKER).topic))
+    remote.on_model(late)
+    monitor._calls.deliver(lambda: turns.append(1))
+    until(qtbot, lambda: turns and not monitor._drawing.isActive())
+    assert set(seen) <= {"/other"}
 
 
 def test_what_cannot_be_undone_is_not_in_the_way_of_what_was_done_before(qtbot, window, remote):
@@ -60,6 +140,7 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     window.monitor.undo()
     until(qtbot, lambda: "undo 'create /first': " in window.line.text)
     remote.client.is_up = True
+    until(qtbot, lambda: window.monitor.is_linked)  # its silence may have been noticed
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
@@ -127,3 +208,14 @@ def test_a_window_in_which_no_graph_can_be_seen_makes_room(qtbot, size, grows):
     assert (host.width() > size[0]) is grows
     screen = host.screen().availableGeometry()
     assert host.width() <= screen.width() and host.height() <= screen.height()
+
+
+def test_without_a_screen_it_says_so() -> None:
+    hidden = ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
+    environment = {name: text for name, text in os.environ.items() if name not in hidden}
+    start = "import sys; from dyknow_rqt.main import main; sys.exit(main(['dyknow_rqt']))"
+    done = subprocess.run(
+        [sys.executable, "-c", start], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("dyknow_rqt: there is no screen: set DISPLAY")
