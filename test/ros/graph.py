@@ -3,7 +3,8 @@
 
 """Shared by the suites about the ROS graph: the test package, managers, and looks at the master.
 
-Importing it makes the packages of test/packages known to this process and those that it starts.
+Importing it makes the packages of test/packages known to this process and those that it starts,
+and the modules of test/ to this process.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ import xmlrpc.client
 from pathlib import Path
 from typing import Any, Callable, Mapping, Sequence
 
-PACKAGES = Path(__file__).resolve().parent.parent / "packages"
+TEST = Path(__file__).resolve().parent.parent
+PACKAGES = TEST / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
-sys.path.insert(0, str(PACKAGES / "dyknow_test" / "src"))
+sys.path[:0] = [str(TEST), str(PACKAGES / "dyknow_test" / "src")]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
@@ -35,6 +37,7 @@ from processes import NODELET, Ended, TellingCase, becomes, eventually, forget  
 from sensor_msgs.msg import BatteryState  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 
+from dyknow.ros.nodelets.announcements import TOPIC  # noqa: E402
 from dyknow.ros.wire.master import Master  # noqa: E402
 from dyknow.ros.wire.poll_client import PollClient  # noqa: E402
 
@@ -136,6 +139,13 @@ class Manager(Ended, ManagerServices):
         if wait:
             self.wait_until_up()
 
+    def wait_until_up(self) -> None:
+        """Wait for all that it registers by itself."""
+        super().wait_until_up()
+        last = f"publishers {TOPIC}"
+        if NODELET[-1] in self.command:
+            eventually(lambda: last in registered(self.name), 20.0, f"{last} are registered")
+
     def threads(self) -> int:
         return len(os.listdir(f"/proc/{self.pid}/task"))
 
@@ -180,7 +190,7 @@ class Talker:
 
     def __init__(self, topic: str, message: Any) -> None:
         self._publisher = rospy.Publisher(topic, type(message), queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(message))
+        self._timer = rospy.Timer(rospy.Duration(0.05), lambda _: self._publisher.publish(message))
 
     def __enter__(self) -> Talker:
         return self

@@ -86,7 +86,9 @@ class ManagerProcess:
         namespace, _, base = node.rpartition("/")
         self.command = [PROGRAM, f"__name:={base}", f"__ns:={namespace or '/'}"]
         self.given = parameters
-        self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
+        # Limits of the product that only a busy machine reaches are out of the way.
+        limits = {"orphan_timeout": 60.0, "spawn_timeout": 60.0}
+        self.parameters = {"state_dir": state, **limits, **parameters}
         self.client = ManagerClient(node, rospy.get_name())
         self.log = os.path.join(state, "output.log")
         self.process: Any = None
@@ -106,9 +108,12 @@ class ManagerProcess:
         assert self.process.poll() is None, self.output
         return answers(self.client)
 
+    def forget_output(self) -> None:
+        self._log_begin = os.path.getsize(self.log)
+
     @property
     def output(self) -> str:
-        """Its output in this test."""
+        """Its output in this test, or since `forget_output`."""
         with open(self.log) as log:
             log.seek(self._log_begin)
             return log.read()
@@ -188,7 +193,7 @@ class ManagerProcess:
         eventually(is_empty, 1.0, "no nodelet is left")
         eventually(lambda: set(self.children()) <= {CHILD, CPP_CHILD}, 1.0, "no process is left")
         assert self.child().alive
-        self._log_begin = os.path.getsize(self.log)
+        self.forget_output()
 
     def claims(self) -> list[StreamStatus]:
         """The claims that have not ended."""
@@ -323,12 +328,18 @@ class MasterCase(TellingCase):
 
     def setUp(self) -> None:
         self.state = str(self.make_folder())
+        self.addCleanup(self.end_children)
         self.port = free_port()
         self.uri = f"http://localhost:{self.port}"
         patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})
         patch.start()
         self.addCleanup(patch.stop)
         self.client = ManagerClient(MANAGER, rospy.get_name())
+
+    def end_children(self) -> None:
+        """End what managers that were killed have left, whatever their names were."""
+        for process in children_in(self.state, "").values():
+            process.signal(signal.SIGKILL)
 
     def roscore(self) -> Ended:
         core = self.run_process("rosmaster", "--core", "-p", self.port)

@@ -22,7 +22,7 @@ import rospy
 import rostest
 from graph import Battery, Heard
 from manager_suite import LIBRARY, ManagerCase, MasterCase
-from processes import HELD_UP, eventually
+from processes import HELD_UP
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt
 from python_qt_binding.QtGui import QMouseEvent
 from python_qt_binding.QtTest import QTest
@@ -132,10 +132,10 @@ class WindowTest(Window, ManagerCase):
         until(lambda: any(sent()), "its rate is shown")
         arrow = next(item for e, item in scene.edges.items() if e.tail == "n_/relay")
         over = next(item for e, item in scene.edges.items() if e.tail == "n_/count")
-        self.assertIn("connections: 1 within the process", scene.tip_of(over))
+        self.assertIn("connections: 1 within the process", scene.facts.tip_of(over))
         window.graph._ask_transports({monitor.snapshot.nodelet("/relay").node})
         outside = re.compile(r"connections: 1 (SHMROS|TCPROS)$")
-        until(lambda: outside.search(scene.tip_of(arrow)), "the transport of the subscriber")
+        until(lambda: outside.search(scene.facts.tip_of(arrow)), "the transport of the subscriber")
         with manager.child_stopped():
             until(lambda: not sent(), "a process that stands still has no rate")
         until(lambda: any(sent()), "it goes on")
@@ -169,11 +169,11 @@ class WindowTest(Window, ManagerCase):
         self.assertEqual(self.monitor.snapshot.nodelets, ())
 
         def is_active() -> bool:
-            states = {each.tag: each.state.name for each in panel.watch.streams}
+            states = {each.tag: each.state.name for each in self.monitor.streams}
             return states == {"FieldPosition(ball)": "ACTIVE", "Holds(charged, nao)": "ACTIVE"}
 
         def asked() -> StreamStatus:
-            return next(each for each in panel.watch.streams if each.tag == "FieldPosition(ball)")
+            return next(each for each in self.monitor.streams if each.tag == "FieldPosition(ball)")
 
         def arrow(verdict: str) -> Any:
             """The arrow of the formula, once it shows a verdict."""
@@ -191,6 +191,7 @@ class WindowTest(Window, ManagerCase):
         stream = asked()
         until(lambda: f"t_{stream.topic}" in scene.vertices, "it is drawn")
         until(lambda: all(each and each.rate > 1.0 for each in traffic()), "all of it flows")
+        until(lambda: any(each and each.bandwidth for each in traffic()), "sizes are known")
         until(lambda: arrow("TRUE"), "the battery is charged")
         self.assertEqual(arrow("TRUE").stroke().color(), arrow("TRUE").colours.true)
 
@@ -213,7 +214,7 @@ class WindowTest(Window, ManagerCase):
         until(lambda: arrow("FALSE"), "the battery is flat")
         self.assertEqual(arrow("FALSE").stroke().color(), arrow("FALSE").colours.false)
         flat = r"FALSE since \d+\.\d{3}\nbattery\.percentage = 0\.19 at \d"
-        self.assertRegex(scene.tip_of(arrow("FALSE")), rf"Holds\(charged, nao\): {flat}")
+        self.assertRegex(scene.facts.tip_of(arrow("FALSE")), rf"Holds\(charged, nao\): {flat}")
         until(lambda: any("ceiling_camera" in key for key in scene.vertices), "the other camera")
         until(
             lambda: is_active() and not any("bottom_camera" in name for name in asked().nodelets),
@@ -300,15 +301,6 @@ class WindowTest(Window, ManagerCase):
         heard = self.enter(Heard("/end"))
         manager.client.set_config("/relay", {"out": "/end"})
         until(lambda: len(heard) > 5, "messages flow through both")
-
-    def test_the_own_window_starts_and_ends_on_request(self) -> None:
-        self.started()
-        process = self.run_process("rosrun", "dyknow", "dyknow_rqt")
-        eventually(lambda: readers_of_the_model() or process.has_ended, 20.0, "it reads")
-        self.assertFalse(process.has_ended, process.output)
-        process.stop()
-        self.assertEqual(process.exit_code(10.0), 0, process.output)
-        self.assertNotIn("Traceback", process.output)
 
 
 class DeadSystemTest(Window, MasterCase):

@@ -2,18 +2,36 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The bus under the ROS graph: by reference inside, ordinary topics outside; lazy nodelets."""
+"""The bus under the ROS graph: by reference inside, ordinary topics outside; lazy; counted."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import math
 import signal
+import threading
+import time
 
 import graph  # first: it makes the test package known
-from graph import Heard, Manager, NodeletManagerCase, call, is_linked, peer
-from processes import HELD_UP, becomes, eventually, finished, run
+import rospy
+from dyknow_msgs.msg import NodeletCounts, Port, PortCount
+from dyknow_msgs.srv import Poll, PollResponse
+from dyknow_test.puppet import Call
+from graph import Heard, Manager, NodeletManagerCase, call, connect, is_linked, peer, poll
+from nodelet.srv import NodeletList
+from processes import HELD_UP, TellingCase, becomes, eventually, finished, run, suspended
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
+
+from dyknow.manager.host import ProcessState
+from dyknow.ros.hosting.grants import PeerContext
+from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, Presence
+from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.poll_client import PollClient
+from dyknow.ros.wire.service_client import ServiceFailed
 
 
 def number_of(message):
@@ -153,19 +171,28 @@ class OrdinaryHandleTest(BusTest):
 
     def setUp(self):
         self.manager.load("Ordinary", "/n")
+        self.service = rospy.ServiceProxy("/n/call", Call, persistent=True)
+
+    def tearDown(self):
+        self.service.close()
+        super().tearDown()
+
+    def call(self, method, *args):
+        """Call a method of the nodelet, over one connection."""
+        return json.loads(self.service(String(json.dumps([method, args]))).data)
 
     def make(self, *labels, latch=()):
         for label in labels:
             kind, role = label.split("_")[:2]
-            call("/n", f"make_{role}", label, kind, "/a", *latch)
+            self.call(f"make_{role}", label, kind, "/a", *latch)
 
     def all_come(self, label, numbers):
-        becomes(lambda: sorted(call("/n", "received", label)), list(numbers))
+        becomes(lambda: sorted(self.call("received", label)), list(numbers))
 
     def settle(self, *labels):
         """Wait until rospy has connected the ordinary handles, after the master's notification."""
         for label in labels:
-            eventually(lambda label=label: call("/n", "connections", label), 5.0, label)
+            eventually(lambda label=label: self.call("connections", label), 5.0, label)
 
     def test_all_combinations_in_every_order(self):
         for order in itertools.permutations(self.PUBLISHERS + self.SUBSCRIBERS):
@@ -180,12 +207,12 @@ class OrdinaryHandleTest(BusTest):
                     sent = {each: [next(numbers), next(numbers)] for each in self.PUBLISHERS}
                     present_subscribers = [each for each in expected if each in present]
                     for publisher in [each for each in present if each in sent]:
-                        call("/n", "publish", publisher, sent[publisher])
+                        self.call("publish", publisher, sent[publisher])
                         for subscriber in present_subscribers:
                             expected[subscriber] += sent[publisher]
                     for subscriber in present_subscribers:
                         self.all_come(subscriber, sorted(expected[subscriber]))
-                    call("/n", "remove", removed)
+                    self.call("remove", removed)
                     present.remove(removed)
                 becomes(lambda: graph.nodes_on("/a"), (set(), set()))
 
@@ -194,7 +221,7 @@ class OrdinaryHandleTest(BusTest):
         self.settle(*self.SUBSCRIBERS)
         heard = self.enter(Heard("/a", note=number_of))
         for publisher, numbers in zip(self.PUBLISHERS, ([0, 1], [2, 3])):
-            call("/n", "publish", publisher, numbers)
+            self.call("publish", publisher, numbers)
             becomes(heard.copy, list(range(numbers[-1] + 1)))
         speaker = self.publisher("/a", Header)
         eventually(lambda: is_linked("/a", 2), 5.0, "connected both ways")
@@ -211,54 +238,54 @@ class OrdinaryHandleTest(BusTest):
             self.make(*self.SUBSCRIBERS)
             self.settle(*self.SUBSCRIBERS)
             with Heard("/a", note=lambda message: message._connection_header) as headers:
-                call("/n", "publish", "bus_publisher", [0])
+                self.call("publish", "bus_publisher", [0])
                 self.all_come("rospy_subscriber", [0])
                 expected = headers.has(bool)
             self.assertEqual(expected["latching"], str(int(latch)))
-            self.assertEqual(call("/n", "header", "rospy_subscriber"), expected)
-            call("/n", "publish", "rospy_publisher", [1])
+            self.assertEqual(self.call("header", "rospy_subscriber"), expected)
+            self.call("publish", "rospy_publisher", [1])
             for label in self.SUBSCRIBERS:
                 self.all_come(label, [0, 1])
-                self.assertEqual(call("/n", "header", label), expected)
+                self.assertEqual(self.call("header", label), expected)
             for label in self.PUBLISHERS + self.SUBSCRIBERS:
-                call("/n", "remove", label)
+                self.call("remove", label)
             becomes(lambda: graph.nodes_on("/a"), (set(), set()))
 
     def test_an_ordinary_subscriber_of_any_type(self):
         self.make("bus_publisher")
-        call("/n", "make_any_subscriber", "any", "/a")
+        self.call("make_any_subscriber", "any", "/a")
         self.settle("any")
-        call("/n", "publish", "bus_publisher", [1, 2])
+        self.call("publish", "bus_publisher", [1, 2])
         self.all_come("any", [1, 2])
-        header = call("/n", "header", "any")
+        header = self.call("header", "any")
         self.assertEqual((header["type"], header["topic"]), ("std_msgs/Header", "/a"))
 
     def test_an_ordinary_subscriber_outlives_many_publishers_of_the_bus(self):
         labels = ("rospy_subscriber", "rospy_subscriber_2")
         self.make(labels[0])
-        call("/n", "limit_nested_calls", 300)  # of Python, by default 1,000
+        self.call("limit_nested_calls", 300)  # of Python, by default 1,000
         try:
-            call("/n", "make_and_remove_publishers", 360, "bus", "/a")
+            self.call("make_and_remove_publishers", 360, "bus", "/a")
             self.make("bus_publisher", labels[1])
             self.settle(*labels)
-            call("/n", "publish", "bus_publisher", [1, 2])
+            self.call("publish", "bus_publisher", [1, 2])
             for label in labels:
                 self.all_come(label, [1, 2])
         finally:
-            call("/n", "limit_nested_calls", 1000)
+            self.call("limit_nested_calls", 1000)
 
     def test_latched_by_an_ordinary_publisher_where_the_bus_publishes_too(self):
         self.make("rospy_publisher", latch=[True])
-        call("/n", "publish", "rospy_publisher", [6])
+        self.call("publish", "rospy_publisher", [6])
         self.make("bus_publisher", "rospy_publisher_2", latch=[True])
         for number, publisher in ((6, ""), (7, "rospy_publisher"), (8, "rospy_publisher_2")):
             if publisher:
-                call("/n", "publish", publisher, [number])
+                self.call("publish", publisher, [number])
             for label in self.SUBSCRIBERS:
                 self.make(label)
                 self.all_come(label, [number])
-                call("/n", "remove", label)
-        call("/n", "remove", "bus_publisher")
+                self.call("remove", label)
+        self.call("remove", "bus_publisher")
         self.make("rospy_subscriber")
         self.all_come("rospy_subscriber", [8])
 
@@ -350,6 +377,185 @@ class LazyTest(NodeletManagerCase):
                 self.assertEqual(call("/lazy", "connections"), 2)
                 self.assertEqual(call("/inside", "senders"), {"welcome": 1})
             self.manager.unload_all()
+
+
+class ServiceTest(NodeletManagerCase):
+    @staticmethod
+    def ask(*nodelets):
+        """Counts by nodelet and port, as messages and whether one is latched."""
+        return {
+            each.nodelet: {port.port: (port.messages, port.latched) for port in each.ports}
+            for each in poll("/manager", *nodelets).counts
+        }
+
+    def test_all_nodelets_in_one_call(self):
+        for name in ("/b", "/a"):
+            self.manager.load("Talker", name, {"/out": "/said"}, latch=name == "/b")
+        self.manager.load("Relay", "/c", {"/in": "/said"})
+        self.manager.load("Introspector", "/no_ports")
+        none = (0, False)
+        expected = {"/a": {"out": none}, "/b": {"out": none}, "/c": {"in": none, "out": none}}
+        self.assertEqual(self.ask("/a", "/b", "/c", "/no_ports"), {**expected, "/no_ports": {}})
+        call("/a", "publish", 0, 3)
+        call("/b", "publish", 0, 2)
+        becomes(lambda: self.ask("/c")["/c"]["in"], (5, False))
+        expected = {"/a": {"out": (3, False)}, "/b": {"out": (2, True)}}
+        self.assertEqual(self.ask("/b", "/a", "/nobody"), expected)
+        self.assertEqual(self.ask(), {})
+        (counts,) = poll("/manager", "/c").counts
+        self.assertGreater(counts.busy, 0.0)
+        self.assertEqual((counts.cpu, counts.memory), (0.0, 0), "it shares the process")
+        self.assertGreater(counts.uptime.to_sec(), 0)
+        self.assertEqual(counts.reconfigurations, 0)
+        connect("/b", out="")
+        call("/b", "publish", 0, 4)
+        (counts,) = poll("/manager", "/b").counts
+        self.assertEqual((counts.reconfigurations, counts.ports[0].dropped), (1, 4))
+        (counts,) = poll("/manager", "/c").counts
+        self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
+        self.manager.unload("/a")
+        self.assertEqual(self.ask("/a"), {})
+        with self.assertRaisesRegex(ServiceFailed, "4096"):
+            self.ask("/a" * 4096)
+
+
+class Named(Peer):
+    """Whichever process offers services of a name."""
+
+    def __init__(self, context, name):
+        super().__init__(context, name, False, Presence(ProcessState(name), "not found yet"))
+
+    def _find(self):
+        client = PollClient(self.context.master, self.name, False)
+        state = ProcessState(self.name, incarnation="1")
+        self._found(state, client, client.ask(POLL_TIMEOUT))
+
+    def _missed(self, client, error):
+        """The connection is kept for the answer that is late."""
+
+
+class CountingTest(TellingCase):
+    """Nodelet managers of all kinds; this process provides their services."""
+
+    def setUp(self):
+        self.peers = {}
+        self.awake, self.asked = threading.Event(), []
+        self.addCleanup(self.awake.set)
+
+    def offer(self, name, answer):
+        for service, service_class in (("list", NodeletList), ("poll", Poll)):
+            offered = rospy.Service(f"/{name}/{service}", service_class, answer)
+            self.addCleanup(offered.shutdown)
+
+    def counts(self, **wanted):
+        """Counts by nodelet, as a host returns them."""
+        context = PeerContext(Master(rospy.get_name()))
+        numbers, found = {}, {}
+        for name, nodelet in wanted.items():
+            if name not in self.peers:
+                self.peers[name] = Named(context, f"/{name}")
+                self.addCleanup(self.peers[name].close)
+            numbers[name] = self.peers[name].ask_counts([f"/{nodelet}"])
+        deadline = time.monotonic() + 0.5
+        for name, number in numbers.items():
+            found.update(self.peers[name].counts(number, [f"/{wanted[name]}"], deadline))
+        return found
+
+    def messages(self, **wanted):
+        """Messages on the port out, by nodelet."""
+        return {
+            name[1:]: None if counts is None else counts["out"].messages
+            for name, counts in self.counts(**wanted).items()
+        }
+
+    def counted(self, manager, nodelet, messages):
+        """Wait for a count: on a busy machine the answer comes later than a host waits for."""
+        becomes(lambda: self.messages(**{manager: nodelet}).get(nodelet, "late"), messages)
+
+    def good(self, request):
+        ports = [
+            PortCount("in", Port.IN, 1, False, math.nan, 0, 0),
+            PortCount("out", Port.OUT, 7, True, 0.5, 0, 100),
+        ]
+        return PollResponse(counts=[NodeletCounts(nodelet="/there", ports=ports)])
+
+    def hung(self, request):
+        """Answers only when the event is set."""
+        if request.counted:
+            self.asked.append(request.counted)
+            self.awake.wait()
+        ports = [PortCount("out", Port.OUT, 3, False, math.nan, 0, 0)]
+        return PollResponse(counts=[NodeletCounts(nodelet="/late", ports=ports)])
+
+    def test_who_is_there_and_who_is_not(self):
+        self.offer("good", self.good)
+        for manager, nodelet, messages in (
+            ("good", "there", 7),
+            ("good", "gone", None),
+        ):
+            self.counted(manager, nodelet, messages)
+        found = {}
+        eventually(lambda: found.update(self.counts(good="there")) or found, 5.0, "it is")
+        count = found["/there"]["out"]
+        self.assertTrue(count.latched)
+        self.assertLessEqual(count.asked, count.answered)
+
+    def test_who_hangs_costs_nobody_else_his_answer(self):
+        self.offer("good", self.good)
+        self.offer("hung", self.hung)
+        for _ in range(5):
+            becomes(lambda: self.messages(good="there", hung="late"), {"there": 7})
+        becomes(lambda: self.asked, [["/late"]])  # while an answer is due, nothing more is asked
+        self.awake.set()
+        self.counted("hung", "late", 3)
+
+
+class HearingTest(TellingCase):
+    def setUp(self):
+        self.hearing = MessageCounter(Registrar())
+        self.addCleanup(self.hearing.close)
+        self.speaker = self.publisher("/spoken", Header)
+
+    def listen(self, topic="/spoken"):
+        counter = self.hearing.listen(topic)
+        eventually(counter.count, 5.0, "it listens")
+        return counter
+
+    def speak(self, *listeners):
+        """Publish until each of the counters has seen something new."""
+        before = [each.count().messages for each in listeners]
+
+        def heard():
+            self.speaker.publish(Header())
+            counts = [each.count().messages for each in listeners]
+            return all(count > old for count, old in zip(counts, before))
+
+        eventually(heard, 5.0, "it is heard")
+
+    def test_each_listener_counts_for_itself(self):
+        first = self.listen()
+        self.speak(first)
+        second = self.listen()
+        # Some that were published before may come only now; what came before does not count.
+        self.assertLess(second.count().messages, first.count().messages)
+        self.speak(first, second)
+        second.close()
+        other = self.listen("/elsewhere")
+        self.speak(first)
+        self.assertEqual(other.count().messages, 0)
+
+    def test_a_master_that_hangs_holds_up_nobody_who_listens(self):
+        first = self.listen()
+        self.speak(first)
+        master = int(Master(rospy.get_name()).ask("getPid"))
+        with suspended(master):
+            second = self.hearing.listen("/spoken")
+            third = self.hearing.listen("/elsewhere")
+            self.speak(first)
+            self.assertIsNone(third.count(), "nobody can say that nothing comes")
+            third.close()
+        eventually(second.count, 10.0, "it listens")
+        self.speak(first, second)
 
 
 if __name__ == "__main__":

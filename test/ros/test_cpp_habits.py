@@ -14,11 +14,11 @@ from typing import Iterator
 from unittest import mock
 
 import graph
-from cpp_suite import RUN
+from cpp_suite import OURS, RUN
 from dyknow_msgs.msg import NodeletChanges, PortConfig
 from dyknow_msgs.srv import GetConfig, SetConfig
 from graph import Heard, WordsCase, hears
-from processes import BUSY, becomes, eventually, run
+from processes import BUSY, becomes, eventually, finished, run
 from rosgraph_msgs.msg import Log, TopicStatistics
 from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
@@ -184,6 +184,13 @@ class ViewTest(HabitsCase):
         plain, live = (self.call("/habits/refused").message for _ in self.both())
         self.assertIn("without a callback", plain)
         self.assertEqual(live, plain)
+
+
+class HelpTest(HabitsCase):
+    def test_no_node_is_started(self):
+        for option in ("-h", "--help"):
+            code, output = finished([*OURS, option])
+            self.assertEqual((code, output.partition(" ")[0]), (0, "usage:"), output)
 
 
 class StandaloneTest(HabitsCase):

@@ -10,9 +10,11 @@ import contextlib
 import itertools
 import os
 import statistics
+import threading
 import time
 
 import graph
+import rosgraph
 import rospy
 from cpp_suite import (
     FLAWLESS,
@@ -121,6 +123,35 @@ class MoveTest(CppCase):
                 self.assertGreater(report("/sink")["switches"], 1)
                 self.manager.unload_all()
 
+    def test_an_in_port_with_a_small_queue_and_many_threads(self):
+        """It hears its new topic after every move, whichever thread takes which callback."""
+        for source, topic in (("/left", "/a"), ("/right", "/b")):
+            self.load("Source", "out", topic, source, count=100 * COUNT, rate=RATE)
+            start(source)
+        self.load("Sink", "in", "/a", mt=True, delay=0.005, queue_size=1)
+        move = self.mover("/sink", "in")
+
+        def received() -> int:
+            return graph.port_statistics("/sink", "in").messages
+
+        for topic in itertools.islice(itertools.cycle(("/b", "/a")), 40):
+            move(topic)
+            before = received()
+            eventually(lambda n=before: received() > n + 2, 5.0, f"messages of {topic} come")
+
+    def test_an_in_port_that_comes_back_from_a_silent_topic(self):
+        """Before it has left the first one, which has both of its connections for a moment."""
+        self.load("Source", "out", "/a", count=COUNT, rate=RATE)
+        self.load("Sink", "in", "/a")
+        move = self.mover("/sink", "in")
+
+        def there_and_back(topic: str) -> None:
+            move("/silent")
+            move("/a")
+
+        self.moves_while_sending(COUNT, "/source", step=there_and_back)
+        self.all_arrive(COUNT)
+
     def test_both_ends_with_a_slow_receiver_that_has_a_backlog(self):
         self.load("Sink", "in", "/a", delay=0.005, queue_size=COUNT)
         self.load("Source", "out", "/a", count=COUNT, rate=RATE)
@@ -134,6 +165,15 @@ class MoveTest(CppCase):
         # Not from its report, which waits in its queue for all that came before.
         self.assertLess(graph.port_statistics("/sink", "in").messages, COUNT)
         self.all_arrive(COUNT)
+
+    def test_an_out_port_that_publishes_by_value(self):
+        """What it has published is on its way yet, by roscpp's thread, when it moves."""
+        self.manager.load("Sink", "/sink", {"/in": "/a", "/second": "/b"}, second=True)
+        self.load("Source", "out", "/a", count=COUNT, rate=RATE, by_value=True)
+        self.moves_while_sending(COUNT, "/source", step=self.mover("/source", "out"))
+        becomes(lambda: report("/sink")["received"], COUNT, 30.0)
+        found = flaws("/sink")
+        self.assertEqual({**found, "copied": 0}, FLAWLESS)
 
     def test_a_disconnected_out_port_drops(self):
         self.load("Sink", "in", "/a")
@@ -154,8 +194,37 @@ class MoveTest(CppCase):
         self.sends(1)
         self.mover("/source", "out")("/b")  # a publisher and a listener of the process are there
         becomes(lambda: report("/sink")["received"], 1)
-        (counts,) = graph.poll(MANAGER, "/source").counts
-        self.assertTrue(counts.ports[0].latched)
+        sink, source = graph.poll(MANAGER, "/sink", "/source").counts
+        self.assertTrue(source.ports[0].latched)
+        self.assertGreater(sink.busy, 0.0)
+        self.assertEqual([(each.cpu, each.memory) for each in (sink, source)], [(0.0, 0)] * 2)
+
+    def test_a_latched_message_that_is_published_during_the_move_comes_too(self):
+        ghost = rosgraph.Master("/ghost")
+        ghost.registerSubscriber("/b", Header._type, "http://localhost:1")  # waited for in vain
+        self.addCleanup(ghost.unregisterSubscriber, "/b", "http://localhost:1")
+        self.load("Source", "out", "/a", latch=True)
+        self.load("Sink", "in", "/b")
+        mover = threading.Thread(target=self.mover("/source", "out"), args=("/b",))
+        mover.start()
+        becomes(lambda: report("/sink")["publishers"], 1)
+        self.sends(1)
+        mover.join()
+        becomes(lambda: report("/sink")["received"], 1)
+
+    def test_who_joins_the_old_topic_is_no_subscriber_any_more(self):
+        """A lazy nodelet would go on working for it: no disconnect callback follows."""
+        self.load("Source", "out", "/a", watched=True)
+        self.load("Sink", "in", "/c")
+        move_out, move_in = self.mover("/source", "out"), self.mover("/sink", "in")
+        move_in("/d")
+        self.enter(Heard("/a"))  # outside: the old registration stays for a while
+        becomes(lambda: report("/source")["watchers"], 1)
+        move_out("/b")
+        move_in("/a")
+        self.assertEqual(report("/source")["watchers"], 0)
+        move_in("/b")
+        becomes(lambda: report("/source")["watchers"], 1)
 
     def test_outside_subscribers_miss_nothing(self):
         """Unless they connect later than a move waits for, as they may on a busy machine."""
@@ -277,9 +346,29 @@ class PortTest(CppCase):
         is_told(lambda: connect("/source", out="/b"))
         start("/source")
         becomes(lambda: graph.poll(MANAGER, "/source").counts[0].ports[0].messages, 7)
+        (counts,) = graph.poll(MANAGER, "/source").counts  # alone in its process
+        self.assertGreater(counts.cpu, 0.0)
+        self.assertGreater(counts.memory, 0)
         is_told(lambda: self.manager.unload("/source"))
         becomes(lambda: graph.poll(MANAGER, "/source").counts, [])
         becomes(lambda: [each for each in graph.services_of(MANAGER) if "/source" in each], [])
+
+    def test_a_rate_begins_anew_after_a_pause(self):
+        self.load("Source", "out", "/a", count=10, rate=500)
+        rounds = itertools.count(1)
+
+        def rate():
+            return graph.port_statistics("/source", "out").rate
+
+        def is_high():
+            """Send some after a pause of two seconds, over which that would be 10 Hz at most."""
+            self.sends(10 * next(rounds))
+            return rate() > 10.0
+
+        self.sends(10 * next(rounds))
+        becomes(rate, 0.0)
+        # A look that comes late sees a lower rate: then there is another pause.
+        eventually(lambda: is_high() or becomes(rate, 0.0), 60.0, "the rate is high")
 
     def test_a_nodelet_manager_with_ports_announces_itself_too(self):
         def topics(changes: NodeletChanges) -> dict[str, list[str]]:

@@ -20,7 +20,7 @@ from graph import nodes_on, set_config
 from nodelet.srv import NodeletUnload
 from processes import BUSY, TellingCase, becomes, run
 
-SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
+SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 2.5))
 #: Workspaces in build/ whose nodelet managers are tried.
 WORKSPACES = os.environ.get("DYKNOW_TEST_WORKSPACES", "ws").split()
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,10 +36,20 @@ MANAGER = "/stressed"
 TOPICS = ("", "/a", "/b", "/c", "~own", "not a topic")
 #: Why a move may be refused.
 REFUSALS = re.compile("not a topic|was unloaded during|is held up by another registration")
-#: Port and parameters of each nodelet type.
+EITHER = (False, True)
+#: Port and parameters of each nodelet type, with the values among which one is chosen.
 TYPES = {
-    "Source": ("out", {"count": 100000, "rate": 500.0, "latch": False}),
-    "Sink": ("in", {"mt": False, "second": True, "delay": 0.001, "queue_size": 5}),
+    "Source": (
+        "out",
+        {
+            "count": [100000],
+            "rate": [500.0],
+            "latch": EITHER,
+            "by_value": EITHER,
+            "watched": EITHER,
+        },
+    ),
+    "Sink": ("in", {"mt": EITHER, "second": EITHER, "delay": [0.001], "queue_size": [1, 5]}),
 }
 
 
@@ -84,10 +94,7 @@ class Stress(threading.Thread):
     def _live(self) -> None:
         kind = self._random.choice(sorted(TYPES))
         port, parameters = TYPES[kind]
-        chosen = {
-            key: self._random.choice((True, False)) if isinstance(value, bool) else value
-            for key, value in parameters.items()
-        }
+        chosen = {key: self._random.choice(values) for key, values in parameters.items()}
         self._manager.load(kind, self._name, {f"/{port}": "/a"}, **chosen)
         if kind == "Source":
             start(self._name)

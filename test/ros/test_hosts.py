@@ -10,8 +10,6 @@ In the long run (DYKNOW_TEST_SECONDS) a claim goes through every fault of a link
 from __future__ import annotations
 
 import contextlib
-import itertools
-import json
 import os
 import sys
 from pathlib import Path
@@ -24,35 +22,35 @@ from graph import Heard, comes, peer
 from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, HostsCase
 from manager_suite import CHILD, LIBRARY, MANAGER, ManagerProcess, listed
-from processes import DYKNOW, becomes, eventually, finished, suspended
+from processes import DYKNOW, Done, becomes, eventually, suspended
 from roslib.packages import find_node
 from stream_suite import GOAL
 from stream_suite import LIBRARY as STREAMS
+from test_host_faults import HostFaultsTest
 
 from dyknow.errors import Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.wire.master import Master
 
+__all__ = ["HostFaultsTest"]  # is run here with few faults, and with many in the long run
+
 CPP_MANAGER = find_node("dyknow", "cpp_nodelet_manager")[0]
 #: Seconds for which each fault lasts, and for which its end is watched; more in the long run.
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 2.0))
 IS_LONG = SECONDS > 2.0
-#: Name, whether what is on the other host counts as lost, and the fault.
+#: Name, whether what is on the other host counts as lost, and the fault. One that is none leaves
+#: everything as it was, for the next one.
 FAULTS: tuple[tuple[str, bool, Callable[[ClaimTest], ContextManager[None]]], ...] = (
-    ("the link is cut", True, lambda case: case.network.cut(case.far)),
     ("100 ms each way", False, lambda case: case.network.far(case.far, 0.1)),
+    ("200 ms each way", False, lambda case: case.network.far(case.far, 0.2)),
+    ("the link is cut", True, lambda case: case.network.cut(case.far)),
+    ("it is not heard", True, lambda case: case.network.without((case.far, case.desk))),
+    ("it hears nothing", True, lambda case: case.network.without((case.desk, case.far))),
+    ("its process is stopped", True, lambda case: suspended(case.far_process.pid)),
 )
 #: Limits (s) of the claim; with one, its parts must not be silent.
-SILENCES = (0.0,)
-if IS_LONG:
-    FAULTS += (
-        ("200 ms each way", False, lambda case: case.network.far(case.far, 0.2)),
-        ("it is not heard", True, lambda case: case.network.without((case.far, case.desk))),
-        ("it hears nothing", True, lambda case: case.network.without((case.desk, case.far))),
-        ("its process is stopped", True, lambda case: suspended(case.far_process.pid)),
-    )
-    SILENCES = (0.0, 1.0)
+SILENCES = (0.0, 1.0)
 
 
 class AbsentHostsTest(HostsCase):
@@ -64,6 +62,8 @@ class AbsentHostsTest(HostsCase):
         for name in ("far0", "far1"):
             self.hosting(manager, name)
         manager.client.spawn("counter", "/kept", {"out": "/kept/out"}, manager="/far0")
+        for name in ("/one", "/two"):
+            manager.client.spawn("counter", name, manager="/far0")
         calm = self.restart_time(manager)
         manager.becomes("/kept", State.RUNNING)
         for name in ("far0", "far1"):
@@ -72,10 +72,14 @@ class AbsentHostsTest(HostsCase):
         with self.network.cut(*far):
             manager.becomes("/kept", State.LOST)
             self.spawns_fast(manager, before)
+            self.refuses_to_destroy(manager, "/one")
             limit = calm + 2 * CALL_TIMEOUT
             eventually(lambda: self.restart_time(manager) < limit, 30.0, "a start is fast")
             self.spawns_fast(manager, before)
+            self.refuses_to_destroy(manager, "/one", "/two")
             self.assertIn("does not answer", manager.becomes("/kept", State.LOST).detail)
+        for name in ("/one", "/two"):
+            manager.is_gone(name)
         kept = manager.becomes("/kept", State.RUNNING)
         self.assertEqual(listed("/far0"), ["/kept"])
         self.assertEqual(kept.host, far[0].address)
@@ -83,6 +87,13 @@ class AbsentHostsTest(HostsCase):
         self.spawns_fast(manager, before)
         manager.client.destroy("/kept")
         self.assertEqual(listed("/far0"), [])
+
+    def refuses_to_destroy(self, manager: ManagerProcess, *names: str) -> None:
+        """What cannot be destroyed now is destroyed as soon as its host is back."""
+        for name in names:
+            with self.assertRaisesRegex(Refused, "is not destroyed yet"):
+                manager.client.destroy(name)
+            self.assertIn("as soon as", manager.nodelet(name).detail)
 
     def test_a_host_whose_name_nobody_can_look_up_holds_up_nobody(self):
         ghost = Master("/ghost")
@@ -104,27 +115,6 @@ class AbsentHostsTest(HostsCase):
         self.stays(3.0, lambda: threads() < before + 5, threads)
         with self.assertRaisesRegex(Refused, "'/ghost' does not answer"):
             manager.client.spawn("counter", "/there", manager="/ghost")
-
-    def test_what_cannot_be_destroyed_now_is_refused_and_destroyed_when_its_host_is_back(self):
-        far = self.host()
-        self.nodelet_manager(far, "far")
-        manager = self.started(own=True, nodelet_managers=["/far"])
-        self.hosting(manager, "far")
-        for name in ("/one", "/two", "/three"):
-            manager.client.spawn("counter", name, manager="/far")
-        with self.network.cut(far):
-            with self.assertRaisesRegex(Refused, "is not destroyed yet"):
-                manager.client.destroy("/one")
-            manager.kill()
-            manager.start()
-            for name in ("/one", "/two"):
-                with self.assertRaisesRegex(Refused, "is not destroyed yet"):
-                    manager.client.destroy(name)
-                self.assertIn("as soon as", manager.nodelet(name).detail)
-        for name in ("/one", "/two"):
-            manager.is_gone(name)
-        manager.becomes("/three", State.RUNNING)
-        self.assertEqual(listed("/far"), ["/three"])
 
 
 class ClocksTest(HostsCase):
@@ -155,9 +145,8 @@ sys.exit(main())
 
         becomes(offsets, {self.network.desk.address: 0, rover.address: 2, scout.address: 0}, 20.0)
         self.assertGreater(min(each.cores for each in manager.client.list_hosts()), 0)
-        code, output = finished([*DYKNOW, "doctor", "--json"])
-        clocks = [e for e in json.loads(output)["findings"] if e["check"] == "hosts"]
-        self.assertEqual([each["subject"] for each in clocks], [rover.address], output)
+        clocks = [e for e in Done("doctor", "--json").json["findings"] if e["check"] == "hosts"]
+        self.assertEqual([each["subject"] for each in clocks], [rover.address], clocks)
         self.assertRegex(clocks[0]["problem"], r"its clock differs by \+[12]\.\d+ s")
         name = f"{MANAGER.lstrip('/')}: host {rover.address}"
         found = comes("/diagnostics", DiagnosticArray, lambda each: named(each, name))
@@ -169,8 +158,8 @@ sys.exit(main())
         process = self.nodelet_manager(rover, "rover")
         manager = self.started(own=True, nodelet_managers=["/rover"])
         self.hosting(manager, "rover")
-        code, output = finished([*DYKNOW, "spawn", "counter", "/kept", "--host", rover.address])
-        self.assertEqual(code, 0, output)
+        done = Done("spawn", "counter", "/kept", "--host", rover.address)
+        self.assertEqual(done.code, 0, done.err)
 
         def state() -> bool:
             hosts = {each.name: each for each in manager.client.list_hosts()}
@@ -179,9 +168,9 @@ sys.exit(main())
         with self.network.cut(rover):
             becomes(state, True, NOTICED)
             manager.becomes("/kept", State.LOST)
-            code, output = finished([*DYKNOW, "spawn", "counter", "/x", "--host", rover.address])
-            self.assertEqual((code, "does not answer" in output), (1, True), output)
-            self.assertRegex(finished([*DYKNOW, "list", "--hosts"])[1], r"away since \d\d:")
+            done = Done("spawn", "counter", "/x", "--host", rover.address)
+            self.assertEqual((done.code, "does not answer" in done.err), (1, True), done.err)
+            self.assertRegex(Done("list", "--hosts").out, r"away since \d\d:")
         becomes(state, False, NOTICED)
         manager.becomes("/kept", State.RUNNING)
         process.__exit__()
@@ -362,14 +351,20 @@ class ClaimTest(HostsCase):
         self.stays(SECONDS, is_calm, self.changes)
         self.assertEqual(self.claim(self.manager, self.claim_id).state, ClaimState.ACTIVE)
 
-    def test_faults(self):
-        for max_silence, (name, is_loss, fault) in itertools.product(SILENCES, FAULTS):
-            with self.subTest(name, max_silence=max_silence):
-                try:
-                    self.with_claim(max_silence)
-                    (self.loses_it if is_loss else self.keeps_it)(fault(self))
-                finally:
-                    self.doCleanups()
+    if IS_LONG:  # HostFaultsTest has such faults in the quick run
+
+        def test_faults(self):
+            for max_silence in SILENCES:
+                is_ready = False
+                for name, is_loss, fault in FAULTS:
+                    with self.subTest(name, max_silence=max_silence):
+                        if not is_ready:
+                            self.with_claim(max_silence)
+                        is_ready = False
+                        (self.loses_it if is_loss else self.keeps_it)(fault(self))
+                        is_ready = not is_loss
+                    if not is_ready:
+                        self.doCleanups()
 
 
 class LeaseTest(HostsCase):

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, Callable, Sequence
+from typing import Any, Sequence
 
 import graph
 import rosgraph
@@ -171,35 +171,29 @@ class RobotTest(TellingCase):
 
 
 class EndTest(TellingCase):
-    """How a launch ends, with us and with roslaunch; each starts a master of its own."""
+    """How a launch ends; each starts a master of its own."""
 
-    def codes(self, act: Callable[[Launched], None], *arguments: str) -> list[int]:
-        """Exit codes of both, which are acted upon, and have ended all that they started."""
-        both = (LAUNCH, PLAIN)
-        launches = [
-            self.enter(Launched(each, "ends.launch", *arguments, own=True)) for each in both
-        ]
-        codes = []
+    def launched(self, launcher: Sequence[str], *arguments: str) -> Launched:
+        return self.enter(Launched(launcher, "ends.launch", *arguments, own=True))
+
+    def ended(self, launch: Launched) -> int:
+        """Its exit code; it has ended all that it started."""
+        code = launch.exit_code(20.0)
+        self.assertIn("[master] killing on exit", launch.output)
+        self.assertIn("[stays-2] killing on exit", launch.output)
+        return code
+
+    def test_a_required_node_ends_it_as_it_ends_roslaunch(self):
+        launches = [self.launched(each, "code:=3") for each in (LAUNCH, PLAIN)]
         for launch in launches:
-            act(launch)
-            codes.append(launch.exit_code(20.0))
-            self.assertIn("[master] killing on exit", launch.output)
-            self.assertIn("[stays-2] killing on exit", launch.output)
-        return codes
-
-    def test_a_required_node_ends_it(self):
-        def died(launch: Launched) -> None:
             launch.wait_for("REQUIRED process [ends-3] has died!")
-
-        self.assertEqual(*self.codes(died, "code:=3"))
+        self.assertEqual(*map(self.ended, launches))
 
     def test_ctrl_c_ends_it(self):
-        def interrupt(launch: Launched) -> None:
-            launch.wait_for("[ends-3] process has finished cleanly")
-            launch.stop(signal.SIGINT)
-
-        codes = self.codes(interrupt, "required:=false")
-        self.assertEqual(codes, [0, 0])
+        launch = self.launched(LAUNCH, "required:=false")
+        launch.wait_for("[ends-3] process has finished cleanly")
+        launch.stop(signal.SIGINT)
+        self.assertEqual(self.ended(launch), 0)
 
 
 if __name__ == "__main__":

@@ -7,15 +7,21 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import sys
 from pathlib import Path
 from unittest import mock
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 import rosnode
 import rospy
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dyknow_msgs.msg import Model, PortConfig
 from dyknow_msgs.srv import Spawn
+from faulty_disk import full, kept_aside, read_only, small_disk
 from graph import Heard, Manager
 from manager_suite import (
     CHILD,
@@ -26,15 +32,22 @@ from manager_suite import (
     everything,
     listed,
     registrations,
+    specification,
 )
 from nodelet.srv import NodeletLoad, NodeletUnload
-from processes import BUSY, DYKNOW, becomes, eventually, finished, run
+from processes import BUSY, Done, Running, becomes, eventually, run
+from roslib.packages import find_node
 
+from dyknow import __version__
 from dyknow.errors import Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import StreamRequest
+from dyknow.ros.process.signals import FAILED
 
-WORKSHOP = Path(__file__).resolve().parents[2] / "examples" / "ontologies" / "workshop.ttl"
+NUMBERS = specification("numbers", "dyknow_manager_test/Counter", "out>")
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+DIAGNOSTICS = EXAMPLES / "diagnostics.yaml"
+WORKSHOP = EXAMPLES / "ontologies" / "workshop.ttl"
 LABEL = "<http://www.w3.org/2000/01/rdf-schema#label>"
 TEMPLATE = """
 <transformation>
@@ -96,6 +109,23 @@ class ServicesTest(ManagerCase):
             with self.manager.child_stopped():
                 heard.has(lambda each: each["dyknow_manager: nodelet /c"] > ok, 20.0)
             becomes(lambda: heard[-1], fine)
+
+    def test_the_example_groups_what_is_there(self):
+        self.client.spawn("counter", "/c", {"out": "/s"})
+        self.parameter("/aggregator", yaml.safe_load(DIAGNOSTICS.read_text()))
+        aggregator = find_node("diagnostic_aggregator", "aggregator_node")
+        self.enter(Running(*aggregator, "__name:=aggregator"))
+        ok, nodelet = DiagnosticStatus.OK, "/DyKnow/Nodelets/c"
+
+        def levels(array):
+            return {each.name: each.level for each in array.status}
+
+        with Heard("/diagnostics_agg", DiagnosticArray, levels) as heard:
+            heard.has(lambda each: each.get(nodelet) == ok, 20.0)
+            self.assertEqual((heard[-1]["/DyKnow"], heard[-1]["/DyKnow/Claims"]), (ok, ok))
+            self.client.destroy("/c")
+            becomes(lambda: nodelet in heard[-1], False)
+            self.assertEqual(heard[-1]["/DyKnow"], ok)
 
     def test_a_chain_and_its_model(self):
         self.client.spawn("counter", "camera/counter", {"out": "raw"}, is_protected=True)
@@ -188,34 +218,67 @@ class ServicesTest(ManagerCase):
         revisions = [(model.revision, model.library_revision) for model in models]
         self.assertEqual(revisions, sorted(set(revisions)))
 
+    def test_a_second_manager_of_that_name_does_not_end_the_first(self):
+        manager = self.manager
+        self.client.spawn("relay", "/relay")
+        second = ManagerProcess(manager.state)
+        second.start(wait=False)
+        self.assertIn("runs already", second.fails())
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
+        # Under another name it has its own state and nodelet managers.
+        other = ManagerProcess(manager.state, "/other_manager")
+        self.addCleanup(other.destroy)
+        other.start()
+        eventually(lambda: listed(f"{CHILD}_2") is not None, 20.0, "it has a child of its own")
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
+
 
 class StartTest(ManagerCase):
-    def test_transformations_of_files_are_not_those_of_the_next_manager(self):
-        manager = self.make(num_nodelet_managers=0)
+    def labels(self, manager):
+        return [each.label for each in manager.client.get_model().transformations]
+
+    def test_bad_parameters_files_and_states_are_explained(self):
+        manager = self.make(spawn_timeout="soon", num_nodelet_managers=0)
+        manager.start(wait=False)
+        said = "parameter '~spawn_timeout' is 'soon': expected seconds, at least 0.001"
+        self.assertIn(said, manager.fails())
         good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
         Path(good).write_text(LIBRARY)
         Path(bad).write_text("<transformations>")
+        manager.parameters.update(spawn_timeout=10.0, ontology="field.ttl")
+        manager.start()
+        self.assertIn("unknown parameter ~ontology; did you mean ~ontologies?", manager.output)
+        manager.stop()
+        [state] = Path(manager.state).glob("*.sqlite3")
+        state.write_bytes(b"not a database" * 1000)
         manager.parameters["transformations"] = [good, bad]
         manager.start()
-        self.assertIn("counter", [t.label for t in manager.client.get_model().transformations])
+        self.assertIn("set aside", manager.output)
+        [aside] = state.parent.glob("*.broken-*")
+        self.assertEqual(aside.read_bytes(), b"not a database" * 1000)
+        self.assertIn("counter", self.labels(manager))
         self.assertIn(bad, manager.output)
-        manager.kill()  # it is always started with its parameters
         self.assertTrue(rospy.has_param(f"{MANAGER}/transformations"))
-        manager.start()
         manager.stop()
         other = self.make(num_nodelet_managers=0)
         other.start()
-        self.assertEqual(other.client.get_model().transformations, ())
+        self.assertEqual(self.labels(other), [])
 
     def test_an_end_on_purpose_leaves_nothing_but_transformations(self):
         self.end_idle()
         before = everything()
         manager = self.started(own=True)
-        for end in (
-            manager.stop,
-            lambda: manager.stop(signal.SIGTERM),
-            lambda: rosnode.kill_nodes([MANAGER]),
+        for number, end in enumerate(
+            (
+                manager.stop,
+                lambda: manager.stop(signal.SIGTERM),
+                lambda: rosnode.kill_nodes([MANAGER]),
+            )
         ):
+            if number > 0:
+                manager.start()
+                self.assertEqual(manager.client.get_model().nodelets, ())
+                self.assertIn("counter", self.labels(manager))
             manager.client.spawn("counter", "/counter", {"out": "/numbers"}, is_protected=True)
             manager.client.spawn("relay", "/alone", {"in": "/numbers"}, isolated=True)
             children = manager.children()
@@ -224,10 +287,6 @@ class StartTest(ManagerCase):
             self.assertFalse([name for name, each in children.items() if each.alive])
             rospy.delete_param(MANAGER)
             self.assertEqual(everything(), before)
-            manager.start()
-            model = manager.client.get_model()
-            self.assertEqual(model.nodelets, ())
-            self.assertIn("counter", [each.label for each in model.transformations])
 
     def test_several_nodelet_managers_and_those_of_others(self):
         with Manager("/other") as other:
@@ -252,24 +311,6 @@ class StartTest(ManagerCase):
             self.assertFalse(other.has_ended)
             self.assertEqual(registrations("/asked"), [])
 
-    def test_a_bad_parameter_or_state_is_explained(self):
-        manager = self.make(spawn_timeout="soon", num_nodelet_managers=0)
-        manager.start(wait=False)
-        said = "parameter '~spawn_timeout' is 'soon': expected seconds, at least 0.001"
-        self.assertIn(said, manager.fails())
-        manager.parameters["spawn_timeout"] = 10.0
-        manager.parameters["ontology"] = "field.ttl"
-        manager.start()
-        self.assertIn("unknown parameter ~ontology; did you mean ~ontologies?", manager.output)
-        manager.stop()
-        [state] = Path(manager.state).glob("*.sqlite3")
-        state.write_bytes(b"not a database" * 1000)
-        manager.start()
-        self.assertEqual(manager.client.get_model().transformations, ())
-        self.assertIn("set aside", manager.output)
-        [aside] = state.parent.glob("*.broken-*")
-        self.assertEqual(aside.read_bytes(), b"not a database" * 1000)
-
     def test_terms_in_the_language_that_was_asked_for(self):
         manager = self.make(language="de", num_nodelet_managers=0)
         owl, library = Path(manager.state, "lab.ttl"), Path(manager.state, "library.xml")
@@ -284,8 +325,7 @@ class StartTest(ManagerCase):
         )
         library.write_text(TEMPLATE)
         manager.start()
-        labels = [each.label for each in manager.client.get_model().transformations]
-        self.assertEqual(labels, ["view(Deckenkamera)", "view(Greiferkamera)"])
+        self.assertEqual(self.labels(manager), ["view(Deckenkamera)", "view(Greiferkamera)"])
         manager.stop()
         owl.write_text(f'<u:a> a <u:C>; {LABEL} "arm" . <u:b> a <u:C>; {LABEL} "arm" .')
         manager.start(wait=False)
@@ -310,29 +350,112 @@ class StartTest(ManagerCase):
         becomes(self.views, [])
 
     def views(self):
-        labels = [each.label for each in self.manager.client.get_model().transformations]
-        return [label for label in labels if label.startswith("view of")]
+        return [each for each in self.labels(self.manager) if each.startswith("view of")]
 
     def tags(self):
-        return finished([*DYKNOW, "tags"])[1]
+        return Done("tags").out
 
     def tagged(self, tag):
         eventually(lambda: tag in self.tags(), 20.0, f"there is {tag}", self.tags)
         return self.tags()
 
-    def test_a_second_manager_of_that_name_does_not_end_the_first(self):
-        manager = self.started(own=True)
-        manager.client.spawn("relay", "/relay")
-        second = ManagerProcess(manager.state)
-        second.start(wait=False)
-        self.assertIn("runs already", second.fails())
-        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
-        # Under another name it has its own state and nodelet managers.
-        other = ManagerProcess(manager.state, "/other_manager")
-        self.addCleanup(other.destroy)
-        other.start()
-        eventually(lambda: listed(f"{CHILD}_2") is not None, 20.0, "it has a child of its own")
-        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
+
+class DiskTest(ManagerCase):
+    """On a disk that is full or read-only."""
+
+    def setUp(self):
+        self.disk = self.enter(small_disk(self.make_folder() / "disk"))
+        self.manager = self.make(state_dir=str(self.disk))
+        self.manager.state = str(self.disk)
+
+    def all_run(self, *names):
+        wanted = dict.fromkeys(names, State.RUNNING)
+
+        def states():
+            return {each.name: each.state for each in self.manager.client.get_model().nodelets}
+
+        eventually(lambda: states() == wanted, 30.0, f"{names} run", lambda: self.manager.output)
+
+    def is_written_again(self):
+        """Wait until the disk has everything."""
+        said = lambda: "is written again" in self.manager.output  # noqa: E731
+        eventually(said, 15.0, "the disk is tried again")
+
+    def test_a_disk_that_is_full_or_read_only_stops_nothing(self):
+        manager = self.manager
+        manager.start()
+        manager.client.add_transformation(NUMBERS)
+        manager.client.spawn("numbers", "/a", {"out": "/s"})
+        receiver, child = self.enter(Heard("/s")), manager.child()
+        spawn = rospy.ServiceProxy(f"{MANAGER}/spawn", Spawn)
+        with full(self.disk):
+            message, count = "", 0
+            while not message:  # there may be room for a few more
+                answer = spawn(label="numbers", name=f"/n{count}")
+                self.assertTrue(answer.success, answer.message)
+                message, count = answer.message, count + 1
+            self.assertIn("not on disk yet", message)
+            for said in (message, manager.output):
+                self.assertIn("the disk is full; free some space", said)
+            self.assertNotIn("rollback", manager.output)
+            with self.assertLogs("rosout.dyknow", "WARNING") as told:
+                manager.client.spawn("numbers", "/alone", isolated=True)
+            self.assertIn("not on disk yet", told.output[0])
+            for number in range(count):
+                manager.client.destroy(f"/n{number}")
+            self.all_run("/a", "/alone")
+            child.signal(9)
+            eventually(lambda: not child.alive, 5.0, "it is dead")
+            receiver.flows()
+            self.all_run("/a", "/alone")
+        becomes(lambda: {*manager.children()}, {CHILD, "/alone_nodelet_manager"})
+        eventually(lambda: manager.child() != child, 15.0, "the list of processes is written")
+        self.is_written_again()
+        manager.kill()
+        with full(self.disk):
+            manager.start()
+            self.all_run("/a", "/alone")
+
+        # A read-only state is read, and what runs is adopted.
+        process = manager.child()
+        manager.kill()
+        with read_only(self.disk):
+            manager.forget_output()
+            manager.start()
+            self.all_run("/a", "/alone")
+            self.assertEqual(manager.topics("/a"), {"out": "/s"})
+            self.assertEqual(manager.child(), process)
+            self.assertIn("it is read-only", manager.output)
+            said = re.findall("DyKnow manager.*", manager.output)[-1]
+            for part in (f"manager {MANAGER}, version {__version__}", manager.state, "2 nodelets"):
+                self.assertIn(part, said)  # its identity, and its restored state
+            labels = [each.label for each in manager.client.get_model().transformations]
+            self.assertEqual(labels, ["numbers"])
+            manager.client.spawn("numbers", "/b")
+            self.all_run("/a", "/alone", "/b")
+        self.is_written_again()
+        manager.kill()
+        manager.start()
+        self.all_run("/a", "/alone", "/b")
+        (state,) = self.disk.glob("*-dyknow-manager.sqlite3")
+        self.assertEqual(kept_aside(str(state)), [])
+
+    def test_a_folder_that_cannot_be_written_is_named(self):
+        advice = "~state_dir"
+        for variables, argument, folder, cure in (
+            ({}, "_state_dir:=/proc/none", "/proc/none", advice),
+            ({}, f"_state_dir:={__file__}", __file__, advice),
+            ({"ROS_LOG_DIR": "/proc/none"}, "_language:=en", "/proc/none", "ROS_LOG_DIR"),
+            ({"ROS_HOME": "/proc/none"}, "_language:=en", "/proc/none", advice),
+        ):
+            with self.subTest(folder, **variables), mock.patch.dict(os.environ, variables):
+                if "ROS_HOME" in variables:
+                    os.environ.pop("ROS_LOG_DIR", None)
+                with Running(*self.manager.command, argument) as running:
+                    self.assertEqual(running.exit_code(60.0), FAILED, running.output)
+                fatal = [each for each in running.output.splitlines() if "FATAL" in each]
+                self.assertIn(f"'{folder}", fatal[0])
+                self.assertIn(cure, fatal[0])
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from test_boot import BootTest
 
 from dyknow.errors import Refused
 from dyknow.model.graph import State
+from dyknow.model.transformation import Parameter
 
 __all__ = ["BootTest"]  # is run here for one life, and for many in the long run
 
@@ -36,7 +37,8 @@ __all__ = ["BootTest"]  # is run here for one life, and for many in the long run
 class NodeletManagerFaultsTest(ManagerCase):
     def test_kill_9_of_a_nodelet_manager_with_twenty_nodelets(self):
         manager = self.started()
-        manager.client.spawn("counter", "/counter", {"out": "/s0"}, is_protected=True)
+        given = (Parameter("rate", "double", "10.0"),)
+        manager.client.spawn("counter", "/counter", {"out": "/s0"}, True, parameters=given)
         for number in range(19):
             config = {"in": f"/s{number}", "out": f"/s{number + 1}"}
             manager.client.spawn("relay", f"/relay{number}", config, number % 2 == 0)
@@ -52,7 +54,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         receiver.flows()
         print(f"kill -9 of the nodelet manager: all back after {time.monotonic() - begin:.2f} s")
         becomes(lambda: nodelets(manager), before)
-        self.assertEqual(rospy.get_param("/counter/rate"), 50.0)
+        self.assertEqual(rospy.get_param("/counter/rate"), 10.0)
         self.assertEqual(rospy.get_param("/relay3/of_others"), 1)
         with self.assertRaises(Refused):
             manager.client.destroy("/counter")

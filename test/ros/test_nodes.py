@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Unchanged programs as nodes: those that the manager starts, and those that it finds."""
+"""Unchanged programs as nodes, and nodelets that other clients have loaded."""
 
 from __future__ import annotations
 
@@ -12,10 +12,21 @@ from pathlib import Path
 
 import graph
 import rospy
-from cpp_suite import RUN
-from graph import WordsCase, connect, hears
+from cpp_suite import OURS, PRELOADED, RUN, CppManager
+from graph import Manager, WordsCase, connect, hears
 from manager_suite import CHILD, ManagerCase, library, parameters, registrations, specification
-from processes import BUSY, DYKNOW, becomes, eventually, finished, run
+from manager_suite import LIBRARY as NODELETS
+from processes import (
+    BUSY,
+    DYKNOW,
+    NODELET,
+    STOCK_NODELET,
+    Done,
+    becomes,
+    eventually,
+    finished,
+    run,
+)
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -37,15 +48,32 @@ LIBRARY = library(
 )
 RATE = Parameter("rate", "int", "30")
 PROBE = (*DYKNOW, "probe")
+THEIRS = "/robot/dyknow_manager"
+RELAY = "dyknow_manager_test/Relay"
 
 
-class NodesTest(WordsCase, ManagerCase):
-    """One manager lives through all of it, since each start takes its time."""
+class GuardedCase(ManagerCase):
+    """Beside a DyKnow manager, which did not start them."""
 
     def setUp(self) -> None:
         super().setUp()
-        self.manager = self.started()
-        self.manager.client.add_transformation(LIBRARY)
+        self.manager = self.started(denied_topics=["/estop"])
+        self.client = self.manager.client
+
+    def shown(self, name: str):
+        eventually(lambda: self.manager.nodelet(name), 10.0, f"{name} is in the model")
+        return self.manager.nodelet(name)
+
+    def connect(self, nodelet: str, config: dict[str, str]) -> None:
+        self.client.connect([(nodelet, config)])
+
+
+class NodesTest(WordsCase, GuardedCase):
+    """Nodes that the manager starts."""
+
+    def setUp(self) -> None:
+        super().setUp()
+        self.client.add_transformation(LIBRARY)
 
     def process(self, name: str) -> ProcessId:
         return self.manager.child(name)
@@ -107,12 +135,6 @@ class NodesTest(WordsCase, ManagerCase):
             client.spawn("shell script", "/greeter")
         self.is_gone("/usage")
 
-        client.spawn("copier", "/last", {"words": "/a", "copy": "/last/out"})
-        last = self.process("/last")
-        self.manager.stop()
-        self.assertFalse(last.alive)
-        becomes(lambda: registrations("/last"), [])
-
     def test_the_life_of_a_script(self) -> None:
         client = self.manager.client
         for name, isolated, kind, host in (
@@ -136,8 +158,12 @@ class NodesTest(WordsCase, ManagerCase):
                 client.destroy(name)
                 self.is_gone(name)
 
-    def test_nodes_end_when_nobody_looks_after_them(self) -> None:
+    def test_nodes_end_with_the_manager_and_when_nobody_looks_after_them(self) -> None:
+        self.client.spawn("copier", "/last", {"words": "/a", "copy": "/last/out"})
+        last = self.process("/last")
         self.manager.stop()
+        self.assertFalse(last.alive)
+        becomes(lambda: registrations("/last"), [])
         self.manager.parameters["orphan_timeout"] = 3.0
         self.manager.start()
         self.manager.client.spawn("copier", "/binary")
@@ -183,16 +209,118 @@ class NodesTest(WordsCase, ManagerCase):
         self.assertIn("the node ended by itself; it printed at last:", printed)
 
 
-class OthersTest(WordsCase, ManagerCase):
-    """Nodes of roscpp beside a DyKnow manager, which did not start them."""
+class ForeignTest(GuardedCase):
+    """Started by hand: nodelet managers in Python and C++, a nodelet alone, a DyKnow manager."""
 
-    def setUp(self):
-        super().setUp()
-        self.manager = self.started(denied_topics=["/estop"])
+    def rewired(self, nodelet: str, port: str, topic: str) -> None:
+        self.client.connect([(nodelet, {port: topic})])
+        self.assertEqual(self.manager.topics(nodelet)[port], topic)
 
-    def shown(self, name: str):
-        eventually(lambda: self.manager.nodelet(name), 10.0, f"{name} is in the model")
-        return self.manager.nodelet(name)
+    def test_nodelets_in_a_nodelet_manager_in_python(self):
+        theirs = self.enter(Manager("/my_manager"))
+        loading = (*STOCK_NODELET, "load", RELAY, "my_manager", "__name:=bonded")
+        self.run_process(*loading)
+        theirs.load(RELAY, "/by_hand")
+        for name, owner in (("/bonded", "/bonded"), ("/by_hand", rospy.get_name())):
+            found = self.shown(name)
+            self.assertEqual((found.manager, found.owner), ("/my_manager", owner))
+            self.assertEqual((found.kind, found.state), (NodeletKind.PYTHON, State.RUNNING))
+        printed = Done("list", "-l").out
+        self.assertRegex(printed, r"/bonded +\(by /bonded\) +running +1 +1( +\S+){3} +/my_manager")
+        self.assertIn("Owner: /bonded", Done("info", "bonded").out)
+
+        self.client.spawn("counter", "/counter", {"out": "/numbers"})
+        self.rewired("/by_hand", "in", "/numbers")
+        self.rewired("/by_hand", "out", "/passed")
+        eventually(
+            lambda: self.client.get_statistics("/by_hand").ports[1].messages > 0,
+            10.0,
+            "messages pass",
+        )
+        with self.assertRaisesRegex(Refused, "nodelet unload /by_hand /my_manager"):
+            self.client.destroy("/by_hand")
+        with self.assertRaisesRegex(Refused, "restart it where it was started"):
+            self.client.restart("/by_hand")
+        with self.assertRaisesRegex(Refused, "unknown nodelet manager '/my_manager'; known"):
+            self.client.spawn("relay", "/mine", manager="/my_manager")
+
+        self.manager.kill()
+        self.manager.start()
+        self.assertEqual(self.shown("/by_hand").owner, rospy.get_name())
+        code, printed = finished([*NODELET, "unload", "/by_hand", "my_manager"])
+        self.assertEqual(code, 0, printed)
+        becomes(lambda: self.manager.nodelet("/by_hand"), None)
+        theirs.stop(signal.SIGKILL)
+        becomes(lambda: self.manager.nodelet("/bonded"), None)
+        self.assertEqual(self.manager.nodelet("/counter").state, State.RUNNING)
+
+    def test_nodelets_in_nodelet_managers_in_cpp(self):
+        for name, command in (("/ours", ()), ("/stock", PRELOADED)):
+            with self.subTest(name):
+                theirs = self.enter(CppManager(name, *command))
+                sink = f"{name}_sink"
+                theirs.load("Sink", sink)
+                found = self.shown(sink)
+                self.assertEqual((found.manager, found.owner), (name, rospy.get_name()))
+                self.assertEqual((found.kind, found.is_fixed), (NodeletKind.CPP, False))
+                self.rewired(sink, found.ports[0].name, f"{name}/elsewhere")
+                with self.assertRaisesRegex(Refused, f"nodelet unload {sink} {name}"):
+                    self.client.destroy(sink)
+                self.assertEqual(theirs.list(), [sink])
+                theirs.unload(sink)
+                becomes(lambda sink=sink: self.manager.nodelet(sink), None)
+
+    def test_the_nodelets_of_another_dyknow_manager(self):
+        theirs = self.make(THEIRS)
+        theirs.start()
+        theirs.client.add_transformation(NODELETS)
+        theirs.client.spawn("relay", "/shared")
+        theirs.client.spawn("relay", "/alone", isolated=True)
+        for name in ("/shared", "/alone"):
+            self.assertEqual(self.shown(name).owner, THEIRS)
+            self.assertEqual(theirs.nodelet(name).owner, "")
+        self.client.connect([("/shared", {"in": "/from_here"})])
+        becomes(lambda: theirs.topics("/shared")["in"], "/from_here")
+        with self.assertRaisesRegex(Refused, f"of {THEIRS}; end it with"):
+            self.client.destroy("/shared")
+        theirs.client.destroy("/alone")
+        becomes(lambda: self.manager.nodelet("/alone"), None)
+
+    def test_a_nodelet_alone(self):
+        process = self.run_process(*NODELET, "standalone", RELAY, "__name:=alone")
+        found = self.shown("/alone")
+        self.assertEqual((found.kind, found.manager), (NodeletKind.NODE, ""))
+        self.rewired("/alone", "in", "/a")
+        with self.assertRaisesRegex(Refused, "rosnode kill /alone"):
+            self.client.destroy("/alone")
+        process.stop(signal.SIGKILL)
+        becomes(lambda: self.manager.nodelet("/alone"), None)
+
+    def test_guards_of_this_manager_do_not_bind_processes_of_other_clients(self):
+        theirs = self.enter(Manager("/my_manager"))
+        theirs.load(RELAY, "/early")
+        self.shown("/early")
+        with self.assertRaisesRegex(Refused, "'/estop' is denied"):
+            self.client.connect([("/early", {"in": "/estop"})])
+        theirs.load(RELAY, "/late", {"/in": "/estop"})
+        becomes(lambda: self.manager.topics("/late").get("in"), "/estop")
+
+    def test_an_owner_that_allows_no_rewiring(self):
+        for name, command, kind, port in (
+            ("/python", (*NODELET, "manager", "_rewirable:=false"), RELAY, "in"),
+            ("/cpp", (*OURS, "_rewirable:=false"), "dyknow_cpp_test/Sink", "in"),
+        ):
+            with self.subTest(name):
+                self.enter(Manager(name, command=command)).load(kind, f"{name}_nodelet")
+                before = self.shown(f"{name}_nodelet").ports
+                for connect in (self.client.set_config, self.connect):
+                    with self.assertRaisesRegex(Refused, "not to be re-wired .*~rewirable"):
+                        connect(f"{name}_nodelet", {port: "/a"})
+                self.assertEqual(self.manager.nodelet(f"{name}_nodelet").ports, before)
+
+
+class OthersTest(WordsCase, GuardedCase):
+    """Nodes of roscpp."""
 
     def test_a_relay_is_shown_and_rewired(self):
         process = self.run_process(*RUN, "topic_tools", "relay", "/a", "/out", "__name:=copier")
@@ -215,6 +343,23 @@ class OthersTest(WordsCase, ManagerCase):
         self.assertEqual(process.exit_code(5.0), 0)
         becomes(lambda: self.manager.nodelet("/copier"), None)
         self.assertEqual(graph.registrations("/copier")["publishers"], [])
+
+    def test_owners_that_allow_no_rewiring(self):
+        for name, words in (
+            ("/copier", ("topic_tools", "relay", "/a", "/out")),
+            ("/alone", ("nodelet", "nodelet", "standalone", "dyknow_cpp_test/Eager", "/in:=/a")),
+        ):
+            with self.subTest(name):
+                words = (*words, "_rewirable:=false", f"__name:={name[1:]}")
+                process = self.run_process(*RUN, *words)
+                eventually(lambda name=name: self.shown(name).ports, 10.0, "it has ports")
+                port = next(each.name for each in self.shown(name).ports if each.topic == "/a")
+                for set_config in (self.client.set_config, self.connect):
+                    with self.assertRaisesRegex(Refused, "not to be re-wired .*~rewirable"):
+                        set_config(name, {port: "/b"})
+                self.assertEqual(self.manager.topics(name)[port], "/a")
+                process.stop()
+                self.assertEqual(process.exit_code(5.0), 0)
 
     def test_a_node_is_shown_while_it_runs_whichever_side_began_first(self):
         words = ("throttle", "messages", "/a", "20", "/slow", "__name:=slow")

@@ -16,6 +16,7 @@ from dyknow_msgs.srv import (
     AddTransformation,
     Destroy,
     FindBindings,
+    PlanStream,
     ReleaseStream,
     RemoveTransformation,
     RenewStream,
@@ -53,6 +54,7 @@ SERVICES = {
     "release_stream": ReleaseStream,
     "renew_stream": RenewStream,
     "replan_stream": ReplanStream,
+    "plan_stream": PlanStream,
     "find_bindings": FindBindings,
 }
 
@@ -100,6 +102,10 @@ def too_long(service_class):
             yield f"{field}, many", request_class(**{field: [PortConfig("in", "")] * 5000})
 
 
+#: One manager for most tests.
+GUARDED = {"denied_topics": ["/e_stop", "/tf"], "nodelet_managers": ["/other"]}
+
+
 def program(label, source):
     return specification(label, source, "", "node")
 
@@ -108,7 +114,7 @@ class TopicsTest(ManagerCase):
     """Nothing that a DyKnow manager starts is on a denied topic, by any way of connecting it."""
 
     def setUp(self):
-        self.manager = self.started(denied_topics=["/e_stop", "/tf"])
+        self.manager = self.started(**GUARDED)
         words = self.publisher("/words", String, latch=True)
         words.publish("hello")
 
@@ -183,7 +189,7 @@ class TopicsTest(ManagerCase):
         self.manager.client.destroy("/source")
 
 
-class ProgramsTest(ManagerCase):
+class AllowedProgramsTest(ManagerCase):
     def test_only_programs_of_the_allow_list_are_started(self):
         manager = self.started(allowed_programs=["dyknow_test/*"])
         with self.assertRaisesRegex(Refused, "allowed_programs"):
@@ -208,7 +214,7 @@ class ProgramsTest(ManagerCase):
 
 class SharedGuardsTest(ManagerCase):
     def setUp(self):
-        self.first = self.started(denied_topics=["/e_stop"])
+        self.first = self.started(**GUARDED)
         self.first.client.spawn("relay", RELAY)
 
     def other(self, **guards):
@@ -248,7 +254,7 @@ class SharedGuardsTest(ManagerCase):
 
 class ProtectionTest(ManagerCase):
     def test_the_stock_service_is_refused_until_it_is_released_whatever_restarts(self):
-        manager = self.started()
+        manager = self.started(**GUARDED)
         manager.client.spawn("relay", RELAY)
         manager.client.set_protection(RELAY, True)
         manager.client.spawn("relay", "/two")
@@ -269,17 +275,15 @@ class ProtectionTest(ManagerCase):
 
     def test_a_nodelet_manager_of_others(self):
         self.enter(Manager("/other"))
-        manager = self.started(nodelet_managers=["/other"])
+        manager = self.started(**GUARDED)
         self.spawned(manager, "/first", "/other")
         manager.client.spawn("relay", RELAY, manager="/other", is_protected=True)
         self.assertIn("protected from unloading", unload_refusal("/other"))
-        manager.stop()  # deliberately: its nodelets there end with it
-        becomes(lambda: listed("/other"), [])
 
 
 class LimitsTest(ManagerCase):
     def test_what_is_too_long_is_refused_and_not_logged(self):
-        manager = self.started()
+        manager = self.started(**GUARDED)
         manager.client.spawn("relay", "/relay")
         services = {f"{MANAGER}/{name}": each for name, each in SERVICES.items()}
         services["/relay/set_config"] = SetConfig

@@ -13,9 +13,8 @@ from pathlib import Path
 import rospy
 from graph import Heard
 from manager_suite import LIBRARY, MANAGER, ManagerCase, children_in, counted, gaps
-from processes import BUSY, Ended, becomes, eventually, run
+from processes import BUSY, NODELET, Done, becomes, eventually, run
 from stream_suite import CAMERA
-from test_dyknow_command import Done
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.model.graph import State
@@ -26,17 +25,19 @@ WIRED = {"/counter": {"out": "/numbers"}, "/relay": {"in": "/numbers", "out": "/
 
 
 class StartTest(ManagerCase):
+    wiring: str
+
     def setUp(self):
-        """Save a wiring."""
-        manager = self.make()
-        manager.start()
-        client = manager.client
-        client.add_transformation(LIBRARY)
-        client.spawn("counter", "/counter", WIRED["/counter"], is_protected=True)
-        client.spawn("relay", "/relay", WIRED["/relay"])
-        self.file = str(Path(self.make_folder()) / "robot.xml")
-        self.assertEqual(Done("save", self.file).code, 0)
-        manager.stop()
+        """Save a wiring, once."""
+        self.file = str(self.make_folder() / "robot.xml")
+        if not hasattr(StartTest, "wiring"):
+            manager = self.started(own=True)
+            manager.client.spawn("counter", "/counter", WIRED["/counter"], is_protected=True)
+            manager.client.spawn("relay", "/relay", WIRED["/relay"])
+            self.assertEqual(Done("save", self.file).code, 0)
+            manager.destroy()
+            StartTest.wiring = Path(self.file).read_text()
+        Path(self.file).write_text(self.wiring)
         self.manager = self.make(wiring=self.file)
 
     def is_loaded(self):
@@ -63,8 +64,7 @@ class StartTest(ManagerCase):
         self.assertFalse(rospy.has_param(f"{MANAGER}/wiring"))
         self.manager.start()
         self.is_loaded()
-        self.manager.client.spawn("relay", "/mine", {})
-        self.assertEqual(len(self.manager.client.get_model().nodelets), 3)
+        self.assertEqual(len(self.manager.client.get_model().nodelets), 2)
 
     def test_a_wrong_file_is_refused(self):
         Path(self.file).write_text("<wiring version='1'><nodelets><nodelet/></nodelets></wiring>")
@@ -76,15 +76,14 @@ class StartTest(ManagerCase):
         self.assertIn("No such file or directory", self.manager.fails())
 
     def test_what_cannot_be_loaded_yet_is_loaded_later(self):
-        text = Path(self.file).read_text()
-        Path(self.file).write_text(text.replace('manager="/dyknow_nodelet_', 'manager="/other_'))
+        text = self.wiring.replace('manager="/dyknow_nodelet_', 'manager="/other_')
+        Path(self.file).write_text(text)
         self.manager = self.make(wiring=self.file, nodelet_managers=["other_manager"])
         self.manager.start()
         text = "its nodelet manager '/other_manager' is not running"
         eventually(lambda: text in self.manager.output, 10.0, "the trouble is said")
         self.assertEqual(self.manager.client.get_model().nodelets, ())
-        program = ("rosrun", "dyknow", "nodelet_manager", "__name:=other_manager")
-        self.enter(Ended(*program))
+        self.run_process(*NODELET, "manager", "__name:=other_manager")
         self.is_loaded()
 
     def test_an_end_on_purpose_keeps_everything(self):
@@ -113,17 +112,11 @@ class StartTest(ManagerCase):
         for each in heard:
             each.flows()
             self.assertEqual(gaps(list(each)), [])
-        manager.parameters["keep"] = False
-        manager.kill()
-        manager.start()
-        children = manager.children()
-        manager.stop()
-        self.assertFalse([name for name, each in children.items() if each.alive])
 
     def test_roslaunch_with_respawn(self):
         state = self.manager.state
         words = (f"wiring:={self.file}", f"state_dir:={state}", "respawn:=true")
-        launch = self.enter(Ended("roslaunch", "dyknow", "manager.launch", *words))
+        launch = self.run_process("roslaunch", "dyknow", "manager.launch", *words)
         self.is_loaded()
         first = self.pid()
         children = children_in(state)

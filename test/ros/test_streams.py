@@ -2,27 +2,32 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Streams on request: acquired, and kept while their parts are lost or do harm.
+"""Streams on request: acquired, and kept while parts are lost or do harm, and processes die.
 
 Limits are far from what a busy machine does by itself: 5 s of age or silence, a tenth of a rate.
 """
 
 from __future__ import annotations
 
+import signal
 import time
 
 import rospy
 from geometry_msgs.msg import PointStamped
-from graph import Heard, poll
+from graph import Heard, peer, poll
 from manager_suite import CHILD, library, specification
 from nodelet.srv import NodeletUnload
-from processes import eventually, run
+from processes import DYKNOW, Done, Running, eventually, run
 from std_msgs.msg import Header
 from stream_suite import GOAL, SPARE_FILTER, StreamCase, transformation
+from test_signed_streams import SignedTest
 
 import dyknow
+from dyknow.errors import Refused
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState, StreamRequest
 from dyknow.model.transformation import Port, Transformation
+
+__all__ = ["SignedTest"]  # is run here once, and often in the long run
 
 LIMIT = 5.0  # s, of an age or a silence; what is late is twice as old
 TOPIC = "/scanner/points"
@@ -32,6 +37,8 @@ AGING = library(
     transformation("eye", "Stamped", "Seen(ball)"),
     transformation("lagging", "Lagging", "Smooth(ball)", "Seen(ball)"),
     transformation("last", "Lagging", "Place(ball)", "Smooth(ball)"),
+    transformation("lens", "Moody", "Sharp(ball)", "Raw(?camera)"),
+    transformation("spare lens", "Moody", "Sharp(ball)", "Raw(?camera)", 5),
 )
 CLIENT = specification("client", "dyknow_manager_test/Client", "out>", tag="Filtered(ball)")
 MAPS = library(
@@ -195,36 +202,110 @@ class PartsTest(StreamCase):
 
 
 class HarmTest(StreamCase):
-    """A part that harms a stream is replaced, once, and no other part."""
-
-    def harm(self, tag, label, order, said, **limit):
-        """Make one part of a stream misbehave by an order."""
+    def test_a_part_that_harms_a_stream_is_replaced_once_and_no_other_part(self):
         manager = self.tracking(own=True)  # it remembers for a while what did harm
         manager.client.add_transformation(AGING)
         manager.client.add_transformation(SPARE_FILTER)
-        with dyknow.acquire(tag, client_id="keen", **limit) as stream:
-            self.delivers(manager, stream.claim_id)
-            events = self.events()
-            harmful = self.nodelet_of(manager, label)
-            others = set(stream.nodelets) - {harmful}
-            self.tell(harmful, order)
-            self.assertRegex(events.mended().reason, f"{harmful} {said}")
-            self.delivers(manager, stream.claim_id)
-            self.assertLessEqual(others, set(stream.nodelets))
-            self.assertNotIn(harmful, stream.nodelets)
-            self.settled(manager)
-            events.is_one_loss()
+        late = "delays the stream by 1.* s old, at most 5 s is demanded"
+        slow = "is too slow.*at least 3 Hz are demanded"
+        for tag, label, order, said, limit in (
+            ("Place(ball)", "lagging", "late", late, {"max_age": LIMIT}),
+            (GOAL, "filter", "slow", slow, {"min_rate": 3.0}),
+            ("Sharp(ball)", "lens", "raise", "", {"max_silence": LIMIT}),
+        ):
+            with self.subTest(label), dyknow.acquire(tag, client_id="keen", **limit) as stream:
+                self.delivers(manager, stream.claim_id)
+                events = self.events()
+                harmful = self.nodelet_of(manager, label)
+                others = set(stream.nodelets) - {harmful}
+                self.tell(harmful, order)
+                self.assertRegex(events.mended().reason, f"{harmful} {said}")
+                self.delivers(manager, stream.claim_id)
+                self.assertLessEqual(others, set(stream.nodelets))
+                self.assertNotIn(harmful, stream.nodelets)
+                self.settled(manager)
+                events.is_one_loss()
+                events.close()
+            self.is_cleared(manager)
 
-    def test_a_part_that_delays_the_stream(self):
-        said = "delays the stream by 1.* s old, at most 5 s was asked for"
-        self.harm("Place(ball)", "lagging", "late", said, max_age=LIMIT)
 
-    def test_a_part_that_slows_down(self):
-        said = "is too slow.*at least 3 Hz are demanded"
-        self.harm(GOAL, "filter", "slow", said, min_rate=3.0)
+class ProcessesTest(StreamCase):
+    """Clients and the manager end, die, and come back."""
 
-    def test_a_part_whose_callback_raises_is_silent(self):
-        self.harm(GOAL, "filter", "raise", "", max_silence=LIMIT)
+    def test_clients_that_end_and_die_and_a_manager_that_ends(self):
+        manager = self.tracking()
+        for number, state in ((signal.SIGINT, "RELEASED"), (signal.SIGKILL, "EXPIRED")):
+            with Running(*peer("claim", GOAL)) as client:
+                client.wait_for("ACTIVE")
+                (claim,) = manager.claims()
+                self.settled(manager)
+                client.stop(number)
+                client.exit_code(20.0)
+            self.become(manager, claim.claim_id, ClaimState[state])
+            self.is_cleared(manager)
+        self.assertIn("bond", manager.output)
+        with Running(*peer("claim", GOAL)) as client:
+            client.wait_for("ACTIVE")
+            manager.stop()
+            client.wait_for("the manager was stopped")
+            manager.start()
+            self.assertEqual(manager.claims(), [])
+            self.assertEqual(manager.client.get_model().nodelets, ())
+
+    def test_kill_9_of_the_manager(self):
+        manager = self.tracking()
+        found = manager.client.find_bindings("Raw(?camera)", "std_msgs/Header")
+        self.assertEqual(found, ("?camera=ceiling", "?camera=own"))
+        with self.assertRaisesRegex(Refused, "expected Functor"):
+            manager.client.find_bindings("Raw(")
+        with Running(*peer("claim", GOAL)) as client, Running(*DYKNOW, "acquire", GOAL) as shell:
+            client.wait_for("ACTIVE")
+            shell.wait_for("held until Ctrl-C")
+            request = StreamRequest("Filtered(ball)", lease=600.0)
+            leased = manager.client.acquire_stream(request).claim_id
+            before = {each.claim_id: each for each in manager.claims()}
+            (own,) = (key for key, each in before.items() if "peer" in each.client_id)
+            (held,) = before.keys() - {own, leased}
+            self.assertIn(before[held].topic, shell.output)
+            flow = self.enter(Heard(before[own].topic))
+
+            def goes_on():
+                for claim_id, claim in before.items():
+                    self.become(manager, claim_id, ClaimState.ACTIVE)
+                    after = self.claim(manager, claim_id)
+                    self.assertEqual((after.topic, after.tag), (claim.topic, claim.tag))
+                flow.flows()
+                self.settled(manager)
+
+            nodelets = before[own].nodelets
+            goes_on()
+            manager.kill()
+            shell.wait_for("waiting for it")
+            flow.flows()  # messages flow without the manager
+            manager.start()
+            shell.wait_for("the manager is back")
+            goes_on()
+            self.assertEqual(self.claim(manager, own).nodelets, nodelets)
+            # Parts that die while the manager is dead are replaced after its restart.
+            manager.kill()
+            manager.child().signal(signal.SIGKILL)
+            manager.start()
+            goes_on()
+            time.sleep(11.0)  # longer than a lease, and than bonds wait for a client
+            goes_on()
+            # A client that dies while the manager is dead is missed too.
+            manager.kill()
+            client.stop(signal.SIGKILL)
+            manager.start()
+            self.become(manager, own, ClaimState.EXPIRED)
+            manager.client.destroy(self.nodelet_of(manager, "tracker"))
+            shell.wait_for("active: mended")
+            self.assertIn(held, Done("streams").out)
+            shell.stop()
+            self.assertEqual(shell.exit_code(20.0), 0)
+            self.assertIn(f"released {held}", shell.output)
+        manager.client.release_stream(leased)
+        self.is_cleared(manager)
 
 
 if __name__ == "__main__":
