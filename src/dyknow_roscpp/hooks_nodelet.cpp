@@ -154,6 +154,7 @@ void CallbackQueueManager::removeQueue(const CallbackQueuePtr& queue)
   {
     dyknow::withdrawServices(*gone);
   }
+  dyknow::withdrawServicesOf(queue.get());
   next(this, queue);
   dyknow::KeptQueues::instance().keep(queue);
 }

@@ -122,6 +122,7 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::TopicManager::incrementSequence),
       addressOf(&ros::TopicManager::getAdvertisedTopics),
       addressOf(&ros::ServiceManager::advertiseService),
+      addressOf(&ros::ServiceManager::unadvertiseService),
       topics::unregisterPublisherHook(),
       addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
       addressOf(&ros::StatisticsLogger::init),

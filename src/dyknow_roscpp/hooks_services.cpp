@@ -1,7 +1,8 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file The hook of services: loads and unloads of nodelets in C++ are under the guards of this process.
+/// @file The hooks of services: loads and unloads of nodelets in C++ are under the guards of this process, and a
+/// nodelet takes away no service but its own.
 #include <nodelet/NodeletLoad.h>
 #include <nodelet/NodeletUnload.h>
 #include <ros/advertise_service_options.h>
@@ -12,6 +13,8 @@
 
 #include <algorithm>
 #include <cstring>
+#include <map>
+#include <mutex>
 #include <utility>
 #include <vector>
 
@@ -19,6 +22,7 @@
 #include "names.h"
 #include "problems.h"
 #include "process_services.h"
+#include "registry.h"
 #include "self_check.h"
 #include "symbols.h"
 
@@ -109,7 +113,73 @@ Check checkOf(const std::string& datatype)
   return datatype == "nodelet/NodeletLoad" ? checkLoad : datatype == "nodelet/NodeletUnload" ? checkUnload : nullptr;
 }
 
+/// The services of nodelets, each with the callback queue of its nodelet.
+///
+/// roscpp withdraws a service by its name. A nodelet that is unloaded while a callback of it runs is destroyed when
+/// that returns, and would take away the services of one that has been loaded under its name meanwhile.
+class ServicesOfNodelets
+{
+public:
+  static ServicesOfNodelets& instance()
+  {
+    static ServicesOfNodelets& services = *new ServicesOfNodelets;  // leaked, see later.cpp
+    return services;
+  }
+
+  void enter(const std::string& service, const ros::CallbackQueueInterface* queue)
+  {
+    const auto* owner = Registry::instance().nodeletOf(queue).empty() ? RunningQueue::current() : queue;
+    std::lock_guard<std::mutex> lock(state_lock_);
+    queues_[service] = owner;
+  }
+
+  /// Takes a service out for this thread; false if it is another nodelet's by now.
+  bool leave(const std::string& service)
+  {
+    const auto* running = RunningQueue::current();
+    const bool is_unloaded = running != nullptr && Registry::instance().nodeletOf(running).empty();
+    std::lock_guard<std::mutex> lock(state_lock_);
+    const auto found = queues_.find(service);
+    if (found == queues_.end())
+    {
+      return true;
+    }
+    if (is_unloaded && found->second != running)
+    {
+      return false;
+    }
+    queues_.erase(found);
+    return true;
+  }
+
+  std::vector<std::string> of(const ros::CallbackQueueInterface* queue) const
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    std::vector<std::string> services;
+    for (const auto& [service, owner] : queues_)
+    {
+      if (owner == queue)
+      {
+        services.push_back(service);
+      }
+    }
+    return services;
+  }
+
+private:
+  mutable std::mutex state_lock_;
+  std::map<std::string, const ros::CallbackQueueInterface*> queues_;
+};
+
 }  // namespace
+
+void withdrawServicesOf(const ros::CallbackQueueInterface* queue)
+{
+  for (const auto& service : ServicesOfNodelets::instance().of(queue))
+  {
+    ros::ServiceManager::instance()->unadvertiseService(service);
+  }
+}
 
 }  // namespace dyknow
 
@@ -122,7 +192,12 @@ bool ServiceManager::advertiseService(const AdvertiseServiceOptions& ops)
   const auto check = dyknow::checkOf(ops.datatype);
   if (check == nullptr)
   {
-    return next(this, ops);
+    const bool is_advertised = next(this, ops);
+    if (is_advertised)
+    {
+      dyknow::ServicesOfNodelets::instance().enter(ops.service, ops.callback_queue);
+    }
+    return is_advertised;
   }
   if (dyknow::areHooksReached())
   {
@@ -131,6 +206,12 @@ bool ServiceManager::advertiseService(const AdvertiseServiceOptions& ops)
   AdvertiseServiceOptions guarded = ops;
   guarded.helper = boost::make_shared<dyknow::GuardedCallback>(ops.helper, check);
   return next(this, guarded);
+}
+
+bool ServiceManager::unadvertiseService(const std::string& service)
+{
+  static const auto next = dyknow::behind(&ServiceManager::unadvertiseService);
+  return !dyknow::ServicesOfNodelets::instance().leave(service) || next(this, service);
 }
 
 }  // namespace ros

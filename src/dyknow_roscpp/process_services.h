@@ -8,6 +8,8 @@
 #ifndef DYKNOW_ROSCPP_PROCESS_SERVICES_H
 #define DYKNOW_ROSCPP_PROCESS_SERVICES_H
 
+#include <ros/callback_queue_interface.h>
+
 #include <memory>
 #include <string>
 
@@ -22,6 +24,9 @@ void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 
 /// Withdraws them, and announces it.
 void withdrawServices(NodeletProxy& proxy);
+
+/// Withdraws the services that the handles of a callback queue offer.
+void withdrawServicesOf(const ros::CallbackQueueInterface* queue);
 
 /// Offers a nodelet manager's own services: `~poll` and the announcement of changes.
 void offerManagerServices();

@@ -6,6 +6,7 @@
 #include <std_msgs/Header.h>
 #include <std_srvs/Trigger.h>
 
+#include <iostream>
 #include <map>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
@@ -21,7 +22,12 @@ namespace dyknow_cpp_test
 class Sink : public nodelet::Nodelet
 {
 public:
-  ~Sink() override { ros::WallDuration(last_delay_).sleep(); }
+  ~Sink() override
+  {
+    ros::WallDuration(last_delay_).sleep();
+    report_.shutdown();
+    std::cout << getName() << " is destroyed" << std::endl;
+  }
 
 private:
   void onInit() override
