@@ -12,6 +12,7 @@ import time
 
 import rosgraph
 import rospy
+from dyknow_msgs.msg import Model
 from graph import Heard
 from manager_suite import (
     CHILD,
@@ -27,7 +28,7 @@ from processes import BUSY, HELD_UP, becomes, eventually, run
 from std_msgs.msg import String
 from test_boot import BootTest
 
-from dyknow.errors import Refused
+from dyknow.errors import DyKnowError, Refused
 from dyknow.model.graph import State
 from dyknow.model.transformation import Parameter
 
@@ -174,6 +175,28 @@ class ManagerFaultsTest(ManagerCase):
         manager.shows("/alone", **{"in": "/s1", "out": "/s2"})
         manager.shows("/relay", **{"in": "/s0", "out": "/other"})
         self.assertTrue(manager.nodelet("/counter").is_protected)
+
+    def test_its_model_comes_when_it_answers(self):
+        """A reader of the model may ask for a change at once."""
+        manager = self.started()
+        for number in range(10):
+            manager.client.spawn("relay", f"/relay_{number}")
+        child = manager.child()
+        manager.kill()
+        child.signal(signal.SIGKILL)  # it begins with many changes
+        answers = []
+
+        def ask(model: Model) -> None:
+            try:
+                answers.append(manager.client.get_model().revision >= model.revision)
+            except DyKnowError as error:
+                answers.append(error)
+
+        subscriber = rospy.Subscriber(f"{manager.client.manager}/model", Model, ask)
+        self.addCleanup(subscriber.unregister)
+        manager.start()
+        eventually(lambda: answers, 10.0, "the model comes")
+        self.assertIs(answers[0], True)
 
     def test_a_stopped_nodelet_manager_is_adopted_too(self):
         manager = self.started()

@@ -194,7 +194,6 @@ class ManagerNode(Closable):
             self._counts.latest,
             lambda: (self.manager.hosts(), self._settings.max_clock_offset),
         )
-        self._loop.add(_PUBLISH, self._model.publish, pause=_MODEL_PERIOD)
         self._loop.start()
         self._introduce()
         self.manager.start()
@@ -209,7 +208,8 @@ class ManagerNode(Closable):
             self._after_change,
             self._model.publish,
         )
-        self._loop.wake(_PUBLISH)
+        # Not before: readers of the model take the manager for one that answers.
+        self._loop.add(_PUBLISH, self._model.publish, 0.0, _MODEL_PERIOD)
         self._keeper.watch(self._loop)
         for job in self._jobs():
             self._loop.add(*job)
