@@ -51,6 +51,8 @@ LONGEST_END = 3.0
 _EXPIRY = 120.0
 #: The same, once the nodelet was given away and while it is not being loaded.
 _LOAD_EXPIRY = 10.0
+#: Seconds between two looks whether it is to be.
+_LOOK = 1.0
 _STEP = 0.002
 
 T = TypeVar("T")
@@ -92,6 +94,7 @@ class _Move:
         links: connections that are kept for the nodelet that moves here; None before.
         ends: their subscriptions, and publications.
         ended: set at the end.
+        expiry: when it is given up, in s of steady time; not during the load.
     """
 
     context: Callable[[], Context | None] = lambda: None
@@ -101,6 +104,7 @@ class _Move:
     links: list[ParkedConnection] | None = None
     ends: list[Any] = field(default_factory=list)
     ended: threading.Event = field(default_factory=threading.Event)
+    expiry: float = 0.0
 
 
 class HandOvers(Closable):
@@ -287,7 +291,7 @@ class HandOvers(Closable):
             unpack = functools.partial(self._runtime.transport.unpack, link.subscription.datatype)
             if not link.leave_out(each.given, list(_successes(link, unpack, each.waiting))):
                 raise CannotMove(name, _NOT_KEPT)
-        self._expire(name, move, _LOAD_EXPIRY)
+        move.expiry = time.monotonic() + _LOAD_EXPIRY
 
     # In both
 
@@ -316,7 +320,12 @@ class HandOvers(Closable):
             self._moves[name] = move
         if earlier is not None:
             self._end(name, earlier)
-        self._expire(name, move, _EXPIRY)
+        move.expiry = time.monotonic() + _EXPIRY
+        try:
+            in_background(f"moving {name}", functools.partial(self._expire, name, move))
+        except BaseException:
+            self._end(name, move)
+            raise
 
     def _end(self, name: str, move: _Move) -> None:
         with self._lock:
@@ -327,16 +336,13 @@ class HandOvers(Closable):
             each.note(False)
         self._runtime.bus.unpark(move.ends)
 
-    def _expire(self, name: str, move: _Move, seconds: float) -> None:
+    def _expire(self, name: str, move: _Move) -> None:
         """End a move later, if a manager that died does not, but not during the load."""
-
-        def expire() -> None:
-            while not move.ended.wait(seconds):
-                if self._loader.known(name) is self._loader.find(name):
-                    _log.warning("%s: its move was not ended; it is given up", name)
-                    self._end(name, move)
-
-        in_background(f"moving {name}", expire)
+        while not move.ended.wait(_LOOK):
+            is_loading = self._loader.known(name) is not self._loader.find(name)
+            if time.monotonic() >= move.expiry and not is_loading:
+                _log.warning("%s: its move was not ended; it is given up", name)
+                self._end(name, move)
 
     def _context(self, name: str) -> Context:
         context = self._loader.find(name)

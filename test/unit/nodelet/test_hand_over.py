@@ -469,7 +469,8 @@ def test_no_message_comes_twice_whenever_managers_die(first, second, back):
 def test_a_move_is_ended_by_its_own_time_limit_alone(monkeypatch):
     limits = []
     monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
-    monkeypatch.setattr(hand_over, "_EXPIRY", 0.0)
+    for limit in ("_EXPIRY", "_LOAD_EXPIRY", "_LOOK"):
+        monkeypatch.setattr(hand_over, limit, 0.0)
     with places(FakeClock(), []) as (old, new):
         topics = old.moves.note(NAME)
         old.moves.note(NAME)
@@ -487,7 +488,8 @@ def test_a_move_is_ended_by_its_own_time_limit_alone(monkeypatch):
 def test_what_was_taken_waits_for_the_load_and_not_for_long(monkeypatch):
     limits = []
     monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
-    monkeypatch.setattr(hand_over, "_LOAD_EXPIRY", 0.01)
+    for limit in ("_LOAD_EXPIRY", "_LOOK"):
+        monkeypatch.setattr(hand_over, limit, 0.0)
     place, topics, received = parked()
     place.moves.take(NAME, topics)
     place.send(1)
