@@ -25,6 +25,7 @@ Ownership: each process has one ``HandOvers``, which owns noted and parked messa
 from __future__ import annotations
 
 import functools
+import json
 import logging
 import threading
 import time
@@ -73,6 +74,8 @@ class HandedTopic:
         direction: IN or OUT.
         given: digests of the messages that it was given, each with the time of its arrival.
         waiting: messages that it was given, and has not received, serialised.
+        latch: whether an output latches.
+        options: further options of an output, as JSON.
     """
 
     topic: str
@@ -80,6 +83,8 @@ class HandedTopic:
     direction: str
     given: tuple[tuple[float, bytes], ...] = ()
     waiting: tuple[bytes, ...] = ()
+    latch: bool = False
+    options: str = "{}"
 
 
 @dataclass(eq=False)
@@ -257,7 +262,14 @@ class HandOvers(Closable):
             else:
                 refusal = functools.partial(runtime.node.closed, name)
                 publication = Publication(
-                    datatype, False, 1, runtime.transport, runtime.clock, refusal, {}, name
+                    datatype,
+                    each.latch,
+                    1,
+                    runtime.transport,
+                    runtime.clock,
+                    refusal,
+                    json.loads(each.options),
+                    name,
                 )
                 publications.append((publication, each.topic))
         move = _Move(ends=[*(each.subscription for each in links), *(p for p, _ in publications)])
@@ -352,7 +364,16 @@ class HandOvers(Closable):
 
 
 def _outputs(publications: Sequence[tuple[Publication, str]]) -> list[HandedTopic]:
-    return [HandedTopic(topic, each.datatype._type, OUT) for each, topic in publications]
+    return [
+        HandedTopic(
+            topic,
+            each.datatype._type,
+            OUT,
+            latch=each.latch,
+            options=json.dumps(each.options, default=str),
+        )
+        for each, topic in publications
+    ]
 
 
 def _input(connection: Connection) -> HandedTopic:
