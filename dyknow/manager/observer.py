@@ -255,7 +255,7 @@ class Observer:
 
     def _update(self, record: Record, state: ProcessState) -> None:
         """Update the record of a nodelet that runs."""
-        if record.state is State.STARTING:
+        if record.state in (State.STARTING, State.FAILED):
             trouble = self._complete(record)
             if trouble:
                 self._graph.put(replace(record, detail=trouble))
@@ -301,6 +301,8 @@ class Observer:
 
     def _complete(self, record: Record) -> str:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun.
+
+        The load of one that FAILED ended after all: its name was taken by that load, for example.
 
         Returns why it is not finished; empty if it is.
         """

@@ -23,6 +23,7 @@ from dyknow.errors import (
     SpawnFailed,
     UnknownNodelet,
 )
+from dyknow.manager.host import LoadRequest
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -241,6 +242,22 @@ def test_a_nodelet_comes_back_however_late_its_unload_is(
     world.host.vanish("/front")
     world.manager.look()
     assert world.states() == {}, "the next unload is another client's"
+
+
+def test_a_nodelet_whose_load_ends_after_all_is_connected(world: World) -> None:
+    """A manager was killed during the load; that of its next life finds the name taken."""
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.vanish("/front")
+    request = LoadRequest("/front", "pkg/Camera")
+    world.host.fail_at("load", error="it is being loaded")
+    with pytest.raises(RestartFailed):
+        world.manager.restart("front")
+    world.host.recover()
+    world.host.load(world.manager.graph.get("/front").manager, request, 1.0)
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    assert world.manager.graph.get("/front").topics == {"image": "/a"}
 
 
 def test_nothing_is_left_of_a_spawn_whose_undoing_is_late(world: World) -> None:
