@@ -208,7 +208,7 @@ class Lifecycle:
         FAILED, with the reason, which is returned too.
         """
         problem: DyKnowError | None = None
-        record = self._judged(record)
+        record = replace(self._judged(record), superseded=False)
         why = (record.detail, "" if record.suspicion in record.detail else record.suspicion)
         detail = "; ".join(filter(None, why))
         starting = replace(record, state=State.STARTING, detail=detail, heard=NOTHING_HEARD)
@@ -223,7 +223,8 @@ class Lifecycle:
             running = replace(starting, detail=error.holder)
         except DyKnowError as error:
             problem = error
-            self._take_down(starting)
+            starting = replace(starting, incarnation="")  # in this process, not its former one
+            is_gone = self._take_down(starting)
             _log.warning("%s is not back: %s", record.name, error)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
             running = replace(
@@ -233,6 +234,8 @@ class Lifecycle:
                 state=State.FAILED,
                 detail=detail,
                 ports=(),
+                incarnation=record.incarnation if is_gone else "",
+                superseded=not is_gone,
             )
         else:
             _log.info("%s is back", record.name)
@@ -464,39 +467,34 @@ class Lifecycle:
             if state is not None and state.foreign:
                 raise NotOurs(name, record.manager, record.owner)
             try:
-                if record.state in (State.RUNNING, State.LOST):
-                    self._unload(record)
+                self.end(record)
             except HostTimeout as error:
-                later = f"it is destroyed as soon as {record.manager} answers"
-                self._graph.put(replace(record, state=State.LOST, detail=later, unwanted=True))
+                later = self._destroy_later(record)
                 raise HostTimeout(f"'{name}' is not destroyed yet: {error}; {later}") from error
-            self.forget(record)
+            self._graph.remove(record.name)
+
+    def _destroy_later(self, record: Record) -> str:
+        """Have a nodelet that may still run destroyed later; returns when."""
+        later = f"it is destroyed as soon as {record.manager} answers"
+        self._graph.put(replace(record, state=State.LOST, detail=later, unwanted=True))
+        return later
 
     def end(self, record: Record) -> None:
-        """End a nodelet that stays in the graph, with its parameters and a process of its own.
+        """End a nodelet, with its parameters and a process of its own; its record stays.
 
         Raises HostError if it may still run.
         """
-        if record.state in (State.RUNNING, State.LOST):
+        if record.state is not State.FAILED or record.is_ending:
             self._unload(record)
-            self.dispose(record)
-        else:
-            self._take_down(record)
-
-    def finish_destroying(self, record: Record) -> None:
-        """Destroy a nodelet whose nodelet manager did not answer when it should be destroyed."""
-        try:
-            self._unload(record)
-        except HostError as error:
-            _log.warning("%s: %s", record.name, error)
-            return
-        self.forget(record)
-        _log.info("%s, which was to be destroyed, is destroyed now", record.name)
+        self.dispose(record)
 
     def clear(self, record: Record) -> None:
-        """Destroy a nodelet in any state."""
-        self._take_down(record)
-        self._graph.remove(record.name)
+        """Destroy a nodelet in any state, later if it was up and its process does not answer."""
+        is_gone = self._take_down(record)
+        if is_gone or self._host.reported(record.manager, record.name) is None:
+            self._graph.remove(record.name)
+        else:
+            self._destroy_later(record)
 
     def forget(self, record: Record) -> None:
         """Forget a nodelet that is gone, with its parameters and its process."""
@@ -521,12 +519,16 @@ class Lifecycle:
             return True
         return record.name not in self._host.list(record.manager)
 
-    def _take_down(self, record: Record) -> None:
+    def _take_down(self, record: Record) -> bool:
+        """Unload a nodelet if that is possible; returns whether it is certainly gone."""
         try:
-            self._host.unload(record.manager, record.name)
+            self._unload(record)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
-        self.dispose(record)
+            return False
+        finally:
+            self.dispose(record)
+        return True
 
     def dispose(self, record: Record) -> None:
         """Delete the parameters of a nodelet that is gone, and end its own process."""

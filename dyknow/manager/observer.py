@@ -196,7 +196,7 @@ class Observer:
 
     def _trouble(self, record: Record, fate: Fate, report: HostReport) -> str:
         """Say why a nodelet is lost, or not up yet, with its nodelet manager; else empty."""
-        if record.transformation is None or record.unwanted:
+        if record.transformation is None or record.is_ending:
             return ""
         if record.state is State.FAILED:
             return ""
@@ -231,13 +231,13 @@ class Observer:
             if current is None:
                 return False
             state = report.processes.get(record.manager)
-            if fate is Fate.RUNS and state is not None and not current.unwanted:
+            if fate is Fate.RUNS and state is not None and not current.is_ending:
                 self._update(current, state)
             elif fate is Fate.UNSEEN:
                 return False
             elif not current.is_spawned and fate in (Fate.DIED, Fate.UNLOADED):
                 self._graph.remove(record.name)
-            elif current.unwanted:
+            elif current.is_ending:
                 return fate is not Fate.SILENT
             elif current.transformation is None:
                 self._graph.remove(record.name)
@@ -255,7 +255,7 @@ class Observer:
 
     def _update(self, record: Record, state: ProcessState) -> None:
         """Update the record of a nodelet that runs."""
-        if record.state is State.STARTING:
+        if record.state in (State.STARTING, State.FAILED):
             trouble = self._complete(record)
             if trouble:
                 self._graph.put(replace(record, detail=trouble))
@@ -302,6 +302,8 @@ class Observer:
     def _complete(self, record: Record) -> str:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun.
 
+        The load of one that FAILED ended after all: its name was taken by that load, for example.
+
         Returns why it is not finished; empty if it is.
         """
         wanted = replace(record, topics=self._lifecycle.fitting(record))
@@ -320,18 +322,31 @@ class Observer:
     def _bring_back(self, name: str) -> None:
         # Busy: another operation works on it; the next look sees the outcome.
         with contextlib.suppress(Busy), self._graph.changing(name) as record:
-            if record is None or (record.state is State.RUNNING and not record.unwanted):
+            if record is None or (record.state is State.RUNNING and not record.is_ending):
                 return
-            if record.claimed and not record.unwanted:  # the claim's repair replaces it
+            if record.is_ending and not self._is_ended(record):
+                return
+            if record.unwanted:
+                self._lifecycle.forget(record)
+                _log.info("%s, which was to be destroyed, is destroyed now", name)
+                return
+            if record.claimed:  # the claim's repair replaces it
                 self._keeper.on_death(record)
                 self._lifecycle.forget(record)
                 return
-            has_served = record.state is State.LOST and not record.unwanted
+            has_served = record.state is State.LOST
             self._backoff.failed(name, self._graph.lifetime(name) if has_served else 0.0)
-            if record.unwanted:
-                self._lifecycle.finish_destroying(record)
-            else:
-                self._lifecycle.restore(record)
+            self._lifecycle.restore(record)
+
+    def _is_ended(self, record: Record) -> bool:
+        """Unload a nodelet that should have been; returns whether it is certainly gone."""
+        try:
+            self._lifecycle.end(record)
+        except HostError as error:
+            self._backoff.failed(record.name)
+            _log.warning("%s: %s", record.name, error)
+            return False
+        return True
 
     def _adopt_unknown(self, name: str, state: ProcessState) -> None:
         with contextlib.suppress(Busy, NameTaken, HostError), self._graph.changing(name, new=True):

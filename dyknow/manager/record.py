@@ -56,6 +56,7 @@ class Record:
         incarnation: of its process when it was loaded.
         suspicion: why it was isolated; empty if it is not suspected of crashes.
         unwanted: whether it has to be destroyed as soon as its nodelet manager answers.
+        superseded: whether it has to be unloaded as soon as that answers, and loaded again.
         parameters: from the spawn, for life.
         kind: kind of nodelet or node.
         host: its machine, as ROS names it.
@@ -82,6 +83,7 @@ class Record:
     incarnation: str = ""
     suspicion: str = ""
     unwanted: bool = False
+    superseded: bool = False
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
     host: str = ""
@@ -110,6 +112,11 @@ class Record:
     def is_stored(self) -> bool:
         """Whether it outlives the manager: an external node only if it has received messages."""
         return self.is_spawned or bool(self.is_described and self.heard.ways)
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether an unload of it may still be on its way, and is made certain."""
+        return self.unwanted or self.superseded
 
     @property
     def is_complete(self) -> bool:
@@ -152,7 +159,12 @@ class Record:
             "owner",
         ):  # the key, and observations of each life
             del body[name]
-        is_needed = {"heard": self.heard.ways, "code": self.code, "pinned": self.pinned}
+        is_needed = {
+            "heard": self.heard.ways,
+            "code": self.code,
+            "pinned": self.pinned,
+            "superseded": self.superseded,
+        }
         for name, value in is_needed.items():
             if not value:
                 del body[name]  # earlier versions do not read it

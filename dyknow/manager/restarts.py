@@ -88,11 +88,11 @@ class Restarts:
             except HostError as error:
                 raise CannotMove(name, error) from error
             detail = f"it is being moved to {target}"
-            self._graph.put(_starting(record, detail))
+            self._graph.put(_ending(record, detail))
             try:
                 hand_over()
             except HostError as error:
-                self._graph.put(replace(record, state=State.LOST, detail=f"{detail}: {error}"))
+                self._graph.put(_late(record, f"{detail}: {error}"))
                 if not isinstance(error, HostTimeout) and name in self._host.list(record.manager):
                     self._graph.put(record)
                     raise CannotMove(name, error) from error
@@ -110,12 +110,15 @@ class Restarts:
                 raise UnknownNodelet(name, self._graph.records)
             (record,) = records
             fresh = self._renewed(record)
-            self._graph.put(_starting(record))
+            self._graph.put(_ending(record))
             try:
                 self._lifecycle.end(record)
-            except HostError:
+            except HostTimeout:
                 later = "it is restarted as soon as it is unloaded"
-                self._graph.put(replace(record, state=State.LOST, detail=later))
+                self._graph.put(_late(fresh if fresh.manager else record, later))
+                raise
+            except HostError:
+                self._graph.put(record)
                 raise
             self._bring_back(record, fresh)
             return Restarted((name,), "\n".join(self._remarks(record)))
@@ -244,3 +247,13 @@ def is_movable(record: Record) -> bool:
 
 def _starting(record: Record, detail: str = _RESTARTING) -> Record:
     return replace(record, state=State.STARTING, detail=detail, heard=NOTHING_HEARD)
+
+
+def _ending(record: Record, detail: str = _RESTARTING) -> Record:
+    """Show a nodelet that is to be unloaded: the next life of the manager unloads it again."""
+    return replace(_starting(record, detail), superseded=True)
+
+
+def _late(record: Record, detail: str) -> Record:
+    """Show a nodelet that may yet be unloaded: the observer unloads it, and brings it back."""
+    return replace(record, state=State.LOST, detail=detail, superseded=True)

@@ -21,6 +21,7 @@ A switch (``rewire``) goes through four steps:
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from dataclasses import dataclass, field
@@ -33,7 +34,7 @@ from dyknow.nodelet.endpoints import NOTHING, Connection, Fence, Publication, Su
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
 from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Clock
-from dyknow.periodic import in_background
+from dyknow.periodic import NO_THREAD, in_background
 
 #: How long the registration of an old topic stays at most while its messages are being sent, in s.
 _LONGEST_DRAIN = 30.0
@@ -45,6 +46,8 @@ _DRAIN_PAUSE = 2.0
 _LONGEST_DRAIN_IN = 0.1
 
 Endpoint = Union[Publication, Subscription]
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass
@@ -435,15 +438,19 @@ class Bus:
             registration.close()
             return
 
-        def leave() -> None:
-            registration.drain(_LONGEST_DRAIN)
+        def leave(seconds: float = _LONGEST_DRAIN) -> None:
+            registration.drain(seconds)
             with self._lock:
                 if leaving not in self._leaving:
                     return  # the endpoint was released, and this with it
                 self._leaving.remove(leaving)
             registration.close()
 
-        in_background("dyknow-drain", leave)
+        try:
+            in_background("dyknow-drain", leave)
+        except NO_THREAD as error:
+            _log.warning("what is on the way from %s may be lost: %s", endpoint.owner, error)
+            leave(0.0)
 
     def _undo(self, parts: list[_Part]) -> None:
         with self._lock:

@@ -25,6 +25,7 @@ Ownership: each process has one ``HandOvers``, which owns noted and parked messa
 from __future__ import annotations
 
 import functools
+import json
 import logging
 import threading
 import time
@@ -51,6 +52,8 @@ LONGEST_END = 3.0
 _EXPIRY = 120.0
 #: The same, once the nodelet was given away and while it is not being loaded.
 _LOAD_EXPIRY = 10.0
+#: Seconds between two looks whether it is to be.
+_LOOK = 1.0
 _STEP = 0.002
 
 T = TypeVar("T")
@@ -71,6 +74,8 @@ class HandedTopic:
         direction: IN or OUT.
         given: digests of the messages that it was given, each with the time of its arrival.
         waiting: messages that it was given, and has not received, serialised.
+        latch: whether an output latches.
+        options: further options of an output, as JSON.
     """
 
     topic: str
@@ -78,6 +83,8 @@ class HandedTopic:
     direction: str
     given: tuple[tuple[float, bytes], ...] = ()
     waiting: tuple[bytes, ...] = ()
+    latch: bool = False
+    options: str = "{}"
 
 
 @dataclass(eq=False)
@@ -92,6 +99,7 @@ class _Move:
         links: connections that are kept for the nodelet that moves here; None before.
         ends: their subscriptions, and publications.
         ended: set at the end.
+        expiry: when it is given up, in s of steady time; not during the load.
     """
 
     context: Callable[[], Context | None] = lambda: None
@@ -101,6 +109,7 @@ class _Move:
     links: list[ParkedConnection] | None = None
     ends: list[Any] = field(default_factory=list)
     ended: threading.Event = field(default_factory=threading.Event)
+    expiry: float = 0.0
 
 
 class HandOvers(Closable):
@@ -253,7 +262,14 @@ class HandOvers(Closable):
             else:
                 refusal = functools.partial(runtime.node.closed, name)
                 publication = Publication(
-                    datatype, False, 1, runtime.transport, runtime.clock, refusal, {}, name
+                    datatype,
+                    each.latch,
+                    1,
+                    runtime.transport,
+                    runtime.clock,
+                    refusal,
+                    json.loads(each.options),
+                    name,
                 )
                 publications.append((publication, each.topic))
         move = _Move(ends=[*(each.subscription for each in links), *(p for p, _ in publications)])
@@ -287,7 +303,7 @@ class HandOvers(Closable):
             unpack = functools.partial(self._runtime.transport.unpack, link.subscription.datatype)
             if not link.leave_out(each.given, list(_successes(link, unpack, each.waiting))):
                 raise CannotMove(name, _NOT_KEPT)
-        self._expire(name, move, _LOAD_EXPIRY)
+        move.expiry = time.monotonic() + _LOAD_EXPIRY
 
     # In both
 
@@ -316,7 +332,12 @@ class HandOvers(Closable):
             self._moves[name] = move
         if earlier is not None:
             self._end(name, earlier)
-        self._expire(name, move, _EXPIRY)
+        move.expiry = time.monotonic() + _EXPIRY
+        try:
+            in_background(f"moving {name}", functools.partial(self._expire, name, move))
+        except BaseException:
+            self._end(name, move)
+            raise
 
     def _end(self, name: str, move: _Move) -> None:
         with self._lock:
@@ -327,16 +348,13 @@ class HandOvers(Closable):
             each.note(False)
         self._runtime.bus.unpark(move.ends)
 
-    def _expire(self, name: str, move: _Move, seconds: float) -> None:
+    def _expire(self, name: str, move: _Move) -> None:
         """End a move later, if a manager that died does not, but not during the load."""
-
-        def expire() -> None:
-            while not move.ended.wait(seconds):
-                if self._loader.known(name) is self._loader.find(name):
-                    _log.warning("%s: its move was not ended; it is given up", name)
-                    self._end(name, move)
-
-        in_background(f"moving {name}", expire)
+        while not move.ended.wait(_LOOK):
+            is_loading = self._loader.known(name) is not self._loader.find(name)
+            if time.monotonic() >= move.expiry and not is_loading:
+                _log.warning("%s: its move was not ended; it is given up", name)
+                self._end(name, move)
 
     def _context(self, name: str) -> Context:
         context = self._loader.find(name)
@@ -346,7 +364,16 @@ class HandOvers(Closable):
 
 
 def _outputs(publications: Sequence[tuple[Publication, str]]) -> list[HandedTopic]:
-    return [HandedTopic(topic, each.datatype._type, OUT) for each, topic in publications]
+    return [
+        HandedTopic(
+            topic,
+            each.datatype._type,
+            OUT,
+            latch=each.latch,
+            options=json.dumps(each.options, default=str),
+        )
+        for each, topic in publications
+    ]
 
 
 def _input(connection: Connection) -> HandedTopic:

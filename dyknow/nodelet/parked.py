@@ -80,7 +80,7 @@ class ParkedConnection(Connection):
         """Drop the messages that the nodelet received in the other process, but for waiting ones.
 
         Where messages are equal byte for byte, those that came before the first one here do not
-        count. Of a latched topic the last message stays: the new instance needs it.
+        count. Of each latching publisher the last message stays: the new instance needs it.
 
         Args:
             given: digests with their times of arrival, by the same clock as here.
@@ -101,9 +101,9 @@ class ParkedConnection(Connection):
             )
             held = list(self._queue)
             self._queue.clear()
-        kept = [each for each in held if not self._is_due(each)]
-        if held and not waiting and _is_latched(held[-1]) and held[-1] is not (kept or [None])[-1]:
-            kept.append(held[-1])
+        latched = {_latching(each): each for each in held if _latching(each)}
+        last = {id(each) for each in latched.values() if not self._is_among(each, waiting)}
+        kept = [each for each in held if not self._is_due(each) or id(each) in last]
         with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))
             self._is_cleared = True
@@ -130,9 +130,8 @@ class ParkedConnection(Connection):
         if self._strand.clock() > self._until:
             self._due = collections.Counter()
             return False
-        try:
-            digest = self._digest(message)
-        except Exception:  # it came by reference, and cannot have come to the other process
+        digest = self._digest_of(message)
+        if digest is None:
             return False
         with message_lock:
             if self._due[digest] < 1:
@@ -140,8 +139,18 @@ class ParkedConnection(Connection):
             self._due[digest] -= 1
             return True
 
+    def _is_among(self, message: Any, others: Sequence[Any]) -> bool:
+        digest = self._digest_of(message)
+        return digest is not None and any(self._digest_of(each) == digest for each in others)
 
-def _is_latched(message: Any) -> bool:
-    """Whether rospy received a message from a publisher that latches."""
+    def _digest_of(self, message: Any) -> bytes | None:
+        try:
+            return self._digest(message)
+        except Exception:  # it came by reference, and cannot have come to the other process
+            return None
+
+
+def _latching(message: Any) -> str:
+    """Return the publisher of a message that rospy received, if that latches; else empty."""
     header = getattr(message, "_connection_header", None) or {}
-    return bool(header.get("latching") == "1")
+    return str(header.get("callerid", "?")) if header.get("latching") == "1" else ""

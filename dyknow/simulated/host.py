@@ -143,7 +143,7 @@ class FakeHost(Host):
         self.unnoticed: set[str] = set()
         #: ROS types without a header.
         self.unstamped: set[str] = set()
-        #: Nodelets whose connections fail with a timeout, and are made by ``arrive``.
+        #: Nodelets whose connections and unloads fail with a timeout, and are made by ``arrive``.
         self.slow: set[str] = set()
         #: Code by source, and sources whose changed files cannot be run.
         self.code: dict[str, str] = {}
@@ -182,7 +182,8 @@ class FakeHost(Host):
         self._cut: dict[str, ProcessState] = {}
         self._passed: dict[str, int] = {}
         self._ages: dict[str, float | None] = {}
-        self._on_the_way: list[tuple[FakeNodelet, dict[str, str]]] = []
+        #: Connections of nodelets; None for an unload.
+        self._on_the_way: list[tuple[FakeNodelet, dict[str, str] | None]] = []
 
     # Faults and other events
 
@@ -243,7 +244,7 @@ class FakeHost(Host):
         return manager in self._hung
 
     def arrive(self) -> builtins.list[str]:
-        """Make the connections that took too long, but not those to stopped processes."""
+        """Connect and unload what took too long, but not in stopped processes."""
         waiting, self._on_the_way = self._on_the_way, []
         arrived = []
         for nodelet, config in waiting:
@@ -254,7 +255,11 @@ class FakeHost(Host):
             if process.state.name in self._hung:
                 self._on_the_way.append((nodelet, config))
                 continue
-            self._apply(nodelet, config)
+            if config is None:
+                del process.nodelets[name]
+                self.on_change()
+            else:
+                self._apply(nodelet, config)
             arrived.append(name)
         return arrived
 
@@ -490,9 +495,7 @@ class FakeHost(Host):
             del self.processes[manager]
             self.on_change()
             return
-        if self._alive(manager).nodelets.pop(name, None) is None:
-            raise HostError(f"no nodelet named '{name}' is loaded")
-        self.on_change()
+        self._pop(manager, name)
 
     @contextlib.contextmanager
     def moving(self, name: str, source: str, target: str) -> Iterator[Callable[[], None]]:
@@ -503,10 +506,19 @@ class FakeHost(Host):
 
         def hand_over() -> None:
             self._step("give", f"{name} in {source}")
-            self._alive(source).nodelets.pop(name)
-            self.on_change()
+            self._pop(source, name)
 
         yield hand_over
+
+    def _pop(self, manager: str, name: str) -> None:
+        nodelets = self._alive(manager).nodelets
+        if name not in nodelets:
+            raise HostError(f"no nodelet named '{name}' is loaded")
+        if name in self.slow:
+            self._on_the_way.append((nodelets[name], None))
+            raise HostTimeout(f"nodelet '{name}' was not unloaded in time")
+        del nodelets[name]
+        self.on_change()
 
     def usage(self) -> Mapping[str, Usage]:
         return self.used

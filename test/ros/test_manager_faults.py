@@ -80,6 +80,17 @@ class NodeletManagerFaultsTest(ManagerCase):
         self.assertIsNone(manager.nodelet("/late"))
         self.assertEqual(registrations("/late"), [])
 
+    def test_a_restart_is_completed_when_a_stopped_nodelet_manager_goes_on(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s"})
+        receiver = self.enter(Heard("/s", note=counted))
+        receiver.flows()
+        with manager.child_stopped(), self.assertRaises(Refused):
+            manager.client.restart("/counter")
+        eventually(lambda: receiver[-1] < max(receiver), BUSY, "a new instance counts anew")
+        self.assertEqual(manager.becomes("/counter", State.RUNNING).manager, CHILD)
+        self.assertEqual(manager.topics("/counter"), {"out": "/s"})
+
     def test_the_watchdog_restarts_what_hangs(self):
         manager = self.started(**{"watchdog/hung": 3.0})
         manager.client.spawn("counter", "/counter", {"out": "/s0"})

@@ -337,7 +337,8 @@ class SpreadTest(ManagerCase):
         self.assertIn(f"{name} is moved from {CHILD} to {SECOND}", manager.output)
         becomes(everywhere, sorted(["/counter", "/relay", *self.heard]))
 
-    def test_a_target_that_is_killed_in_the_middle_leaves_the_nodelet_once(self):
+    def moving(self):
+        """Have a nodelet moved that takes long to load; returns its manager and its name."""
         manager = self.spread("slow", num_nodelet_managers=2)
         moving = f"it is being moved to {SECOND}"
 
@@ -347,12 +348,25 @@ class SpreadTest(ManagerCase):
 
         eventually(found, 60.0, "one is being moved", lambda: manager.output[-3000:])
         (name,) = found()
-        manager.kill_child(SECOND, signal.SIGKILL)
+        return manager, name
+
+    def runs_once(self, manager, name):
         manager.becomes(name, State.RUNNING)
         self.heard[name].flows(50)
         numbers = [number for number, _ in self.heard[name]]
         self.assertEqual(numbers, sorted({*numbers}))
         becomes(everywhere, ["/busy_0", "/busy_1", "/counter"])
+
+    def test_a_target_that_is_killed_in_the_middle_leaves_the_nodelet_once(self):
+        manager, name = self.moving()
+        manager.kill_child(SECOND, signal.SIGKILL)
+        self.runs_once(manager, name)
+
+    def test_a_manager_that_is_killed_in_the_middle_leaves_the_nodelet_once(self):
+        manager, name = self.moving()
+        manager.kill()
+        manager.start()
+        self.runs_once(manager, name)
 
 
 class HandOverTest(TellingCase):

@@ -74,17 +74,18 @@ def topic_message(topic: HandedTopic) -> msg.HandedTopic:
     digests = b"".join(digest for _, digest in topic.given)
     times = [moment for moment, _ in topic.given]
     sizes = list(map(len, topic.waiting))
-    return msg.HandedTopic(
-        topic.topic, topic.datatype, direction, digests, times, b"".join(topic.waiting), sizes
-    )
+    waiting = b"".join(topic.waiting)
+    fields = (digests, times, waiting, sizes, topic.latch, topic.options)
+    return msg.HandedTopic(topic.topic, topic.datatype, direction, *fields)
 
 
 def topic_from(message: Any) -> HandedTopic:
     digests = _parts(message.given, [DIGEST_SIZE] * len(message.arrived))
     direction = IN if message.direction == msg.Port.IN else OUT
     given = tuple(zip(message.arrived, digests))
-    waiting = _parts(message.waiting, message.sizes)
-    return HandedTopic(message.topic, message.datatype, direction, given, tuple(waiting))
+    waiting = tuple(_parts(message.waiting, message.sizes))
+    fields = (given, waiting, message.latch, message.options)
+    return HandedTopic(message.topic, message.datatype, direction, *fields)
 
 
 def _parts(content: bytes, sizes: Iterable[int]) -> list[bytes]:

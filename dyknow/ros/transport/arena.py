@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import array
 import collections
+import contextlib
 import fcntl
+import functools
 import itertools
 import logging
 import mmap
@@ -79,14 +81,21 @@ class Arena:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
+        with contextlib.ExitStack() as opened:
+            self._open(opened)
+            opened.pop_all()
+
+    def _open(self, opened: contextlib.ExitStack) -> None:
+        """Make the file, and start to hand it out; ``opened`` is closed if that fails."""
         self._file = os.memfd_create("dyknow", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        opened.callback(os.close, self._file)
         fcntl.fcntl(self._file, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL)
         self._process = os.getpid()
         self._lock = state_lock("arena")
         self._numbers = itertools.count(int.from_bytes(os.urandom(6), "little") << 15)
         self._end = 0
         os.ftruncate(self._file, _LEAST)  # which takes no memory
-        self._pages = mmap.mmap(self._file, _LEAST)
+        self._pages = opened.enter_context(mmap.mmap(self._file, _LEAST))
         #: Free regions, by their size: those that hold memory, and those that do not.
         self._warm: dict[int, list[int]] = {}
         self._cold: dict[int, list[int]] = {}
@@ -96,10 +105,13 @@ class Arena:
             collections.deque()
         )
         self.address = f"dyknow-{uuid.uuid4().hex}"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
         self._socket.bind("\0" + self.address)
         self._socket.listen(64)
-        in_background("handing out shared memory", self._hand_out)
+        read_only = os.open(f"/proc/self/fd/{self._file}", os.O_RDONLY | os.O_CLOEXEC)
+        opened.callback(os.close, read_only)
+        hand_out = functools.partial(self._hand_out, read_only)
+        in_background("handing out shared memory", hand_out)
 
     def write(self, content: bytes | bytearray) -> ArenaRegion | None:
         """Write a message; None if there is no memory for it."""
@@ -164,8 +176,7 @@ class Arena:
                 (self._cold if is_surplus else self._warm).setdefault(room, []).append(offset)
                 self._idle += 0 if is_surplus else room
 
-    def _hand_out(self) -> None:
-        read_only = os.open(f"/proc/self/fd/{self._file}", os.O_RDONLY | os.O_CLOEXEC)
+    def _hand_out(self, read_only: int) -> None:
         message = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [read_only]))]
         listener, poll = PatientSocket(self._socket), select.poll()
         poll.register(self._socket, select.POLLIN)

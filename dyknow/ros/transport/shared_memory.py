@@ -35,6 +35,7 @@ import rospy.impl.transport
 
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
+from dyknow.periodic import NO_THREAD
 from dyknow.ros.transport.arena import Arena, ArenaReader
 from dyknow.ros.transport.outbound import SHMROS, Outbound, Share
 from dyknow.ros.transport.packing import (
@@ -187,14 +188,14 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
         return code, text, where
 
     def _made(self) -> Arena | None:
-        """Return the memory of this process; None where the system has none."""
+        """Return the memory of this process; None where the system has none, or no thread now."""
         trouble: Exception | None = None
         with self._making:
             if self._arena is None and self._is_wanted:
                 try:
                     self._arena = Arena()
-                except (OSError, AttributeError) as error:
-                    self._is_wanted, trouble = False, error
+                except (OSError, AttributeError, *NO_THREAD) as error:
+                    self._is_wanted, trouble = isinstance(error, NO_THREAD), error
         if trouble is not None:
             rospy.loginfo("messages do not travel through shared memory: %s", trouble)
         return self._arena
@@ -227,7 +228,12 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
         if not subscriber.add_connection(connection):  # it was closed meanwhile
             connection.close()
             return 0, f"no subscriber of {topic}", 0
-        thread.start()
+        try:
+            thread.start()
+        except NO_THREAD as error:  # without a connection the publisher is connected to later
+            subscriber.remove_connection(connection)
+            connection.close()
+            return 0, f"{topic} is not received from {uri}: {error}", 0
         return 1, f"connected to {topic}", port
 
     def _reader(self, address: str) -> ArenaReader:

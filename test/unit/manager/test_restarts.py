@@ -18,9 +18,12 @@ from dyknow.errors import (
     HostError,
     HostTimeout,
     InvalidParameters,
+    NameTaken,
     RestartFailed,
+    SpawnFailed,
     UnknownNodelet,
 )
+from dyknow.manager.host import LoadRequest
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -191,6 +194,94 @@ def test_a_process_that_does_not_answer_restarts_its_nodelet_later(world: World)
     world.host.wake(manager)
     world.host.vanish("/front")  # the answer to the question that hung
     world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+
+
+def look_later(world: World) -> None:
+    """Look when the pause after a failure is over."""
+    assert isinstance(world.clock, HandClock)
+    world.clock.time += 1.0
+    world.manager.look()
+
+
+LATE = [
+    pytest.param(lambda world: world.manager.restart("front"), id="restart"),
+    pytest.param(lambda world: world.manager.move("/front", "/other"), id="move"),
+]
+
+
+@pytest.mark.parametrize("dies", [False, True])
+@pytest.mark.parametrize("change", LATE)
+def test_a_nodelet_comes_back_however_late_its_unload_is(
+    world: World, change: Callable[[World], Any], dies: bool
+) -> None:
+    """Its process lists it meanwhile; an unload by another client looks the same."""
+    world.host.code["pkg/Camera"] = "old"
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.add("/other")
+    before = world.host.nodelet("/front")
+    world.host.slow.add("/front")
+    world.host.code["pkg/Camera"] = "new"
+    if dies:
+        world.host.fail_at("unload", error=KeyboardInterrupt())
+    with pytest.raises((HostTimeout, KeyboardInterrupt)):
+        change(world)
+    world.host.recover()
+    if dies:
+        world.kill_manager()
+    world.manager.look()
+    assert world.host.nodelet("/front") is before
+    assert world.states() != {"/front": "RUNNING"}
+    world.host.slow.clear()
+    world.host.arrive()
+    look_later(world)
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    assert world.manager.graph.get("/front").status.outdated == ""
+    world.host.vanish("/front")
+    world.manager.look()
+    assert world.states() == {}, "the next unload is another client's"
+
+
+def test_a_nodelet_whose_load_ends_after_all_is_connected(world: World) -> None:
+    """A manager was killed during the load; that of its next life finds the name taken."""
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.vanish("/front")
+    request = LoadRequest("/front", "pkg/Camera")
+    world.host.fail_at("load", error="it is being loaded")
+    with pytest.raises(RestartFailed):
+        world.manager.restart("front")
+    world.host.recover()
+    world.host.load(world.manager.graph.get("/front").manager, request, 1.0)
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    assert world.manager.graph.get("/front").topics == {"image": "/a"}
+
+
+def test_nothing_is_left_of_a_spawn_whose_undoing_is_late(world: World) -> None:
+    world.host.slow.add("/front")
+    with pytest.raises(SpawnFailed, match="did not answer in time"):
+        world.spawn("camera", "front", config={"image": "/a"})
+    world.manager.look()
+    with pytest.raises(NameTaken):
+        world.spawn("camera", "front")
+    world.host.slow.clear()
+    world.manager.look()
+    assert (world.states(), world.host.running, world.host.parameters) == ({}, [], {})
+
+
+def test_a_repair_whose_undoing_is_late_is_repeated(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.kill(world.manager.graph.get("/front").manager)
+    world.host.slow.add("/front")
+    for _ in range(2):
+        world.manager.look()
+        assert world.states() == {"/front": "FAILED"}
+    world.host.slow.clear()
+    world.host.arrive()
+    look_later(world)
     assert world.states() == {"/front": "RUNNING"}
     assert world.host.nodelet("/front").ports["image"].topic == "/a"
 

@@ -9,6 +9,7 @@ import itertools
 import threading
 from collections import deque
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import ClassVar
 
 import pytest
@@ -240,6 +241,41 @@ def test_the_last_message_of_a_latched_topic_comes_again():
     assert received == [2]
 
 
+class OtherLatched(Message):
+    _connection_header = {"latching": "1", "callerid": "/other"}
+
+
+@pytest.mark.parametrize(("waits", "expected"), [(None, [3, 4]), (4, [4, 3]), (9, [9, 3, 4])])
+def test_the_last_message_of_each_latching_publisher_comes_again(waits, expected):
+    place, topics, received = parked()
+    sent = {1: Latched, 2: OtherLatched, 3: Latched, 4: OtherLatched}
+    for number, kind in sent.items():
+        place.send(number, kind=kind)
+    given = given_in(place, topics, [(100.0, number) for number in sent])
+    if waits is not None:
+        content = place.world.transport.pack(Message(waits))
+        given = [replace(e, waiting=(content,)) if e.topic == "/t" else e for e in given]
+    finish(place, given)
+    assert received == expected
+
+
+def test_a_publisher_has_its_latch_and_headers_from_the_first_connection_on(monkeypatch):
+    with places(FakeClock(), []) as (old, new):
+        options = {"headers": {"made": "here"}, "tcp_nodelay": True}
+        end = old.loader.find(NAME).publication("late", Message, True, 5, **options)
+        old.world.bus.rewire([(end, "/late")])
+        transport, made = new.world.transport, {}
+        advertise = transport.advertise
+
+        def watched(topic, datatype, latch, queue_size, options):
+            made[topic] = (latch, options)
+            return advertise(topic, datatype, latch, queue_size, options)
+
+        monkeypatch.setattr(transport, "advertise", watched)
+        new.moves.park(NAME, old.moves.note(NAME))
+        assert made == {"/o": (False, {}), "/late": (True, options)}
+
+
 def test_messages_of_this_process_are_kept_too():
     place, topics, received = parked()
     publisher = place.world.publisher("/t")
@@ -469,7 +505,8 @@ def test_no_message_comes_twice_whenever_managers_die(first, second, back):
 def test_a_move_is_ended_by_its_own_time_limit_alone(monkeypatch):
     limits = []
     monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
-    monkeypatch.setattr(hand_over, "_EXPIRY", 0.0)
+    for limit in ("_EXPIRY", "_LOAD_EXPIRY", "_LOOK"):
+        monkeypatch.setattr(hand_over, limit, 0.0)
     with places(FakeClock(), []) as (old, new):
         topics = old.moves.note(NAME)
         old.moves.note(NAME)
@@ -487,7 +524,8 @@ def test_a_move_is_ended_by_its_own_time_limit_alone(monkeypatch):
 def test_what_was_taken_waits_for_the_load_and_not_for_long(monkeypatch):
     limits = []
     monkeypatch.setattr(hand_over, "in_background", lambda name, expire: limits.append(expire))
-    monkeypatch.setattr(hand_over, "_LOAD_EXPIRY", 0.01)
+    for limit in ("_LOAD_EXPIRY", "_LOOK"):
+        monkeypatch.setattr(hand_over, limit, 0.0)
     place, topics, received = parked()
     place.moves.take(NAME, topics)
     place.send(1)

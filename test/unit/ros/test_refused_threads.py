@@ -5,20 +5,26 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 from types import SimpleNamespace
 
 import pytest
 from clocks import PATIENCE, eventually, join, wait_for
-from unit.nodelet.fakes import Idle, World
+from rospy.impl import registration
+from rospy.topics import _SubscriberImpl
+from sensor_msgs.msg import Image
+from unit.nodelet.fakes import Idle, Message, World
 
+from dyknow.nodelet.hand_over import HandOvers
 from dyknow.periodic import ControlLoop, PeriodicWorker
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.process_view import process_views
 from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.transport.outbound import Outbound
+from dyknow.ros.transport.shared_memory import SharedMemory
 
 
 class Limit:
@@ -153,6 +159,60 @@ def test_a_connection_that_got_no_thread_sends_everything_with_the_next_message(
     eventually(outbound.is_idle)
     here.close()
     there.close()
+
+
+def test_a_switch_leaves_its_old_topic_without_a_thread_too(limit, caplog):
+    world = World()
+    ends = [world.handle().Publisher(name, Message, queue_size=1) for name in ("a", "b")]
+    world.transport.made[0].drain = lambda seconds: False
+    limit.refuse("dyknow-drain")
+    world.bus.rewire([(each.publication, f"{each.name}/new") for each in ends])
+    assert "may be lost" in caplog.text
+    assert world.registrations == [("publisher", "/a/new"), ("publisher", "/b/new")]
+    assert world.bus._leaving == []
+    world.close()
+
+
+def test_a_move_that_got_no_thread_is_not_begun(limit):
+    world = World()
+    loader = world.loader(idle=Idle)
+    moves = HandOvers(loader, lambda datatype: Message, loader.unload)
+    loader.load("/n", "idle")
+    limit.refuse("moving")
+    for step in (moves.note, lambda name: moves.park(name, [])):
+        with refused():
+            step("/n")
+        assert moves._moves == {}
+    limit.refuse("")
+    moves.park("/n", [])
+    limit.refuse("moving")
+    moves.take("/n", [])
+    moves.close()
+    loader.close()
+    world.close()
+
+
+def test_memory_that_got_no_thread_is_made_for_the_next_subscriber(limit):
+    handler = SharedMemory(is_wanted=True)
+    before = os.listdir("/proc/self/fd")
+    limit.refuse("handing out")
+    for _ in range(2):
+        assert handler._made() is None
+    assert os.listdir("/proc/self/fd") == before
+    limit.refuse("")
+    assert handler._made() is not None
+
+
+def test_a_publisher_whose_connection_got_no_thread_is_connected_later(limit, monkeypatch):
+    subscriber = _SubscriberImpl("/t", Image)
+    manager = SimpleNamespace(get_subscriber_impl=lambda topic: subscriber)
+    monkeypatch.setattr(registration, "_topic_manager", manager)
+    monkeypatch.setattr(SharedMemory, "_reader", lambda handler, address: address)
+    limit.refuse("/t")
+    where = ["SHMROS", "localhost", 1, "address"]
+    code, text, _ = SharedMemory(True).create_transport("/t", "http://peer:1", where)
+    assert (code, subscriber.has_connection("http://peer:1")) == (0, False)
+    assert "can't start new thread" in text
 
 
 def test_a_bond_that_got_no_thread_is_not_made(limit):
