@@ -26,6 +26,7 @@ from property_tests import examples
 
 from dyknow.errors import StoreError
 from dyknow.manager import store as store_module
+from dyknow.manager.graph import Graph
 from dyknow.manager.store import TABLES, Store
 
 #: Enough to fill several pages, some of them overflowing.
@@ -431,6 +432,20 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
         assert file.trouble == "" and "set aside" in file.complaint
         file.close()
         assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_the_revision_does_not_go_back_with_a_backup(tmp_path):
+    """The backup was made before the last block of revisions was reserved."""
+    path, earlier = tmp_path / "state", tmp_path / "earlier"
+    for _ in range(2):
+        if path.exists():
+            shutil.copyfile(path, earlier)
+        with contextlib.closing(Store(str(path))) as store:
+            shown = Graph(store).revision
+    path.write_bytes(b"cut off")
+    os.replace(earlier, tmp_path / "state.backup")
+    with contextlib.closing(Store(str(path))) as store:
+        assert store.complaint and Graph(store).revision > shown
 
 
 @pytest.mark.parametrize("renames", range(4))
