@@ -105,11 +105,11 @@ def report_chain(
         for hops, latencies in block.latencies.items()
     }
     means = {key: each.mean for key, each in summaries.items() if each.number}
-    ours, peer = (means.get((kind, TARGET_HOPS)) for kind in (_OURS, _PEER))
-    if ours and peer:
+    ours, peer = (summaries.get((kind, TARGET_HOPS)) for kind in (_OURS, _PEER))
+    if ours is not None and peer is not None:
         limit = _LIMITS[max([each for each in _LIMITS if each <= rate], default=min(_LIMITS))]
         what = f"mean of DyKnow / mean of C++ nodelets, {TARGET_HOPS} hops, {rate:g} Hz"
-        results.verdict(what, ours / peer, limit)
+        results.verdict(what, ours.mean / peer.mean, limit)
     added = differences.get(TARGET_HOPS)
     if added:
         what = f"{TARGET_HOPS} hops, median of {len(added)} pairs (ms)"
@@ -174,7 +174,7 @@ def images(arguments: argparse.Namespace, results: Results) -> None:
     """
     hops, largest = arguments.hops, _SIZES[-1]
     with Session() as session:
-        payloads = ("time", *arguments.sizes)
+        payloads = dict.fromkeys(("time", *arguments.sizes))
         chains = {each: build(session, "dyknow", hops, (), each) for each in payloads}
         blocks = alternating(chains, blocks_of(arguments.messages, arguments.rate))
     _compare(results, "images", "time to arrival", "payload", blocks)

@@ -77,7 +77,7 @@ def shared(arguments: argparse.Namespace, results: Results) -> None:
     orders = blocks_of(arguments.messages, arguments.rate)
     rows: list[Row] = []
     with Session() as session:
-        for payload in ("time", *arguments.sizes):
+        for payload in dict.fromkeys(("time", *arguments.sizes)):
             cases = {kind: _Case(session, kind, 1, payload, ChainPart) for kind in _KINDS}
             found = _measured(cases, orders)
             rows += [(payload, *row) for row in found.values()]

@@ -9,6 +9,7 @@ import argparse
 import signal
 import sys
 import tempfile
+import traceback
 from typing import Sequence
 
 import rospy
@@ -44,6 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"wrote {path}")
     except (DyKnowError, OSError) as error:
         print(f"benchmark: {error}", file=sys.stderr)
+        return FAILED
+    except Exception:  # the boundary: 1 would say that a target is not met
+        traceback.print_exc()
         return FAILED
     except KeyboardInterrupt:
         print("benchmark: interrupted, nothing is written", file=sys.stderr)

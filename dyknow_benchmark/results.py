@@ -32,16 +32,16 @@ ARRIVALS = ("messages", "lost", *spread("us"))
 
 
 class Summary(NamedTuple):
-    """Values in the unit they were measured in; zero when there are none.
+    """Values in the unit they were measured in; nan when there are none, which meets no target.
 
     ``p99`` is the smallest value that at least 99 % do not exceed.
     """
 
     number: int = 0
-    mean: float = 0.0
-    median: float = 0.0
-    p99: float = 0.0
-    max: float = 0.0
+    mean: float = math.nan
+    median: float = math.nan
+    p99: float = math.nan
+    max: float = math.nan
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Summary:

@@ -269,7 +269,9 @@ def window(arguments: argparse.Namespace, results: Results) -> None:
     longest = max(row.longest_cpu_ms for row in rows)
     slowest = min(row.frames_per_cpu_s for row in rows if row.is_moved)
     results.verdict(f"{what}: longest gap in ms of the processor", longest, 200.0)
-    results.verdict(f"{what}: fewest frames a second", slowest, 30.0, at_least=True)
+    results.verdict(
+        f"{what}: fewest frames a second of the processor", slowest, 30.0, at_least=True
+    )
     (load,) = (row.load_percent for row in rows if row.what == window_hands.IDLE)
     if count <= 50:
         results.verdict(f"{what}: load while idle in %", load, 6.0)

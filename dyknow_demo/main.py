@@ -49,8 +49,9 @@ def _parser() -> argparse.ArgumentParser:
         "its own camera; when its battery runs low, a camera at the ceiling takes over behind the "
         "robot's own tracking; then the battery is charged. Uses the ROS master that "
         "ROS_MASTER_URI names, or starts one for itself.",
-        epilog="Exit code: 0 if the position was never lost for longer than the claim allows, "
-        "else 1; 130 after Ctrl-C.",
+        epilog="Exit code: 0 if all went as told: the position was never lost for longer than the "
+        "claim allows, it was right, and the same nodelets tracked the ball; else 1, and 2 for a "
+        "wrong option; 130 after Ctrl-C.",
     )
     argument = parser.add_argument
     text = "time for each of the three acts (%(default)g)"

@@ -56,6 +56,8 @@ class Graph:
         #: Nodelets that are being restarted: claims wait for them.
         self.restarting: frozenset[str] = frozenset()
         self.revision = store.number("revision")
+        if store.complaint:  # a backup took the place of a file that may have reserved more
+            self.revision += _BLOCK
         self._reserved = self.revision
         #: Called after every change of nodelets or transformations, outside the locks.
         self.on_change = on_change

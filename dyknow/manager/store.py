@@ -224,7 +224,7 @@ class Store:
         try:
             os.makedirs(os.path.dirname(os.path.abspath(self.path)), 0o700, exist_ok=True)
             if os.path.exists(self.path + ".new") and not os.path.exists(self.path):
-                os.replace(self.path + ".new", self.path)  # killed while it was replaced
+                _put_in_place(self.path)  # killed while it was replaced
             if os.path.exists(self.path) and os.path.getsize(self.path) < _HEADER:
                 self._damage = "it is cut off"
         except OSError as error:
@@ -517,11 +517,20 @@ def _replace(path: str, rows: Rows) -> str:
     connection, _ = _open(new, 0.0)
     with contextlib.closing(connection):
         _put(connection, rows)
+    return _put_in_place(path)
+
+
+def _put_in_place(path: str) -> str:
+    """Set a file aside, to the path that is returned, and put the new one in its place.
+
+    The file goes first: once it is gone, the new one counts. Without its log it would be an older
+    state, and its log in the new one's place would be taken for that one's.
+    """
     aside = _free_name(path)
-    for suffix in reversed(_SUFFIXES):
+    for suffix in _SUFFIXES:
         if os.path.exists(path + suffix):
             os.replace(path + suffix, aside + suffix)
-    os.replace(new, path)
+    os.replace(path + ".new", path)
     return aside
 
 

@@ -13,15 +13,18 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.steps import ReversibleStep, check_connected
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import SpawnRequest
+from dyknow.model.hosts import pins
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, LoadPlan
+from dyknow.wiring.wiring import request_of
 
 
 def steps_of(plan: LoadPlan, client: BaseManagerClient) -> list[ReversibleStep]:
     """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
+    pinned = pins(client.list_hosts()) if plan.remade else {}
     library = [*((None, each) for each in plan.added), *zip(plan.replaced, plan.replacing)]
     return [
-        *(_end(each, plan, client) for each in plan.remade),
+        *(_end(each, request_of(each.present, pinned), plan, client) for each in plan.remade),
         *(_put(old, new, client) for old, new in library),
         *(step for nodelet in plan.made for step in _make(nodelet, plan, client)),
         *(step for kept in plan.kept for step in _change(kept, client)),
@@ -47,9 +50,10 @@ def _put(
     )
 
 
-def _end(kept: Kept, plan: LoadPlan, client: BaseManagerClient) -> ReversibleStep:
-    """End a nodelet that is to be made again."""
-    former = kept.present.request
+def _end(
+    kept: Kept, former: SpawnRequest, plan: LoadPlan, client: BaseManagerClient
+) -> ReversibleStep:
+    """End a nodelet that is to be made again; ``former`` is the request that brings it back."""
 
     def bring_back() -> None:
         blueprint = plan.former.get(former.label)

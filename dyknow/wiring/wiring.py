@@ -88,15 +88,18 @@ def wiring_of(
             "nodelet (import it again, or destroy the nodelet)"
         )
     used = {nodelet.transformation for nodelet in own}
-    requests = {each.name: each.request for each in own}
-    for name, host in pinned.items():
-        if name in requests:
-            requests[name] = replace(requests[name], manager=AT + host)
+    own.sort(key=lambda each: each.name)
     wiring = Wiring(
         tuple(known[label] for label in sorted(used)),
-        tuple(requests[name] for name in sorted(requests)),
+        tuple(request_of(each, pinned) for each in own),
     )
     return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
+
+
+def request_of(nodelet: NodeletStatus, pinned: Mapping[str, str]) -> SpawnRequest:
+    """Return the request that makes a nodelet again, on the host that it is pinned to."""
+    host = pinned.get(nodelet.name)
+    return replace(nodelet.request, manager=AT + host) if host else nodelet.request
 
 
 def _nodelet_xml(nodelet: SpawnRequest) -> list[str]:

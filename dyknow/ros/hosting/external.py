@@ -18,6 +18,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any, Callable, Iterable
 
 from dyknow_msgs.msg import Guards, NodeletChanges
@@ -90,9 +91,13 @@ class External(Peer):
             self.loop.wait_for(self._key, self.wake(), timeout)
 
     def expect(self) -> None:
-        """Look for it for some more time: its name was announced."""
+        """Look for it for some more time, from the next ``wake`` on: its name was announced."""
         self._expected_until = time.monotonic() + _PATIENCE
-        self.wake()
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether it is looked for while it is not there."""
+        return time.monotonic() <= self._expected_until
 
     # Inside
 
@@ -171,7 +176,7 @@ class External(Peer):
         else:
             self._backoff.forgive(self.name)
         self._log(before.state)
-        if self._on_gone and not self.state.alive and time.monotonic() > self._expected_until:
+        if self._on_gone and not self.state.alive and not self.is_expected:
             self._on_gone(self)
 
     def _log(self, old: ProcessState) -> None:
@@ -291,18 +296,31 @@ class Externals:
                 known = self._externals.get(name)
                 if known and known.is_foreign and known.is_node is not are_nodes:
                     self._drop(known)  # it was announced before it was a nodelet manager
-                made = self._externals.get(name) or self._new(name, are_nodes)
-                with self._state_lock:
-                    found.append(self._externals.setdefault(name, made))
-                if found[-1] is not made:
-                    made.close()
-                found[-1].expect()
+                kept = self._kept(name)
+                if kept is None:
+                    on_gone = partial(self._drop, unless_expected=True)
+                    made = External(self._context, name, are_nodes, on_gone)
+                    kept = self._kept(name, made) or made
+                    if kept is not made:
+                        made.close()
+                kept.wake()
+                found.append(kept)
         return found
 
-    def _new(self, name: str, is_node: bool) -> External:
-        return External(self._context, name, is_node, on_gone=self._drop)
-
-    def _drop(self, gone: External) -> None:
+    def _kept(self, name: str, made: External | None = None) -> External | None:
+        """Expect the one of that name, or else the one that was ``made``, and return it."""
         with self._state_lock:
-            self._externals.pop(gone.name, None)
+            kept = self._externals.get(name) or made
+            if kept is not None:
+                self._externals[name] = kept
+                kept.expect()
+        return kept
+
+    def _drop(self, gone: External, unless_expected: bool = False) -> None:
+        """Forget one; what was announced just now, or took its place, stays."""
+        with self._state_lock:
+            is_announced = unless_expected and gone.is_expected
+            if is_announced or self._externals.get(gone.name) is not gone:
+                return
+            del self._externals[gone.name]
         gone.close()

@@ -20,7 +20,7 @@ from dyknow_msgs.srv import HandOver, HandOverRequest
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
-from dyknow.errors import HostError, NameTaken, PeerTimeout, Refused
+from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout, Refused
 from dyknow.locks import turn_lock
 from dyknow.manager.host import (
     Count,
@@ -271,6 +271,7 @@ class RosHost(Host):
             if state.own and state.alive:
                 self._children.await_end(manager, state.incarnation, _DEATH_TIMEOUT)
             raise
+        peer.late.discard(name)  # one that another client loads later is not ours to unload
 
     @contextlib.contextmanager
     def moving(self, name: str, source: str, target: str) -> Iterator[Callable[[], None]]:
@@ -432,7 +433,11 @@ class RosHost(Host):
         found = peer.nodelets(number, incarnation)
         late = peer.take_late(found)
         for name in late:
-            self.unload(peer.name, name)
+            try:
+                self.unload(peer.name, name)
+            except HostTimeout:
+                peer.late.add(name)  # it is unloaded after the next look
+                raise
         return sorted(found.keys() - late)
 
     def _start_node(self, request: LoadRequest, timeout: float) -> None:

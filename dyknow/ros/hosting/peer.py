@@ -276,6 +276,8 @@ class Peer(ABC):
         self._meter = OffsetMeter()
         if self.state.incarnation != state.incarnation:
             self.lease.forget_clock()
+            self.late.clear()
+            self.refused.clear()
         with self._state_lock:
             self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
         if not client.is_stock:

@@ -1,13 +1,17 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Hears the verdicts on which the wiring depends."""
+"""Hears the verdicts on which the wiring depends.
+
+All subscribers of a process to one topic share one connection, and the message class of the first:
+so topics are heard as ``rospy.AnyMsg``, as they are where their messages are counted.
+"""
 
 from __future__ import annotations
 
 import time
 from functools import partial
-from typing import Callable, Collection
+from typing import Any, Callable, Collection
 
 import rospy
 from dyknow_msgs.msg import Verdict
@@ -53,9 +57,13 @@ class VerdictTopics:
         for topic in self._subscribers.keys() - wanted:
             self._subscribers.pop(topic).unregister()
         for topic in sorted(wanted - self._subscribers.keys()):
-            self._subscribers[topic] = rospy.Subscriber(topic, Verdict, partial(self._hear, topic))
+            hear = partial(self._hear, topic)
+            self._subscribers[topic] = rospy.Subscriber(topic, rospy.AnyMsg, hear)
 
-    def _hear(self, topic: str, message: Verdict) -> None:
+    def _hear(self, topic: str, serialised: Any) -> None:
+        if serialised._connection_header["md5sum"] != Verdict._md5sum:
+            return
+        message = Verdict().deserialize(serialised._buff)
         if message.value == Verdict.UNKNOWN:
             return
         is_true, since = message.value == Verdict.TRUE, message.since.to_sec()

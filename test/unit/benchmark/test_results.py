@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import math
 import random
 
 import pytest
+import rospy
 
-from dyknow_benchmark import system
+from dyknow_benchmark import arrival, isolation, system
 from dyknow_benchmark.arrival import report_chain
 from dyknow_benchmark.chains import KINDS, Block, Order, select
 from dyknow_benchmark.main import FAILED, main, parse
@@ -111,14 +114,43 @@ def test_a_target_is_met_up_to_its_limit():
     assert found.targets == [("x", 19.9, ">= 20", "NOT met")]
 
 
-def test_a_chain_that_delivered_nothing_has_rows_but_no_target():
+def test_a_chain_that_delivered_nothing_has_rows_and_meets_no_target():
     found = Results()
     report_chain(found, 5.0, {kind: Block(4, {50: []}) for kind in ("dyknow", "cpp_nodelet")}, {})
     assert [tuple(row[:4]) for row in found.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
         ("cpp_nodelet", 50, 0, 4),
     ]
-    assert found.targets == []
+    assert not found.met and "no target applies" not in found.show()
+
+
+def test_nothing_that_came_meets_no_target_between_processes():
+    """A median of 0 would be better than any."""
+    some, none = Summary.of([1.0, 2.0]), Summary.of([])
+    for ours, theirs in ((none, some), (some, none)):
+        found = Results()
+        isolation._judge(found, "time", ("", *ours.arrivals(2)), ("", *theirs.arrivals(2)))
+        assert not found.met
+
+
+def test_a_measurement_that_breaks_off_is_not_a_target_that_is_not_met(monkeypatch, capsys):
+    def run(arguments, results):
+        raise rospy.ServiceException("transport error")
+
+    monkeypatch.setitem(MEASUREMENTS, "images", run)
+    assert main(["images", "--check"]) == FAILED
+    assert "transport error" in capsys.readouterr().err
+
+
+def test_a_size_that_is_given_twice_is_measured_once(monkeypatch):
+    built = []
+    monkeypatch.setattr(arrival, "Session", contextlib.nullcontext)
+    monkeypatch.setattr(arrival, "build", lambda *given: built.append(given[-1]))
+    monkeypatch.setattr(
+        arrival, "alternating", lambda chains, orders: dict.fromkeys(chains, Block(0, {50: []}))
+    )
+    assert main(["images", "--sizes", "4x3", "time", "4x3"]) == 0
+    assert built == ["time", "4x3"]
 
 
 def test_the_warm_up_is_left_out_at_every_hop_alike():
@@ -181,7 +213,7 @@ def test_a_summary_does_not_depend_on_the_order():
     shuffled = values[:]
     random.Random(1).shuffle(shuffled)
     assert Summary.of(shuffled) == Summary.of(values) == Summary(200, 100.5, 100.5, 198.0, 200.0)
-    assert Summary.of([]) == Summary(0, 0.0, 0.0, 0.0, 0.0)
+    assert Summary.of([]) == Summary(0, *[math.nan] * 4)
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,10 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_again(client, file):
 @pytest.mark.usefixtures("file")
 def test_a_step_that_is_refused_undoes_those_before(client, call, step):
     give_the_library_another_camera(client)
-    client.world.spawn("camera", "cam", config={"image": "elsewhere"})
+    client.world.host.machine = "desk"
+    client.world.host.add("/far", machine="rover")
+    client.world.manager.look()
+    client.world.spawn("camera", "cam", config={"image": "elsewhere"}, manager="@rover")
     client.world.spawn("relay", "/robot/relay", config={"in": "/x"})
     before, library = graph(client), client.get_model().transformations
     client.fail = failing(call, error=Refused("not today"))
@@ -228,6 +231,7 @@ def test_a_step_that_is_refused_undoes_those_before(client, call, step):
     assert graph(client) == before
     assert rate(client, "/cam") == 31
     assert client.get_model().transformations == library
+    assert client.world.manager.graph.get("/cam").pinned == "rover"
 
 
 @pytest.mark.parametrize("was_done", [True, False])

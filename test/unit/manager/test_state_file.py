@@ -26,6 +26,7 @@ from property_tests import examples
 
 from dyknow.errors import StoreError
 from dyknow.manager import store as store_module
+from dyknow.manager.graph import Graph
 from dyknow.manager.store import TABLES, Store
 
 #: Enough to fill several pages, some of them overflowing.
@@ -431,6 +432,53 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
         assert file.trouble == "" and "set aside" in file.complaint
         file.close()
         assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_the_revision_does_not_go_back_with_a_backup(tmp_path):
+    """The backup was made before the last block of revisions was reserved."""
+    path, earlier = tmp_path / "state", tmp_path / "earlier"
+    for _ in range(2):
+        if path.exists():
+            shutil.copyfile(path, earlier)
+        with contextlib.closing(Store(str(path))) as store:
+            shown = Graph(store).revision
+    path.write_bytes(b"cut off")
+    os.replace(earlier, tmp_path / "state.backup")
+    with contextlib.closing(Store(str(path))) as store:
+        assert store.complaint and Graph(store).revision > shown
+
+
+@pytest.mark.parametrize("renames", range(4))
+def test_a_kill_while_the_file_is_replaced_goes_back_to_no_older_state(
+    tmp_path, monkeypatch, renames
+):
+    """The last changes of the old file are in its log alone."""
+    path = str(tmp_path / "state")
+    first = subprocess.run([sys.executable, "-c", _KILLED, path], check=False)
+    assert first.returncode == 9 and os.path.getsize(path + "-wal")
+    left = iter(range(renames))
+
+    def replace(source, target, rename=os.replace):
+        next(left)
+        rename(source, target)
+
+    with monkeypatch.context() as killed, contextlib.suppress(StopIteration):
+        killed.setattr(store_module.os, "replace", replace)
+        store_module._replace(path, {("facts", "revision"): "2"})
+    with contextlib.closing(Store(path)) as store:
+        assert store.number("revision") == 2
+    assert not os.path.exists(path + ".new") or not renames
+
+
+_KILLED = """
+import os, sys
+from dyknow.manager.store import Store
+store = Store(sys.argv[1])
+store.write({("facts", "revision"): "1"})
+store._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+store.write({("facts", "revision"): "2"})
+os._exit(9)
+"""
 
 
 def test_a_replacement_that_was_interrupted_is_completed(tmp_path: Path) -> None:

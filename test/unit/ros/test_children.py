@@ -14,18 +14,19 @@ from types import SimpleNamespace
 from typing import Any, List, Set, cast
 
 import pytest
-from clocks import PATIENCE, in_thread, join, wait_for
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 from unit.ros.small_graph import SmallManager, small_graph
 
-from dyknow.errors import HostError
-from dyknow.manager.host import Crash, HostReport
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.manager.host import Crash, HostReport, LoadRequest
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind, State
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records, fixed_nodelets
 from dyknow.ros.hosting import children as children_module
+from dyknow.ros.hosting import host as host_module
 from dyknow.ros.hosting import launcher as launcher_module
 from dyknow.ros.hosting.child import Child
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -175,7 +176,8 @@ def host():
         graph.nodes["/n"].nodelets = ["/n"]
         context = PeerContext(Master("/test", graph.uri))
         registrar, launcher = cast(Any, SimpleNamespace()), cast(Any, SimpleNamespace())
-        host = RosHost(context, Children(context, launcher, "/", Store()), registrar)
+        host: Any = RosHost(context, Children(context, launcher, "/", Store()), registrar)
+        host.graph = graph
         host.look_for_nodes(["/n"])
         yield host
         host.close()
@@ -199,6 +201,66 @@ def test_what_is_kept_of_a_process_goes_with_it(host):
     assert host.reported("/n", "/n") is None
     node.loop.close(PATIENCE)
     assert not node.loop.running
+
+
+class Calls:
+    """Services of a nodelet manager: their calls, and the errors of the next ones."""
+
+    def __init__(self):
+        self.made: List[str] = []
+        self.errors: List[Exception] = []
+
+    def __call__(self, master, service, kind):
+        def call(timeout, *name, **fields):
+            self.made.append(f"{service} {fields.get('name') or name[0]}")
+            if self.errors:
+                raise self.errors.pop(0)
+
+        return SimpleNamespace(call=call)
+
+
+@pytest.fixture
+def calls(host, monkeypatch):
+    """Of the nodelet manager `/m`, in which a load of `/late` has just been given up."""
+    graph = host.graph
+    graph.nodes["/m"] = SmallManager()
+    (peer,) = host._external._expect(["/m"], False)
+    eventually(lambda: peer.state.responsive)
+    calls = Calls()
+    monkeypatch.setattr(host_module, "ServiceClient", calls)
+    calls.errors.append(PeerTimeout("/m/load_nodelet", 0.1))
+    with pytest.raises(HostError, match="was not up within 0.1 s"):
+        host.load("/m", LoadRequest("/late", "pkg/Slow", ()), 0.1)
+    graph.nodes["/m"].nodelets = ["/late"]
+    return calls
+
+
+def test_a_nodelet_whose_load_was_given_up_is_unloaded_until_that_succeeds(host, calls):
+    del calls.made[:]
+    calls.errors.append(PeerTimeout("/m/unload_nodelet", 4.0))
+    with pytest.raises(HostError):
+        host.list("/m")
+    for _ in range(2):
+        host.list("/m")
+    assert calls.made == 2 * ["/m/unload_nodelet /late"]
+
+
+def test_one_of_that_name_that_another_client_loads_later_is_left_alone(host, calls):
+    host.unload("/m", "/late")
+    del calls.made[:]
+    assert host.list("/m") == ["/late"] and calls.made == []
+
+
+def test_one_of_that_name_in_another_process_is_left_alone(host, calls):
+    elder = host.graph.nodes["/m"]
+    host.graph.nodes["/m"] = SmallManager()
+    host.graph.nodes["/m"].nodelets = ["/late"]
+    elder.close()
+    with pytest.raises(HostError):
+        host.list("/m")
+    eventually(lambda: host.states()["/m"].incarnation.startswith(host.graph.nodes["/m"].uri))
+    del calls.made[:]
+    assert host.list("/m") == ["/late"] and calls.made == []
 
 
 @pytest.mark.parametrize("kind", ["guards", "producers"])

@@ -244,6 +244,24 @@ def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(graph, nodes):
     del graph.nodes[FAR]
 
 
+def test_an_announcement_beats_the_end_of_looking_for_a_node(nodes):
+    """Its loop has just seen that it looked for long enough; it is not announced again."""
+    (node,) = nodes.all()
+    node._expected_until = 0.0
+    (announced,) = nodes._expect([FAR])
+    node._on_gone(node)
+    assert announced is node and node.loop.running and nodes.all() == [node]
+
+
+def test_a_node_that_was_forgotten_does_not_take_its_successor_along(nodes):
+    (node,) = nodes.all()
+    nodes._drop(node)
+    (successor,) = nodes._expect([FAR])
+    node._expected_until = 0.0
+    node._on_gone(node)
+    assert nodes._externals == {FAR: successor}
+
+
 @pytest.mark.parametrize("hangs", [False, True])
 def test_a_node_that_does_not_answer_is_there_all_along(graph, nodes, hangs):
     (node,) = nodes.all()

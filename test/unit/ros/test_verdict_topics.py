@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Verdicts that the manager hears."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any, Dict
+
+import pytest
+import rospy
+from clocks import eventually
+from dyknow_msgs.msg import Verdict
+
+from dyknow.ros.hosting.verdicts import VerdictTopics
+
+
+def received(md5sum=Verdict._md5sum):
+    body = BytesIO()
+    Verdict(value=Verdict.TRUE, why="it is charged").serialize(body)
+    message = rospy.AnyMsg().deserialize(body.getvalue())
+    message._connection_header = {"md5sum": md5sum}
+    return message
+
+
+@pytest.fixture
+def subscribed(monkeypatch):
+    """Callbacks by topic, of subscribers that take the class of any other one there."""
+    found: Dict[str, Any] = {}
+
+    def subscribe(topic, kind, callback):
+        assert kind is rospy.AnyMsg
+        found[topic] = callback
+
+    monkeypatch.setattr(rospy, "Subscriber", subscribe)
+    return found
+
+
+def test_a_topic_whose_messages_are_counted_too_is_heard(subscribed):
+    """Rospy gives all subscribers of a topic the message class of the first."""
+    verdicts = VerdictTopics(lambda: None)
+    verdicts.follow(["/holds"])
+    eventually(lambda: subscribed)
+    subscribed["/holds"](received("of another type"))
+    assert verdicts.follow(["/holds"]) == {}
+    subscribed["/holds"](received())
+    assert verdicts.follow(["/holds"])["/holds"].is_true
+    verdicts.close()
