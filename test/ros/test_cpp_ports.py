@@ -38,6 +38,7 @@ from nodelet.srv import NodeletLoad
 from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, run, suspended
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
+from std_srvs.srv import Trigger
 
 from dyknow import errors
 from dyknow.errors import HostError
@@ -609,6 +610,14 @@ class UnloadTest(CppCase):
         self.manager.wait_for("/sink is destroyed\n")
         self.assertEqual(report("/sink")["received"], 0)
         self.assertEqual(sorted(self.manager.list()), ["/sink", "/source"])
+
+    def test_a_service_that_unloads_its_nodelet(self):
+        """It is answered, as in a stock nodelet manager."""
+        self.load("Sink", "in", "/a", leaves=True)
+        client = ServiceClient(Master("/tests"), "/sink/report", Trigger)
+        self.assertTrue(client.call(5.0 * BUSY).success)
+        self.assertEqual(self.manager.list(), [])
+        self.manager.wait_for("/sink is destroyed\n")
 
 
 if __name__ == "__main__":
