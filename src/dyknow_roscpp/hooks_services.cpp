@@ -165,27 +165,28 @@ public:
     const auto* owner = Registry::instance().nodeletOf(queue).empty() ? RunningQueue::current() : queue;
     const auto offered = ros::ServiceManager::instance()->lookupServicePublication(Registry::topicOf(key));
     std::lock_guard<std::mutex> lock(state_lock_);
-    services_[key] = {owner, offered};
+    services_[key] = {owner, offered, nullptr};
   }
 
   ros::ServicePublicationPtr leave(const std::string& key)
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     const auto found = services_.find(key);
-    auto offered = found == services_.end() ? nullptr : found->second.offered;
+    auto offered = found == services_.end() ? nullptr : found->second.offered.lock();
     services_.erase(key);
     return offered;
   }
 
-  std::vector<ros::ServicePublicationPtr> of(const ros::CallbackQueueInterface* queue) const
+  /// Returns the services of a nodelet, which are kept from now on until their handles leave.
+  std::vector<ros::ServicePublicationPtr> keep(const ros::CallbackQueueInterface* queue)
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     std::vector<ros::ServicePublicationPtr> found;
-    for (const auto& [key, each] : services_)
+    for (auto& [key, each] : services_)
     {
-      if (each.owner == queue)
+      if (each.owner == queue && (each.kept = each.offered.lock()))
       {
-        found.push_back(each.offered);
+        found.push_back(each.kept);
       }
     }
     return found;
@@ -194,11 +195,12 @@ public:
 private:
   struct Service
   {
-    const ros::CallbackQueueInterface* owner;  ///< the queue of its nodelet
-    ros::ServicePublicationPtr offered;
+    const ros::CallbackQueueInterface* owner;          ///< the queue of its nodelet
+    boost::weak_ptr<ros::ServicePublication> offered;  ///< which ends with roscpp, maybe long before the handle
+    ros::ServicePublicationPtr kept;
   };
 
-  mutable std::mutex state_lock_;
+  std::mutex state_lock_;
   std::map<std::string, Service> services_;
 };
 
@@ -227,7 +229,7 @@ bool withdraw(const ros::ServicePublicationPtr& service)
 void withdrawServicesOf(const ros::CallbackQueueInterface* queue)
 {
   // Does not wait for the calls, of which one may wait for this unload. The handle ends them.
-  for (const auto& service : OfferedServices::instance().of(queue))
+  for (const auto& service : OfferedServices::instance().keep(queue))
   {
     withdraw(service);
   }
