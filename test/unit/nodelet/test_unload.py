@@ -63,13 +63,13 @@ def test_everything_is_unregistered_before_it_returns_though_a_part_fails(world,
 
     world.services.offer = offer_one_that_fails
     loader = Loader(world.runtime, lambda name, _: Full, on_unloaded=unloaded.append)
-    loader.load("/n", "full")
+    context = loader.load("/n", "full").context
     assert len(world.registrations) == 4
     loader.unload("/n")
     assert world.registrations == []
     assert sorted(world.services.handlers) == ["/b"]
     assert world.runtime.timers._heap == []
-    assert unloaded == ["/n"]
+    assert unloaded == [context]
     assert loader.list() == []
     assert "ZeroDivisionError" in caplog.text
     assert "callback" not in caplog.text, "none was running"
