@@ -38,6 +38,7 @@ private:
     delay_ = private_nh.param("delay", 0.0);
     last_delay_ = private_nh.param("last_delay", 0.0);
     leaves_ = private_nh.param("leaves", false);
+    adds_ = private_nh.param("adds", false);
     auto& nh = private_nh.param("mt", false) ? getMTNodeHandle() : getNodeHandle();
     const int queue_size = private_nh.param("queue_size", 1000);
     in_ = nh.subscribe("in", queue_size, &Sink::onMessage, this);
@@ -52,6 +53,10 @@ private:
   {
     note(*message);
     ros::WallDuration(delay_).sleep();
+    if (adds_)
+    {
+      second_ = getNodeHandle().subscribe("second", 1, &Sink::onMessage, this);
+    }
   }
 
   void note(const std_msgs::Header& message)
@@ -96,6 +101,7 @@ private:
   double delay_ = 0.0;       // of each callback
   double last_delay_ = 0.0;  // of the end
   bool leaves_ = false;      // with its first report
+  bool adds_ = false;        // a subscription at the end of each callback
   ros::Subscriber in_;
   ros::Subscriber second_;
   ros::ServiceServer report_;
