@@ -101,6 +101,18 @@ def test_a_running_callback_is_not_waited_for_and_its_late_publish_refused(world
     assert got == []
 
 
+def test_late_services_leave_those_of_the_next_nodelet_alone(world):
+    loader = world.loader(idle=Idle)
+    gone = loader.load("/n", "idle").private_node_handle
+    service = gone.Service("~s", object, print)
+    loader.unload("/n")
+    loader.load("/n", "idle").private_node_handle.Service("~s", object, print)
+    service.shutdown()
+    with pytest.raises(HandleClosed, match="nodelet /n is closed"):
+        gone.Service("~s", object, print)
+    assert list(world.services.handlers) == ["/n/s"]
+
+
 @pytest.mark.parametrize("how", ["subscriber", "timer", "service", "mt"])
 def test_a_callback_may_unload_its_own_nodelet(world, how):
     loader: Any = None
