@@ -136,7 +136,9 @@ class Manager:
         """Make a nodelet, which runs and is connected when this returns; else nothing is left."""
         request = replace(request, name=self.resolve(request.name))
         self.guards.check_writable(f"spawning '{request.name}'")
-        return self.lifecycle.spawn(self.library.get(request.label), request)
+        record = self.lifecycle.spawn(self.library.get(request.label), request)
+        self.observer.forgive(record.name)  # an earlier nodelet of the name
+        return record
 
     def destroy(self, name: str) -> None:
         """Destroy a nodelet, whoever loaded it."""

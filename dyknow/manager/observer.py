@@ -76,6 +76,7 @@ class Observer:
         self._keeper = context.keeper
         self._turn = turn_lock("look at nodelet managers")
         self._backoff = Backoff(context.clock.now, _FIRST_PAUSE)
+        self.forgive = self._backoff.forgive
         self._accused: AbstractSet[str] = frozenset()  # incarnations whose crash is accounted for
         #: Records, each with the report that it showed when they were compared last.
         self._shown: dict[str, tuple[Record, Reported]] = {}

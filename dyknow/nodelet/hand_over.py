@@ -118,14 +118,14 @@ class HandOvers(Closable):
     Args:
         loader: has the nodelets.
         find_class: returns the class of messages of a type; None if there is none.
-        unload: unloads a nodelet by name.
+        unload: unloads a nodelet; raises UnknownNodelet if that is done already.
     """
 
     def __init__(
         self,
         loader: Loader,
         find_class: Callable[[str], Any],
-        unload: Callable[[str], object],
+        unload: Callable[[Context], object],
     ) -> None:
         self._loader = loader
         self._runtime = loader.runtime
@@ -198,7 +198,7 @@ class HandOvers(Closable):
             raise
         finally:  # it is disconnected and stopped, and must not stay so
             try:
-                self._unload(name)
+                self._unload(context)
             finally:
                 move.is_given = False
                 self._end(name, move)

@@ -253,6 +253,8 @@ class Service(Closable):
         self._context = context
         self._concurrent = concurrent
         self._waiting: set[Inbox] = set()
+        if context.closed:  # its name may be that of another nodelet by now
+            raise context.runtime.node.closed(f"nodelet {context.name}")
         self._offered = context.runtime.services.offer(
             resolved_name, service_class, self._call, options
         )

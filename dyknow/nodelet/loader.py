@@ -114,12 +114,13 @@ class Loader:
         runtime: Runtime,
         find_class: Callable[[str, Context], type[Nodelet]],
         on_attach: Callable[[Context, Any], Closable | None] = lambda context, thing: None,
-        on_unloaded: Callable[[str], None] = lambda name: None,
+        on_unloaded: Callable[[Context], None] = lambda context: None,
     ) -> None:
         """Make an empty loader.
 
         ``find_class`` imports the class of a declared type, for a nodelet; ``on_attach`` opens the
-        services of its proxy, and ``on_unloaded`` is called after a running one was unloaded.
+        services of its proxy, and ``on_unloaded`` is called after a running one was unloaded,
+        when another one may have its name.
         """
         self.runtime = runtime
         self._find_class = find_class
@@ -190,7 +191,7 @@ class Loader:
             context = Context(self.runtime, name, remappings, my_argv)
             entry = self._entries[name] = _Entry(context)
         context.on_attach = self._on_attach
-        context.unload = lambda: self._unload_self(name, entry)
+        context.unload = lambda: self._unload_self(context)
         try:
             with self.runtime.executor.record.noting(context.mark):  # its import is its code too
                 nodelet_class = self._find_class(type_name, context)
@@ -217,16 +218,16 @@ class Loader:
             self._free(name, entry)
             raise
 
-    def unload(self, name: str) -> None:
+    def unload(self, name: str, only: Context | None = None) -> None:
         """Unload a nodelet: when this returns nothing of it is registered and the name is free.
 
         Queued messages are dropped. A running callback is not waited for: its late publishes
         are refused. A nodelet that is still in its ``on_init`` can be unloaded too.
 
         Raises:
-            UnknownNodelet: no nodelet of that name is loaded.
+            UnknownNodelet: no nodelet of that name is loaded, or not the ``only`` one meant.
         """
-        self._finish(name, self._shut_down(name, None))
+        self._finish(name, self._shut_down(name, only))
 
     def close(self) -> None:
         """Unload everything, the newest first.
@@ -247,12 +248,13 @@ class Loader:
             self._finish(name, entry)
         self.leftovers.close()
 
-    def _shut_down(self, name: str, only: _Entry | None, wanted: bool = True) -> _Entry:
+    def _shut_down(self, name: str, only: Context | None, wanted: bool = True) -> _Entry:
         """Stop callbacks, call ``on_shutdown``: for an unload or (not ``wanted``) at the end."""
         with self._changed:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
-            if entry is None or entry.state is _State.UNLOADING or only not in (None, entry):
+            is_meant = entry is not None and only in (None, entry.context)
+            if entry is None or entry.state is _State.UNLOADING or not is_meant:
                 raise UnknownNodelet(name, known)
             was_running = entry.state is _State.RUNNING
             entry.state = _State.UNLOADING
@@ -281,7 +283,7 @@ class Loader:
         context.close()
         self._free(name, entry)
         if shutdown is not None:
-            self._on_unloaded(name)
+            self._on_unloaded(context)
 
     @staticmethod
     def _start(entry: _Entry, nodelet_class: type[Nodelet]) -> None:
@@ -313,9 +315,8 @@ class Loader:
             nodelet, entry.nodelet = weakref.ref(entry.nodelet), None
             self.leftovers.add(name, nodelet, entry.age, entry.context.last_hooks)
 
-    def _unload_self(self, name: str, entry: _Entry) -> None:
-        # By its entry: another nodelet may have the name by now.
+    def _unload_self(self, context: Context) -> None:
         try:
-            self._finish(name, self._shut_down(name, entry))
+            self.unload(context.name, context)  # another nodelet may have the name by now
         except UnknownNodelet:
-            _log.info("%s: a second request to unload it", name)
+            _log.info("%s: a second request to unload it", context.name)

@@ -267,10 +267,12 @@ class LocalService(Closable):
 
     handlers: dict[str, Handler]
     name: str
+    handler: Handler
 
     def close(self) -> None:
         assert_no_state_lock(f"withdrawing {self.name}")
-        self.handlers.pop(self.name, None)
+        if self.handlers.get(self.name) is self.handler:  # not that of a later one
+            del self.handlers[self.name]
 
 
 class LocalServices(Services):
@@ -288,7 +290,7 @@ class LocalServices(Services):
     ) -> LocalService:
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler
-        return LocalService(self.handlers, service)
+        return LocalService(self.handlers, service, handler)
 
 
 class LocalNode(Node):

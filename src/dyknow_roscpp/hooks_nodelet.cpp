@@ -64,13 +64,19 @@ public:
   void leave(const nodelet::Nodelet* nodelet)
   {
     std::vector<nodelet::detail::CallbackQueuePtr> gone;  // destroyed without the lock
-    std::lock_guard<std::mutex> lock(state_lock_);
-    for (auto each = nodelets_.begin(); each != nodelets_.end();)
     {
-      each = each->second == nodelet ? nodelets_.erase(each) : std::next(each);
+      std::lock_guard<std::mutex> lock(state_lock_);
+      for (auto each = nodelets_.begin(); each != nodelets_.end();)
+      {
+        each = each->second == nodelet ? nodelets_.erase(each) : std::next(each);
+      }
+      gone.swap(kept_[nodelet]);
+      kept_.erase(nodelet);
     }
-    gone.swap(kept_[nodelet]);
-    kept_.erase(nodelet);
+    for (const auto& queue : gone)
+    {
+      Registry::instance().forget(queue.get());
+    }
   }
 
 private:

@@ -31,6 +31,7 @@ namespace
 {
 
 using AdvertiseMethod = ros::Publisher (ros::NodeHandle::*)(ros::AdvertiseOptions&);
+using AdvertiseServiceMethod = ros::ServiceServer (ros::NodeHandle::*)(ros::AdvertiseServiceOptions&);
 using SubscribeMethod = ros::Subscriber (ros::NodeHandle::*)(ros::SubscribeOptions&);
 using ResolveMethod = std::string (ros::NodeHandle::*)(const std::string&, bool) const;
 using ExecuteFunction = bool (*)(const std::string&, const XmlRpc::XmlRpcValue&, XmlRpc::XmlRpcValue&,
@@ -111,6 +112,7 @@ std::vector<void*> roscppHooks()
       reinterpret_cast<void*>(static_cast<ExecuteFunction>(&ros::master::execute)),
       addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
       addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
+      addressOf(static_cast<AdvertiseServiceMethod>(&ros::NodeHandle::advertiseService)),
       addressOf(static_cast<ResolveMethod>(&ros::NodeHandle::resolveName)),
       addressOf(&ros::TopicManager::subscribe),
       addressOf(&ros::TopicManager::unsubscribe),
@@ -128,6 +130,7 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::StatisticsLogger::init),
       addressOf(&ros::Publisher::getTopic),
       addressOf(&ros::Subscriber::getTopic),
+      addressOf(&ros::ServiceServer::getService),
   };
 }
 

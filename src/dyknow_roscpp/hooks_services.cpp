@@ -8,8 +8,10 @@
 #include <ros/advertise_service_options.h>
 #include <ros/console.h>
 #include <ros/names.h>
+#include <ros/node_handle.h>
 #include <ros/service_callback_helper.h>
 #include <ros/service_manager.h>
+#include <ros/service_publication.h>
 
 #include <algorithm>
 #include <cstring>
@@ -28,6 +30,9 @@
 
 namespace dyknow
 {
+
+using AdvertiseServiceMethod = ros::ServiceServer (ros::NodeHandle::*)(ros::AdvertiseServiceOptions&);
+
 namespace
 {
 
@@ -113,71 +118,120 @@ Check checkOf(const std::string& datatype)
   return datatype == "nodelet/NodeletLoad" ? checkLoad : datatype == "nodelet/NodeletUnload" ? checkUnload : nullptr;
 }
 
-/// The services of nodelets, each with the callback queue of its nodelet.
+}  // namespace
+
+/// Names the private method, see symbols.h.
+struct UnregisterService
+{
+  using Method = bool (ros::ServiceManager::*)(const std::string&);
+  friend void* addressOfPrivate(UnregisterService);
+};
+
+/// Name the private list of what is offered, and its lock.
+struct Offered
+{
+  using Member = ros::L_ServicePublication ros::ServiceManager::*;
+  friend Member pointerTo(Offered);
+};
+
+struct OfferedLock
+{
+  using Member = boost::mutex ros::ServiceManager::*;
+  friend Member pointerTo(OfferedLock);
+};
+
+template struct PrivateMethod<UnregisterService, &ros::ServiceManager::unregisterService>;
+template struct PrivateMember<Offered, &ros::ServiceManager::service_publications_>;
+template struct PrivateMember<OfferedLock, &ros::ServiceManager::service_publications_mutex_>;
+
+namespace
+{
+
+/// The services that handles offer, by the keys of these (see Registry).
 ///
 /// roscpp withdraws a service by its name. A nodelet that is unloaded while a callback of it runs is destroyed when
-/// that returns, and would take away the services of one that has been loaded under its name meanwhile.
-class ServicesOfNodelets
+/// that returns, and would take away the service of one that has been loaded under its name meanwhile.
+class OfferedServices
 {
 public:
-  static ServicesOfNodelets& instance()
+  static OfferedServices& instance()
   {
-    static ServicesOfNodelets& services = *new ServicesOfNodelets;  // leaked, see later.cpp
+    static OfferedServices& services = *new OfferedServices;  // leaked, see later.cpp
     return services;
   }
 
-  void enter(const std::string& service, const ros::CallbackQueueInterface* queue)
+  void enter(const std::string& key, const ros::CallbackQueueInterface* queue)
   {
     const auto* owner = Registry::instance().nodeletOf(queue).empty() ? RunningQueue::current() : queue;
+    const auto offered = ros::ServiceManager::instance()->lookupServicePublication(Registry::topicOf(key));
     std::lock_guard<std::mutex> lock(state_lock_);
-    queues_[service] = owner;
+    services_[key] = {owner, offered, nullptr};
   }
 
-  /// Takes a service out for this thread; false if it is another nodelet's by now.
-  bool leave(const std::string& service)
+  ros::ServicePublicationPtr leave(const std::string& key)
   {
-    const auto* running = RunningQueue::current();
-    const bool is_unloaded = running != nullptr && Registry::instance().nodeletOf(running).empty();
     std::lock_guard<std::mutex> lock(state_lock_);
-    const auto found = queues_.find(service);
-    if (found == queues_.end())
-    {
-      return true;
-    }
-    if (is_unloaded && found->second != running)
-    {
-      return false;
-    }
-    queues_.erase(found);
-    return true;
+    const auto found = services_.find(key);
+    auto offered = found == services_.end() ? nullptr : found->second.offered.lock();
+    services_.erase(key);
+    return offered;
   }
 
-  std::vector<std::string> of(const ros::CallbackQueueInterface* queue) const
+  /// Returns the services of a nodelet, which are kept from now on until their handles leave.
+  std::vector<ros::ServicePublicationPtr> keep(const ros::CallbackQueueInterface* queue)
   {
     std::lock_guard<std::mutex> lock(state_lock_);
-    std::vector<std::string> services;
-    for (const auto& [service, owner] : queues_)
+    std::vector<ros::ServicePublicationPtr> found;
+    for (auto& [key, each] : services_)
     {
-      if (owner == queue)
+      if (each.owner == queue && (each.kept = each.offered.lock()))
       {
-        services.push_back(service);
+        found.push_back(each.kept);
       }
     }
-    return services;
+    return found;
   }
 
 private:
-  mutable std::mutex state_lock_;
-  std::map<std::string, const ros::CallbackQueueInterface*> queues_;
+  struct Service
+  {
+    const ros::CallbackQueueInterface* owner;          ///< the queue of its nodelet
+    boost::weak_ptr<ros::ServicePublication> offered;  ///< which ends with roscpp, maybe long before the handle
+    ros::ServicePublicationPtr kept;
+  };
+
+  std::mutex state_lock_;
+  std::map<std::string, Service> services_;
 };
+
+/// Takes a service out of roscpp's list and the master's; false if it is not there any more. Its calls go on.
+bool withdraw(const ros::ServicePublicationPtr& service)
+{
+  using Unregister = bool (*)(ros::ServiceManager*, const std::string&);
+  static const auto unregister = reinterpret_cast<Unregister>(addressOfPrivate(UnregisterService()));
+  auto& manager = *ros::ServiceManager::instance();
+  {
+    const boost::mutex::scoped_lock lock(manager.*pointerTo(OfferedLock()));
+    auto& offered = manager.*pointerTo(Offered());
+    const auto found = std::find(offered.begin(), offered.end(), service);
+    if (found == offered.end())
+    {
+      return false;
+    }
+    offered.erase(found);
+  }
+  unregister(&manager, service->getName());
+  return true;
+}
 
 }  // namespace
 
 void withdrawServicesOf(const ros::CallbackQueueInterface* queue)
 {
-  for (const auto& service : ServicesOfNodelets::instance().of(queue))
+  // Does not wait for the calls, of which one may wait for this unload. The handle ends them.
+  for (const auto& service : OfferedServices::instance().keep(queue))
   {
-    ros::ServiceManager::instance()->unadvertiseService(service);
+    withdraw(service);
   }
 }
 
@@ -186,32 +240,65 @@ void withdrawServicesOf(const ros::CallbackQueueInterface* queue)
 namespace ros
 {
 
+ServiceServer NodeHandle::advertiseService(AdvertiseServiceOptions& ops)
+{
+  static const auto next = dyknow::behind(static_cast<dyknow::AdvertiseServiceMethod>(&NodeHandle::advertiseService));
+  if (!dyknow::areHooksReached())
+  {
+    return next(this, ops);
+  }
+  const std::string resolved = resolveName(ops.service);
+  ops.service = dyknow::Registry::instance().makeKey(resolved);
+  auto server = next(this, ops);
+  ops.service = resolved;
+  return server;
+}
+
 bool ServiceManager::advertiseService(const AdvertiseServiceOptions& ops)
 {
   static const auto next = dyknow::behind(&ServiceManager::advertiseService);
-  const auto check = dyknow::checkOf(ops.datatype);
-  if (check == nullptr)
+  AdvertiseServiceOptions options = ops;
+  options.service = dyknow::Registry::topicOf(ops.service);
+  if (const auto check = dyknow::checkOf(ops.datatype))
   {
-    const bool is_advertised = next(this, ops);
-    if (is_advertised)
+    if (dyknow::areHooksReached())
     {
-      dyknow::ServicesOfNodelets::instance().enter(ops.service, ops.callback_queue);
+      dyknow::offerManagerServices();  // first: clients of the loader's services know its kind
     }
-    return is_advertised;
+    options.helper = boost::make_shared<dyknow::GuardedCallback>(ops.helper, check);
   }
-  if (dyknow::areHooksReached())
+  const bool is_advertised = next(this, options);
+  if (is_advertised && dyknow::Registry::isKey(ops.service))
   {
-    dyknow::offerManagerServices();  // first: clients of the loader's services know its kind
+    dyknow::OfferedServices::instance().enter(ops.service, ops.callback_queue);
   }
-  AdvertiseServiceOptions guarded = ops;
-  guarded.helper = boost::make_shared<dyknow::GuardedCallback>(ops.helper, check);
-  return next(this, guarded);
+  return is_advertised;
 }
 
 bool ServiceManager::unadvertiseService(const std::string& service)
 {
   static const auto next = dyknow::behind(&ServiceManager::unadvertiseService);
-  return !dyknow::ServicesOfNodelets::instance().leave(service) || next(this, service);
+  if (!dyknow::Registry::isKey(service))
+  {
+    return next(this, service);
+  }
+  const auto offered = dyknow::OfferedServices::instance().leave(service);
+  if (!offered)
+  {
+    return false;
+  }
+  const bool was_offered = dyknow::withdraw(offered);
+  if (!offered->isDropped())
+  {
+    offered->drop();
+  }
+  return was_offered;
+}
+
+std::string ServiceServer::getService() const
+{
+  static const auto next = dyknow::behind(&ServiceServer::getService);
+  return dyknow::Registry::topicOf(next(this));
 }
 
 }  // namespace ros

@@ -96,13 +96,6 @@ std::shared_ptr<NodeletProxy> Registry::enter(const std::string& nodelet,
                                               const std::vector<ros::CallbackQueueInterface*>& queues)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  for (const auto* queue : queues)
-  {
-    if (queue != nullptr)
-    {
-      queues_[queue] = nodelet;
-    }
-  }
   auto& owner = owners_[nodelet];
   if (owner)
   {
@@ -111,6 +104,13 @@ std::shared_ptr<NodeletProxy> Registry::enter(const std::string& nodelet,
   else
   {
     owner = std::make_shared<NodeletProxy>(nodelet, remappings, announceChange);
+  }
+  for (const auto* queue : queues)
+  {
+    if (queue != nullptr)
+    {
+      queues_[queue] = owner;
+    }
   }
   return owner;
 }
@@ -121,19 +121,12 @@ std::shared_ptr<NodeletProxy> Registry::leave(const ros::CallbackQueueInterface*
   {
     std::unique_lock<std::shared_mutex> lock(state_lock_);
     const auto found = queues_.find(queue);
-    if (found == queues_.end())
+    if (found == queues_.end() || !isPresentLocked(found->second))
     {
       return nullptr;
     }
-    const std::string nodelet = found->second;
-    queues_.erase(found);
-    const auto owner = owners_.find(nodelet);
-    if (owner == owners_.end())
-    {
-      return nullptr;
-    }
-    gone = owner->second;
-    owners_.erase(owner);
+    gone = found->second;
+    owners_.erase(gone->name);
   }
   gone->close();
   return gone;
@@ -143,7 +136,24 @@ std::string Registry::nodeletOf(const ros::CallbackQueueInterface* queue) const
 {
   std::shared_lock<std::shared_mutex> lock(state_lock_);
   const auto found = queues_.find(queue);
-  return found == queues_.end() ? "" : found->second;
+  return found == queues_.end() || !isPresentLocked(found->second) ? "" : found->second->name;
+}
+
+bool Registry::isPresentLocked(const std::shared_ptr<NodeletProxy>& proxy) const
+{
+  const auto owner = owners_.find(proxy->name);
+  return owner != owners_.end() && owner->second == proxy;
+}
+
+void Registry::forget(const ros::CallbackQueueInterface* queue)
+{
+  std::shared_ptr<NodeletProxy> gone;  // destroyed without the lock
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  if (const auto found = queues_.find(queue); found != queues_.end())
+  {
+    gone.swap(found->second);
+    queues_.erase(found);
+  }
 }
 
 std::shared_ptr<NodeletProxy> Registry::ownerOf(const ros::NodeHandle& handle,
@@ -155,10 +165,9 @@ std::shared_ptr<NodeletProxy> Registry::ownerOf(const ros::NodeHandle& handle,
                              RunningQueue::current()})
     {
       const auto found = queues_.find(each);
-      const auto owner = found == queues_.end() ? owners_.end() : owners_.find(found->second);
-      if (owner != owners_.end())
+      if (found != queues_.end())
       {
-        return owner->second;
+        return found->second;
       }
     }
   }

@@ -44,8 +44,12 @@ public:
                                       const std::map<std::string, std::string>& remappings,
                                       const std::vector<ros::CallbackQueueInterface*>& queues);
 
-  /// The nodelet of a queue ends: returns its proxy, which is closed; null if there is none (any more).
+  /// The nodelet of a queue ends: returns its proxy, which is closed; null if there is none (any more). Handles that
+  /// it makes from now on, in a callback that still runs, are nobody's ports.
   std::shared_ptr<NodeletProxy> leave(const ros::CallbackQueueInterface* queue);
+
+  /// The nodelet of a queue is destroyed.
+  void forget(const ros::CallbackQueueInterface* queue);
 
   /// The name of the nodelet of a queue; empty if there is none (any more).
   std::string nodeletOf(const ros::CallbackQueueInterface* queue) const;
@@ -73,9 +77,10 @@ private:
   Registry() = default;
 
   std::shared_ptr<NodeletProxy> node();
+  bool isPresentLocked(const std::shared_ptr<NodeletProxy>& proxy) const;
 
   mutable std::shared_mutex state_lock_;
-  std::map<const ros::CallbackQueueInterface*, std::string> queues_;
+  std::map<const ros::CallbackQueueInterface*, std::shared_ptr<NodeletProxy>> queues_;
   std::map<std::string, std::shared_ptr<NodeletProxy>> owners_;
   // By the number that ends the key: every message is looked up, and these arrays are short.
   boost::container::flat_map<std::uint64_t, std::shared_ptr<PortSubscription>> subscriptions_;

@@ -38,6 +38,7 @@ from nodelet.srv import NodeletLoad
 from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, run, suspended
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
+from std_srvs.srv import Trigger
 
 from dyknow import errors
 from dyknow.errors import HostError
@@ -609,6 +610,26 @@ class UnloadTest(CppCase):
         self.manager.wait_for("/sink is destroyed\n")
         self.assertEqual(report("/sink")["received"], 0)
         self.assertEqual(sorted(self.manager.list()), ["/sink", "/source"])
+
+    def test_a_handle_that_is_made_after_the_unload(self):
+        """It is no port of the process, nor of the nodelet that has the name by then."""
+        self.load("Sink", "in", "/a", "/adding", mt=True, delay=0.5, adds=True)
+        self.load("Source", "out", "/a", count=1)
+        start("/source")
+        becomes(lambda: report("/adding")["received"], 1)  # the callback runs
+        self.manager.unload("/adding")
+        self.load("Sink", "in", "/b", "/adding")
+        self.manager.wait_for("/adding is destroyed\n")
+        self.assertEqual(topics_of_ports("/adding"), {"in": "/b"})
+        self.assertNotIn(f"{MANAGER}/get_config", graph.services_of(MANAGER))
+
+    def test_a_service_that_unloads_its_nodelet(self):
+        """It is answered, as in a stock nodelet manager."""
+        self.load("Sink", "in", "/a", "/leaving", leaves=True)
+        client = ServiceClient(Master("/tests"), "/leaving/report", Trigger)
+        self.assertTrue(client.call(5.0 * BUSY).success)
+        self.assertEqual(self.manager.list(), [])
+        self.manager.wait_for("/leaving is destroyed\n")
 
 
 if __name__ == "__main__":

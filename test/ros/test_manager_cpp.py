@@ -149,7 +149,8 @@ class StockTest(CppCase):
         client.spawn("resize", "/resize", {"image": "/cam/image_raw", "~image": "/small"})
         self.assertEqual(size_on("/small"), (4, 3))
         self.assertIn("cannot be connected while they run", manager.output)
-        self.assertIn(f"of {roscpp} is found before that of", manager.output)
+        why = f"of {roscpp} is found before that of"  # the nodelet manager says it itself
+        eventually(lambda: why in manager.output, 5.0, "the cause is told")
         found = manager.nodelet("/resize")
         self.assertEqual((found.kind, found.is_fixed), (NodeletKind.CPP, True))
         for connect in (

@@ -20,6 +20,7 @@ from rospy.impl.tcpros_service import ServiceImpl
 
 from dyknow.errors import DyKnowError
 from dyknow.model.transformation import IN, OUT
+from dyknow.nodelet.context import Context
 from dyknow.nodelet.hand_over import HandedTopic, HandOvers
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import DIGEST_SIZE, Closable
@@ -32,7 +33,7 @@ class HandOverService(Closable):
     """Offers ``~hand_over`` until it is closed; the node must be initialised."""
 
     def __init__(
-        self, loader: Loader, guards: ProcessGuards, unload: Callable[[str], object]
+        self, loader: Loader, guards: ProcessGuards, unload: Callable[[Context], object]
     ) -> None:
         self._guards = guards
         self._hand_overs = HandOvers(loader, _message_class, unload)

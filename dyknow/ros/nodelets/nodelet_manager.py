@@ -18,6 +18,7 @@ import sys
 import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Mapping, Sequence
+from weakref import WeakKeyDictionary
 
 import rospy
 from dyknow_msgs.msg import NodeletPorts
@@ -25,7 +26,6 @@ from nodelet import srv
 
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError
-from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
@@ -35,6 +35,7 @@ from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.bonding.bonded_nodelets import BondedNodelets
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import TOPIC, Announcer
 from dyknow.ros.nodelets.hand_over_service import HandOverService
@@ -144,9 +145,8 @@ class NodeletManager(Closable):
         if bound:
             guard_topics(lambda topic: self._guards.current().check_topic(topic))
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
-        self._bonded: dict[str, str] = {}
-        self._loaders: dict[str, str] = {}
-        self._bond_ended = state_condition("bonded nodelets")
+        self._bonded = BondedNodelets(self._bonds, lambda each: self.unload(each.name, only=each))
+        self._loaders: WeakKeyDictionary[Context, str] = WeakKeyDictionary()
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
@@ -165,7 +165,9 @@ class NodeletManager(Closable):
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~poll``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._offer_poll()
-        self._hand_over_service = HandOverService(self.loader, self._guards, self.unload)
+        self._hand_over_service = HandOverService(
+            self.loader, self._guards, lambda each: self.unload(each.name, only=each)
+        )
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
@@ -203,15 +205,15 @@ class NodeletManager(Closable):
             if request.type == programs.SCRIPT and my_argv:
                 self._guards.check_program(caller, my_argv[0])
         descriptors.check_left()
-        self.loader.load(name, request.type, remappings, my_argv)
-        self._loaders[name] = caller
+        context = self.loader.load(name, request.type, remappings, my_argv).context
+        self._loaders[context] = caller
         self._announcer.announce(name)
         if request.bond_id:
-            self._bond(name, request.bond_id)
+            self._bonded.add(context, request.bond_id)
         rospy.loginfo("loaded nodelet %s of type %s%s", name, request.type, _for(caller))
 
-    def unload(self, name: str, caller: str = "") -> None:
-        """Unload a nodelet; ``caller`` is as in ``load``.
+    def unload(self, name: str, caller: str = "", only: Context | None = None) -> None:
+        """Unload a nodelet, or the ``only`` one of that name; ``caller`` is as in ``load``.
 
         Raises:
             DyKnowError: there is none of that name, or the caller must not unload it.
@@ -221,7 +223,7 @@ class NodeletManager(Closable):
         if caller:
             self._guards.check_caller(caller, f"unloading '{name}'")
             self._guards.check_protection(caller, name)
-        self.loader.unload(name)
+        self.loader.unload(name, only)
         rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
 
     def _topics_of(self, name: str) -> list[str] | None:
@@ -242,8 +244,7 @@ class NodeletManager(Closable):
         if self._poll_service is not None:
             self._poll_service.is_ending = True
         # Ctrl-C of a launch file ends the clients too: they unload their nodelets.
-        with self._bond_ended:
-            self._bond_ended.wait_for(lambda: not self._bonded, CLIENTS_PATIENCE)
+        self._bonded.wait(CLIENTS_PATIENCE)
         for service in self._services:
             service.shutdown("the nodelet manager ends")
         if self._poll_service is not None:
@@ -257,36 +258,9 @@ class NodeletManager(Closable):
         self._runtime.close()
         self._record.close()
 
-    # Bonds
-
-    def _bond(self, name: str, bond_id: str) -> None:
-        self._bonded[name] = bond_id  # first: the bond may break at once
-        try:
-            self._bonds.add(bond_id, lambda: self._unload_bonded(name, bond_id))
-        except BaseException:
-            del self._bonded[name]
-            self.loader.unload(name)
-            raise
-        if name not in self.loader.list():  # unloaded in between
-            self._unloaded(name)
-
-    def _unload_bonded(self, name: str, bond_id: str) -> None:
-        if self._bonded.get(name) != bond_id:
-            return
-        rospy.loginfo("the bond of nodelet %s is broken: unloading it", name)
-        try:
-            self.unload(name)
-        except DyKnowError as error:
-            rospy.loginfo("%s", error)
-
-    def _unloaded(self, name: str) -> None:
-        self._loaders.pop(name, None)
-        self._announcer.announce(name)
-        bond_id = self._bonded.pop(name, None)
-        if bond_id is not None:
-            self._bonds.remove(bond_id)
-            with self._bond_ended:
-                self._bond_ended.notify_all()
+    def _unloaded(self, context: Context) -> None:
+        self._announcer.announce(context.name)
+        self._bonded.ended(context)
 
     def _attach(self, context: Context, thing: Any) -> Closable | None:
         if not isinstance(thing, NodeletProxy):
@@ -306,7 +280,8 @@ class NodeletManager(Closable):
         proxy = context.attached if context is not None else None
         ports = proxy.get_config() if isinstance(proxy, NodeletProxy) else ()
         detail = self._stuck.detail(name)
-        loader = self._loaders.get(name, self._guards.owner)
+        owner = self._guards.owner
+        loader = self._loaders.get(context, owner) if context is not None else owner
         return NodeletPorts(
             name, context is not None, list(map(port_message, ports)), detail, loader
         )

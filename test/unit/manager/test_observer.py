@@ -173,6 +173,18 @@ def test_one_that_cannot_come_back_says_why_and_is_tried_again(
     assert world.states() == {"/a": "RUNNING"}
 
 
+def test_the_next_nodelet_of_a_name_does_not_wait_for_the_failures_of_the_last(
+    world: World,
+) -> None:
+    for _ in range(2):
+        world.spawn("camera", "a")
+        for _ in range(2):  # as often it is brought back at once
+            world.host.kill(world.manager.graph.get("/a").manager)
+            world.manager.look()
+            assert world.states() == {"/a": "RUNNING"}
+        world.manager.destroy("a")
+
+
 class Killed(BaseException):
     """The manager is killed."""
 

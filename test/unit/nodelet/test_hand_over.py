@@ -64,7 +64,9 @@ class Place:
 
         self.world = world
         self.loader = world.loader(Moving=Moving)
-        self.moves = HandOvers(self.loader, TYPES.get, self.loader.unload)
+        self.moves = HandOvers(
+            self.loader, TYPES.get, lambda context: self.loader.unload(context.name, context)
+        )
         self.on_the_way = deque()
         world.transport.on_made = self._made
 
@@ -348,6 +350,23 @@ def test_what_is_unknown_there_and_a_publisher_that_does_not_connect_are_named()
 
 
 # A move that fails, or whose manager dies
+
+
+def test_the_next_nodelet_of_the_name_stays_when_the_one_that_moves_is_unloaded():
+    with places(FakeClock(), []) as (old, new):
+        new.moves.park(NAME, old.moves.note(NAME))
+        context = old.loader.find(NAME)
+        stop = context.stop
+
+        def replaced():
+            context.stop = stop
+            old.loader.unload(NAME)
+            old.load()
+
+        context.stop = replaced
+        with pytest.raises(UnknownNodelet):
+            old.moves.give(NAME)
+        assert old.loader.list() == [NAME]
 
 
 class Unserialisable(Message):

@@ -122,7 +122,7 @@ def test_nodelets_are_listed_by_name_and_closed_from_the_newest(world):
         with pytest.raises(UnknownNodelet, match="'/gone' is loaded; loaded: /a, /b, /c"):
             call("/gone")
     loader.close()
-    assert gone == ["/c", "/a", "/b"]
+    assert [context.name for context in gone] == ["/c", "/a", "/b"]
     assert loader.list() == []
 
 

@@ -63,13 +63,13 @@ def test_everything_is_unregistered_before_it_returns_though_a_part_fails(world,
 
     world.services.offer = offer_one_that_fails
     loader = Loader(world.runtime, lambda name, _: Full, on_unloaded=unloaded.append)
-    loader.load("/n", "full")
+    context = loader.load("/n", "full").context
     assert len(world.registrations) == 4
     loader.unload("/n")
     assert world.registrations == []
     assert sorted(world.services.handlers) == ["/b"]
     assert world.runtime.timers._heap == []
-    assert unloaded == ["/n"]
+    assert unloaded == [context]
     assert loader.list() == []
     assert "ZeroDivisionError" in caplog.text
     assert "callback" not in caplog.text, "none was running"
@@ -99,6 +99,18 @@ def test_a_running_callback_is_not_waited_for_and_its_late_publish_refused(world
     assert "publisher 'out' of /n is closed" in str(nodelet.raised[0])
     assert numbers(nodelet.got) == [0], "queued messages are dropped"
     assert got == []
+
+
+def test_late_services_leave_those_of_the_next_nodelet_alone(world):
+    loader = world.loader(idle=Idle)
+    gone = loader.load("/n", "idle").private_node_handle
+    service = gone.Service("~s", object, print)
+    loader.unload("/n")
+    loader.load("/n", "idle").private_node_handle.Service("~s", object, print)
+    service.shutdown()
+    with pytest.raises(HandleClosed, match="nodelet /n is closed"):
+        gone.Service("~s", object, print)
+    assert list(world.services.handlers) == ["/n/s"]
 
 
 @pytest.mark.parametrize("how", ["subscriber", "timer", "service", "mt"])

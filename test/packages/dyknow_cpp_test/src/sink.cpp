@@ -1,6 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
+#include <nodelet/NodeletUnload.h>
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
 #include <std_msgs/Header.h>
@@ -12,6 +13,7 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <sstream>
 #include <string>
+#include <thread>
 
 namespace dyknow_cpp_test
 {
@@ -25,7 +27,7 @@ public:
   ~Sink() override
   {
     ros::WallDuration(last_delay_).sleep();
-    report_.shutdown();
+    std::thread([this] { report_.shutdown(); }).join();
     std::cout << getName() << " is destroyed" << std::endl;
   }
 
@@ -35,6 +37,8 @@ private:
     auto& private_nh = getPrivateNodeHandle();
     delay_ = private_nh.param("delay", 0.0);
     last_delay_ = private_nh.param("last_delay", 0.0);
+    leaves_ = private_nh.param("leaves", false);
+    adds_ = private_nh.param("adds", false);
     auto& nh = private_nh.param("mt", false) ? getMTNodeHandle() : getNodeHandle();
     const int queue_size = private_nh.param("queue_size", 1000);
     in_ = nh.subscribe("in", queue_size, &Sink::onMessage, this);
@@ -49,6 +53,10 @@ private:
   {
     note(*message);
     ros::WallDuration(delay_).sleep();
+    if (adds_)
+    {
+      second_ = getNodeHandle().subscribe("second", 1, &Sink::onMessage, this);
+    }
   }
 
   void note(const std_msgs::Header& message)
@@ -74,6 +82,12 @@ private:
 
   bool onReport(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
   {
+    if (leaves_)
+    {
+      nodelet::NodeletUnload unload;
+      unload.request.name = getName();
+      ros::service::call(ros::this_node::getName() + "/unload_nodelet", unload);
+    }
     const std::lock_guard<std::mutex> lock(mutex_);
     std::ostringstream text;
     text << "{\"received\": " << received_ << ", \"lost\": " << lost_ << ", \"doubled\": " << doubled_
@@ -86,6 +100,8 @@ private:
 
   double delay_ = 0.0;       // of each callback
   double last_delay_ = 0.0;  // of the end
+  bool leaves_ = false;      // with its first report
+  bool adds_ = false;        // a subscription at the end of each callback
   ros::Subscriber in_;
   ros::Subscriber second_;
   ros::ServiceServer report_;
