@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
 import threading
@@ -176,7 +177,8 @@ def test_a_switch_leaves_its_old_topic_without_a_thread_too(limit, caplog):
 def test_a_move_that_got_no_thread_is_not_begun(limit):
     world = World()
     loader = world.loader(idle=Idle)
-    moves = HandOvers(loader, lambda datatype: Message, loader.unload)
+    unload = functools.partial(loader.unload, "/n")
+    moves = HandOvers(loader, lambda datatype: Message, unload)
     loader.load("/n", "idle")
     limit.refuse("moving")
     for step in (moves.note, lambda name: moves.park(name, [])):
