@@ -24,12 +24,13 @@ from typing import (
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_connected
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
+from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import plan_load
-from dyknow.wiring.wiring import Wiring
+from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
 
 Do = Callable[[], object]
@@ -196,10 +197,15 @@ def destroy(name: str) -> Change:
         undo: Do = _no_way(f"the library does not have the transformation of {name}")
         nodelet = present.snapshot.nodelet(name)
         if nodelet is not None and nodelet.transformation in present.library:
-            undo = partial(present.client.spawn_nodelet, nodelet.request)
+            undo = partial(present.client.spawn_nodelet, _request_of(nodelet, present))
         return partial(present.client.destroy, name), undo
 
     return _one_step(f"destroy {name}", make)
+
+
+def _request_of(nodelet: NodeletStatus, present: Present) -> SpawnRequest:
+    """Return the request that makes a nodelet again, where its spawn wanted it."""
+    return request_of(nodelet, pins(present.client.list_hosts()))
 
 
 def isolate(names: Sequence[str], on: bool) -> Change:
@@ -209,8 +215,8 @@ def isolate(names: Sequence[str], on: bool) -> Change:
         nodelet = present.snapshot.nodelet(name)
         if nodelet is None or nodelet.transformation not in present.library:
             raise CannotUndo(f"the library does not have the transformation of {name}")
-        client, before = present.client, nodelet.request
-        after = replace(before, isolated=on, manager="")
+        client, before = present.client, _request_of(nodelet, present)
+        after = replace(before, isolated=on, manager=before.manager if before.host else "")
         return [
             ReversibleStep(
                 f"end {name}",

@@ -10,7 +10,9 @@ from dataclasses import replace
 import pytest
 
 from dyknow.errors import DyKnowError, InvalidName
+from dyknow.manager.steps import StepFailed
 from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.model.hosts import pins
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.example_graphs import soccer
@@ -19,6 +21,7 @@ from dyknow_rqt.graph.changes import (
     Present,
     add_transformations,
     destroy,
+    isolate,
     load_wiring,
     protect,
     release,
@@ -93,6 +96,31 @@ def test_changes_can_be_taken_back(remote):
         ),
     ):
         there_and_back(remote, change)
+
+
+def test_a_nodelet_that_is_made_again_stays_on_the_host_that_was_named(remote):
+    client = remote.client
+    client.host.machine = "desk"
+    client.host.add("/far", machine="rover")
+    client.core.look()
+    client.spawn_nodelet(SpawnRequest("tracker", "/far_one", manager="@rover"))
+    client.spawn_nodelet(SpawnRequest("tracker", "/near_one", manager="@desk"))
+    before = {"/far_one": "rover", "/near_one": "desk"}
+    for change in (isolate(["/near_one"], True), isolate(["/far_one"], False)):
+        done = apply(remote, change)
+        assert pinned(remote) == before
+        done.undo()
+        assert pinned(remote) == before
+    for name in before:
+        there_and_back(remote, destroy(name))
+        assert pinned(remote) == before
+    with pytest.raises(StepFailed, match="'rover' needs a nodelet in a nodelet manager"):
+        apply(remote, isolate(["/far_one"], True))
+    assert pinned(remote) == before
+
+
+def pinned(remote):
+    return pins(remote.client.list_hosts())
 
 
 def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote):
