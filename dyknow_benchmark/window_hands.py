@@ -179,8 +179,8 @@ def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[Tick]:
     ticks = [_now()]
     for _ in range(_FRAMES):
         move()
+        view.viewport().update()  # all of it, also where a scroll would move pixels
         QApplication.processEvents()
-        view.viewport().repaint()  # the rest of the drawing
         ticks.append(_now())
     return ticks
 
