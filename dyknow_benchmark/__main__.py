@@ -5,6 +5,7 @@
 
 import sys
 
+import dyknow.interruptible  # noqa: F401
 from dyknow_benchmark.main import main
 
 sys.exit(main())

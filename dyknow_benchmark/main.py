@@ -15,6 +15,7 @@ from typing import Sequence
 import rospy
 
 from dyknow.errors import DyKnowError
+from dyknow.ros.process.signals import RAISES, sigint
 from dyknow_benchmark import arrival, formulas, isolation, switching, system
 from dyknow_benchmark.options import MEASUREMENTS, PARSER
 from dyknow_benchmark.results import Results
@@ -32,17 +33,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         0; with ``--check`` 1 if a target is not met; 2 if it could not be measured or written.
     """
     arguments = parse(rospy.myargv()[1:] if argv is None else argv)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its processes are ended too
     results, out = Results(), arguments.out
     try:
-        if out is not None:  # not after half an hour of measuring
-            out.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=out).close()
-        MEASUREMENTS[arguments.command](arguments, results)
-        results.end()
-        print(results.show())
-        for path in results.write(out) if out is not None else ():
-            print(f"wrote {path}")
+        with sigint(RAISES, signal.SIGTERM):  # its processes are ended too
+            if out is not None:  # not after half an hour of measuring
+                out.mkdir(parents=True, exist_ok=True)
+                tempfile.TemporaryFile(dir=out).close()
+            MEASUREMENTS[arguments.command](arguments, results)
+            results.end()
+            print(results.show())
+            for path in results.write(out) if out is not None else ():
+                print(f"wrote {path}")
     except (DyKnowError, OSError) as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return FAILED

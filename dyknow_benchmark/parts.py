@@ -19,6 +19,7 @@ report).
 
 from __future__ import annotations
 
+import contextlib
 import json
 import operator
 import re
@@ -31,6 +32,8 @@ import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray, Time
 from std_srvs.srv import Trigger, TriggerResponse
+
+from dyknow.ros.process.signals import RAISES, sigint
 
 Publish = Callable[[Any], None]
 
@@ -221,9 +224,10 @@ class SwitchedOut(SwitchWatch):
 def main() -> None:
     """Run a part as a rospy node: a ``source`` or a ``hop``."""
     part = rospy.myargv()[1]
-    rospy.init_node(f"benchmark_{part}", anonymous=True)
-    getattr(Part(rospy, rospy), part)()
-    rospy.spin()
+    with contextlib.suppress(KeyboardInterrupt), sigint(RAISES):
+        rospy.init_node(f"benchmark_{part}", anonymous=True)
+        getattr(Part(rospy, rospy), part)()
+        rospy.spin()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@
 
 import sys
 
+import dyknow.interruptible  # noqa: F401
 from dyknow_demo.main import main
 
 sys.exit(main())

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Sequence
 
 from dyknow.errors import DyKnowError
+from dyknow.ros.process.signals import RAISES, sigint
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -28,12 +29,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else argv
     # roslaunch and rostest append their own arguments, such as __name:=demo.
     options = _parser().parse_args([each for each in given if ":=" not in each])
-    # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        from dyknow_demo.story import play  # once the options are known to be right
+    from dyknow_demo.story import play  # once the options are known to be right
 
-        return DONE if play(options) else FAILED
+    try:
+        # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
+        with sigint(RAISES, signal.SIGTERM):
+            return DONE if play(options) else FAILED
     except KeyboardInterrupt:
         print("\ninterrupted", file=sys.stderr)
         return INTERRUPTED

@@ -9,7 +9,6 @@ import argparse
 import logging
 import os
 import re
-import signal
 import sys
 import textwrap
 from typing import TYPE_CHECKING, Any, Container, Sequence
@@ -35,6 +34,7 @@ from dyknow.cli.shell import (
     Shell,
 )
 from dyknow.errors import DyKnowError, ManagerUnreachable
+from dyknow.ros.process.signals import ENDS, RAISES, sigint
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
@@ -197,11 +197,9 @@ def main(words: Sequence[str] | None = None) -> int:
         words: the command line without the program's name; by default the process's.
     """
     try:
-        # A shell that starts jobs in the background lets them ignore SIGINT; scripts/dyknow lets
-        # it end the process while modules are loaded.
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        return _run(sys.argv[1:] if words is None else words)
+        arguments = parse(sys.argv[1:] if words is None else words)
+        with sigint(RAISES):
+            return _run(arguments)
     except SystemExit as end:  # argparse's
         return end.code if isinstance(end.code, int) else FAILED
     except KeyboardInterrupt:
@@ -223,12 +221,10 @@ def execute(arguments: argparse.Namespace, shell: Shell) -> int:
     return DONE if code is None else code
 
 
-def _run(words: Sequence[str]) -> int:
-    arguments = parse(words)
-
+def _run(arguments: argparse.Namespace) -> int:
     def connect() -> ShellClient:
-        from dyknow.ros.shell.shell_client import ShellClient
-
+        with sigint(ENDS):
+            from dyknow.ros.shell.shell_client import ShellClient
         return ShellClient(arguments.manager_node, arguments.timeout)
 
     shell = Shell(connect, arguments.json)

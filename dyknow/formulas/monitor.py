@@ -19,6 +19,8 @@ from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_o
 
 #: Most states that bounds may span.
 MAX_STATES = 1_000_000
+#: Nanoseconds ahead of the clock up to which all messages are kept: a source's clock may differ.
+_AHEAD = 10 * SECOND
 
 
 class Truth(enum.IntEnum):
@@ -222,7 +224,7 @@ class Monitor:
         for each in readers:
             values = each.own[port]
             # An individual sees in its first state what came for an earlier one.
-            values.add(max(state, each.first), stamp, message)
+            values.add(max(state, each.first), stamp, message, now + _AHEAD)
             # A stamp far ahead of the clock passes no states that messages are still to come for.
             if values.latest > farthest:
                 values.latest = farthest

@@ -79,9 +79,15 @@ class PortValues:
         longest = max(windows, default=0)
         self._counts: Optional[Deque[int]] = deque(maxlen=longest) if longest else None
 
-    def add(self, state: int, stamp: int, message: Any) -> None:
-        """Keep a message for a state; of several with one stamp the last one counts."""
-        coming, at = self._coming, len(self._coming)
+    def add(self, state: int, stamp: int, message: Any, far: int) -> None:
+        """Keep a message for a state; of several with one stamp the last one counts.
+
+        Of those stamped after ``far`` only the last one is kept.
+        """
+        coming = self._coming
+        while stamp > far and coming and coming[-1][1] > far:
+            coming.pop()
+        at = len(coming)
         while at and coming[at - 1][0] > state:
             at -= 1
         if at and coming[at - 1][0] == state:

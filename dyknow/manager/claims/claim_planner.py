@@ -191,17 +191,29 @@ class ClaimPlanner:
         if isinstance(answer, NoPlan) and lenient and situation.paused:
             answer = self._solved(situation._replace(paused=NO_LABELS))
         if isinstance(answer, NoPlan):
-            answer = self._unavailable(situation) or answer
+            answer = self._unavailable(claim, situation, without) or answer
         if isinstance(answer, Plan) and self._unstamped_type(claim, answer):
             stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
             if isinstance(stamped.answer, Plan):
                 return stamped
         return Proposal(situation, answer, moment)
 
-    def _unavailable(self, situation: Situation) -> NoPlan | None:
-        """Say which verdicts forbid every plan, if there is one without them."""
-        free = situation._replace(paused=NO_LABELS, verdicts=None)
-        plan = self._solved(free) if self._manager.library.guarded else None
+    def _unavailable(
+        self, claim: Claim, situation: Situation, without: AbstractSet[str]
+    ) -> NoPlan | None:
+        """Say which verdicts and faults of parts forbid every plan, if there is one with them."""
+        unfit = self._monitor.unfit(self._table.together(claim))
+        if not unfit and not self._manager.library.guarded:
+            return None
+        streams = tuple(self._streams(situation.exclude, without))
+        plan = self._solved(
+            situation._replace(
+                streams=streams,
+                usable=self._without_relays(streams),
+                paused=NO_LABELS,
+                verdicts=None,
+            )
+        )
         if not isinstance(plan, Plan):
             return None
         why_not = self._monitor.requirements.why_not
@@ -212,6 +224,10 @@ class ClaimPlanner:
             for why in [known and why_not(known, dict(bindings))]
             if why
         }
+        nodelets = {each.nodelet for each in plan.live if each.nodelet}
+        wiring, topics = self._world().upstream(nodelets, self.ordinary)
+        parts = {*wiring, *topics, *[each.topic for each in plan.live if not each.nodelet]}
+        found.update((unfit[part], None) for part in sorted(parts & unfit.keys()))
         causes = Obstacle(situation.demand, tuple(found))
         return NoPlan(situation.demand, (), False, obstacles=(causes,)) if found else None
 
@@ -314,7 +330,7 @@ class ClaimPlanner:
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
         """Find the names that a demand's variables can stand for, and whether these are all."""
-        streams = self._without_relays(self._streams(NO_LABELS, self._monitor.unfit()))
+        streams = self._without_relays(self._streams(NO_LABELS, self._monitor.unfit().keys()))
         with self._planning(self.transformations()) as (planner, _):
             return planner.bindings(demand, streams)
 
@@ -334,7 +350,7 @@ class ClaimPlanner:
         claims, known = self._table.together(claim), self.transformations()
         exclude = avoid.union(*(each.request.exclude for each in claims))
         own = tuple(each for each in self.own(claim, without, known) if each.label not in exclude)
-        streams = tuple(self._streams(exclude, self._monitor.unfit(claims) | without))
+        streams = tuple(self._streams(exclude, self._monitor.unfit(claims).keys() | without))
         return Situation(
             demand_of(claims),
             claim.topic,
@@ -383,7 +399,7 @@ class ClaimPlanner:
         sharing = [each for each in self._table.living if each.claim_id != claim.claim_id]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
-        unfit = self._monitor.unfit(self._table.together(claim)) | without
+        unfit = self._monitor.unfit(self._table.together(claim)).keys() | without
         found: list[OwnNodelet] = []
         for name in reversed((*idle, *claim.nodelets)):
             record = world.records.get(name)
@@ -545,7 +561,7 @@ class ClaimPlanner:
             return price
         exclude = frozenset(claim.request.exclude)
         demand = demand_of(self._table.together(claim))
-        streams = self._streams(exclude, self._monitor.unfit())
+        streams = self._streams(exclude, self._monitor.unfit().keys())
         with self._planning(known) as (planner, _):
             charges = planner.charges(demand, streams, exclude, wishes)
         labels = self._labels(claim.nodelets, claim.sources)

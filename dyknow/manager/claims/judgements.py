@@ -108,15 +108,20 @@ class StreamMonitor:
         is_movable = record.state is State.RUNNING and not record.is_fixed
         return is_movable and record.name not in self._meter.unresponsive
 
-    def unfit(self, claims: Iterable[Claim] = ()) -> frozenset[str]:
-        """Nodelets and topics that no claim, or none of these claims, can rely on."""
+    def unfit(self, claims: Iterable[Claim] = ()) -> dict[str, str]:
+        """Say why no claim, or none of these claims, can rely on nodelets and topics."""
         claims = list(claims)
-        tables = [_ALL, *[claim.claim_id for claim in claims]]
-        found = self._meter.unresponsive.union(self.requirements.unavailable)
+        found = {name: f"nodelet {name} does not answer" for name in self._meter.unresponsive}
+        found.update(self.requirements.unavailable)
         if self._library.guarded:
-            found |= self.requirements.untried()
-        found = found.union(*[self._shortfalls.get(each, ()) for each in tables])
-        return found.union(*map(self.blamed, claims))
+            found.update(self.requirements.untried())
+        for key in (_ALL, *[claim.claim_id for claim in claims]):
+            for name, each in self._shortfalls.get(key, {}).items():
+                found[name] = each.judgement.what
+        for claim in claims:
+            for name in self.blamed(claim):
+                found[name] = f"'{claim.request.require}' was FALSE with {name}"
+        return found
 
     def faults(self, claim: Claim) -> list[str]:
         """Say which parts of a claim's stream cannot be relied on."""

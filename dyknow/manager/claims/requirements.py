@@ -108,10 +108,11 @@ class Requirements:
         is_back = not heard.was_false or self._clock() - heard.heard >= self._recover
         return heard.is_true and is_back
 
-    def untried(self) -> set[str]:
+    def untried(self) -> dict[str, str]:
         """Return the running parts that no claim uses yet, and whose first verdict is to come."""
         used = {name for each in self._table.living for name in (*each.nodelets, *each.sources)}
-        return self._found_unavailable(is_in_use=False).keys() - used
+        found = self._found_unavailable(is_in_use=False)
+        return {name: why for name, why in found.items() if name not in used}
 
     def _found_unavailable(self, is_in_use: bool) -> dict[str, str]:
         """Find the running parts whose transformations are not available."""

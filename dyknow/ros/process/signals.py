@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-from typing import Any, Callable, Iterable
+from typing import Any, Callable, Iterable, Iterator
 
 from dyknow.periodic import attempt, in_background
 
@@ -26,6 +26,24 @@ DONE = 0
 FAILED = 255
 #: Stopped before it could do its work; as a shell shows for SIGINT.
 INTERRUPTED = 130
+
+#: What SIGINT may do: end the process, or raise KeyboardInterrupt.
+ENDS, RAISES = signal.SIG_DFL, signal.default_int_handler
+
+
+@contextlib.contextmanager
+def sigint(handler: Any, *others: int) -> Iterator[None]:
+    """Handle SIGINT, unless it is ignored, and other signals so; as before at the end."""
+    is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    numbers = others if is_ignored else (signal.SIGINT, *others)
+    former = {number: signal.getsignal(number) for number in numbers}
+    try:
+        for number in numbers:
+            signal.signal(number, handler)
+        yield
+    finally:
+        for number, before in former.items():
+            signal.signal(number, before)
 
 
 def on_signals(numbers: Iterable[int], act: Callable[[], None]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import os
+import queue
 import re
 import xmlrpc.client
 from typing import Any, Callable, Iterable, Sequence, Tuple
@@ -81,7 +82,7 @@ class _Server:
         self._peer = peer
         self._timeout = timeout
         self._transport = _ComparingTransport if compares else _Transport
-        self._idle: list[_Transport] = []
+        self._idle: queue.LifoQueue[_Transport] = queue.LifoQueue(_KEPT)
 
     def ask(self, question: str, *args: Any) -> Any:
         code, message, value = self._call(_one, question, *args)
@@ -96,8 +97,8 @@ class _Server:
     def _call(self, read: Callable[[Any], Any], question: str, *args: Any) -> Any:
         assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
-            transport = self._idle.pop()
-        except IndexError:
+            transport = self._idle.get_nowait()
+        except queue.Empty:
             transport = self._transport(self._timeout)
         server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
         try:
@@ -108,17 +109,16 @@ class _Server:
         except (xmlrpc.client.Error, ValueError, TypeError) as error:
             transport.close()
             raise LookupError(f"{self._peer}: {error}") from error
-        self._idle.append(transport)
-        self._close(_KEPT)
+        try:
+            self._idle.put_nowait(transport)
+        except queue.Full:
+            transport.close()
         return answer
 
     def close(self) -> None:
-        self._close()
-
-    def _close(self, kept: int = 0) -> None:
-        while len(self._idle) > kept:
-            with contextlib.suppress(IndexError):  # another thread closed them
-                self._idle.pop().close()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._idle.get_nowait().close()
 
 
 def _one(answer: Sequence[Any]) -> tuple[Any, Any, Any]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -12,11 +13,14 @@ from pathlib import Path
 
 import pytest
 
+from dyknow.ros.process.signals import ENDS, RAISES, sigint
+
 ROOT = Path(__file__).resolve().parents[3]
-#: Their main functions leave Ctrl-C to KeyboardInterrupt.
-WITH_KEYBOARD_INTERRUPT = {"demo", "benchmark", "benchmark_node"}
-SCRIPTS = sorted({path.name for path in (ROOT / "scripts").iterdir()} - WITH_KEYBOARD_INTERRUPT)
+SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
+PACKAGES = ["dyknow", "dyknow_demo", "dyknow_benchmark"]
 MODULES = [
+    "dyknow_benchmark",
+    "dyknow_demo",
     "dyknow.cli",
     "dyknow.cli.manager",
     "dyknow.cli.nodelet",
@@ -39,6 +43,31 @@ sys.meta_path.insert(0, Look())
 (runpy.run_module if is_module else runpy.run_path)(runs, run_name="__main__")
 os._exit(2)
 """
+#: Arguments with which a script does something.
+ARGUMENTS = {
+    "benchmark_node": ["source"],
+    "dyknow": ["list"],
+    "nodelet": ["unload", "a", "b"],
+    "rewirable": ["true"],
+}
+#: Runs a script up to its first effect: a connection, or a process.
+LOAD = """
+import os, runpy, signal, sys
+
+def look(event, args):
+    if event == "import" and args[0].startswith(("dyknow", "rospy")) and args[0] not in FIRST:
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            os.write(2, f"{args[0]} is loaded\\n".encode())
+            os._exit(1)
+    if event in ("socket.connect", "subprocess.Popen", "os.exec"):
+        os._exit(0)
+
+FIRST = ("dyknow", "dyknow.interruptible")
+sys.addaudithook(look)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+os._exit(2)
+"""
 
 
 def packages_of(module):
@@ -49,10 +78,33 @@ def packages_of(module):
 @pytest.mark.parametrize("program", [*SCRIPTS, *MODULES])
 def test_sigint_ends_it_before_it_imports_modules(program):
     is_module = program in MODULES
-    early = ["dyknow", "dyknow.interruptible", "dyknow.cli.__main__"]
-    early += packages_of(program) if is_module else ["dyknow.cli", "dyknow_rqt"]
+    early = ["dyknow", "dyknow.interruptible", f"{program}.__main__"]
+    early += packages_of(program) if is_module else ["dyknow.cli", "dyknow_rqt", *PACKAGES]
     runs = [program, "module"] if is_module else [str(ROOT / "scripts" / program), "path"]
     assert subprocess.run([sys.executable, "-c", RUN, *runs, *early]).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [[name, *ARGUMENTS.get(name, ())] for name in SCRIPTS],
+    ids=SCRIPTS,
+)
+def test_no_module_is_loaded_while_sigint_raises(words):
+    """From the first line of each program to its first effect."""
+    script = str(ROOT / "scripts" / words[0])
+    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9"}
+    command = [sys.executable, "-c", LOAD, script, *words[1:]]
+    done = subprocess.run(command, env=environment, stderr=subprocess.PIPE)
+    assert done.returncode == 0, done.stderr
+
+
+def test_sigint_does_what_it_did_when_a_program_is_done():
+    with sigint(ENDS):
+        with pytest.raises(KeyboardInterrupt), sigint(RAISES, signal.SIGUSR1):
+            signal.raise_signal(signal.SIGUSR1)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+    with sigint(signal.SIG_IGN), sigint(RAISES):
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def test_every_program_of_ours_is_one_of_these():
@@ -62,7 +114,7 @@ def test_every_program_of_ours_is_one_of_these():
         if '\nif __name__ == "__main__":' in path.read_text()
     }
     # The owner of a process ignores SIGINT: it ends with that process.
-    assert found == {*MODULES} - {"dyknow.cli"} | {"dyknow.ros.nodelets.owner"}
+    assert found == {*MODULES} - {"dyknow.cli", *PACKAGES} | {"dyknow.ros.nodelets.owner"}
 
 
 def test_a_process_that_ignores_sigint_goes_on_ignoring_it():

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from types import SimpleNamespace
 from typing import Any, List, Optional
 
@@ -19,6 +20,12 @@ def message(stamp: float | None = None, **fields: Any) -> Any:
     if stamp is not None:
         fields["header"] = SimpleNamespace(stamp=stamp)
     return SimpleNamespace(**fields)
+
+
+class Referable(SimpleNamespace):
+    """A message with weak references."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]
 
 
 def runs(verdicts: List[Verdict]) -> List[str]:
@@ -127,6 +134,30 @@ def test_one_stamp_far_ahead_of_the_clock_changes_no_verdict(stamp: float, numbe
     right, disturbed = found
     assert right[-1] == 4_400_000_000
     assert [each for each in right if each > 2_000_000_000] == disturbed[-24:]
+
+
+@pytest.mark.parametrize(("ahead", "most"), [(5.0, 60), (3600.0, 1), (1e9, 1)])
+def test_messages_ahead_of_the_clock_take_no_more_memory_than_ten_seconds_of_them(
+    ahead: float, most: int
+) -> None:
+    monitor = parse("a.x > 0 or b.x > 0").monitor(0.1)
+    alive: weakref.WeakSet[Any] = weakref.WeakSet()
+    for number in range(500):
+        now = number / 10
+        each = Referable(header=SimpleNamespace(stamp=now + ahead), x=1)
+        alive.add(each)
+        verdicts = monitor.feed("a", each, now) + monitor.feed("b", message(now, x=1), now)
+        assert {verdict.value for verdict in verdicts} <= {Truth.TRUE}
+    del each
+    assert 0 < len(alive) <= most
+
+
+def test_the_last_message_that_is_far_ahead_has_a_value_when_its_time_has_come() -> None:
+    monitor = parse("a.x > 0").monitor(1.0)
+    for stamp, x in ((5.0, 1), (100.0, -1), (200.0, -1), (50.0, 1)):
+        monitor.feed("a", message(stamp, x=x), 1.0)
+    verdicts = monitor.advance(300.0)
+    assert runs(verdicts) == ["5.000 TRUE  a.x = 1 at 5"]
 
 
 def test_the_end_closes_no_state_that_has_not_come() -> None:

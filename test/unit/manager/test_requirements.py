@@ -318,10 +318,16 @@ def test_a_topic_waits_for_its_first_verdict(field: Field, is_other_known: bool)
     field.manager.add_transformation(requiring("joints", CALM, initially=False, library=library))
     with pytest.raises(NoPlanFound) as refused:
         field.acquire()
+    why = f"topic /joint_states is not available: {CALM}"
+    assert f"{why} has no verdict yet" in str(refused.value)
     field.settle()
-    assert field.state(refused.value.claim_id) is ClaimState.PENDING
+    waiting = field.claim(refused.value.claim_id)
+    assert waiting.state is ClaimState.PENDING and f"{why} has no verdict" in waiting.detail
+    decide(field, False, CALM)
+    field.settle()
+    assert f"{why} is FALSE since" in field.claim(waiting.claim_id).detail
     decide(field, True, CALM)
-    field.settle()
+    field.settle(5.0)
     assert field.state(refused.value.claim_id) is ClaimState.ACTIVE
 
 
