@@ -228,14 +228,14 @@ class Children:
         return [each for each in self.all() if (each.record.kind, each.record.isolated_for) == of]
 
     def _add(self, child: Child) -> Child:
-        name = child.name
         with self._changed:
-            if self._ending:
-                raise HostError("the manager is being ended")
-            present = self._children.get(name)
-            if present is not None:
-                return present
-            self._children[name] = child
+            present = None if self._ending else self._children.setdefault(child.name, child)
+        if present is not child:
+            child.close()
+        if present is None:
+            raise HostError("the manager is being ended")
+        if present is not child:
+            return present
         child.on_up = self._notify
         child.live(partial(self._run, child))
         return child

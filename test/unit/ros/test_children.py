@@ -99,6 +99,7 @@ def test_a_record_is_there_before_the_process_and_none_after_the_end(children, l
     children.end_all()
     with pytest.raises(HostError, match="being ended"):
         children.want(NodeletKind.PYTHON, 1)
+    eventually(lambda: not any("nodelet_manager" in each.name for each in threading.enumerate()))
 
 
 def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monkeypatch):
