@@ -266,6 +266,8 @@ class GraphMonitor(QObject):
         refusal = "" if self.is_linked else self.heart.status.text
         if self._changing:
             refusal = "another change is under way; try again when it is done"
+        elif self._is_another:
+            refusal = refusal or "the graph is being read from the beginning; try again"
         if refusal:
             self.failed.emit(f"{text}: {refusal}")
             self.settled.emit()
@@ -281,6 +283,7 @@ class GraphMonitor(QObject):
 
         def made(result: Tuple[DoneChange, Optional[_Look]]) -> None:
             done, look = result
+            self._is_another = False  # it has made the change that was sent before its link
             if look is not None:
                 self._take_look(look)
             self._changing = False  # first: the next change may begin at once
@@ -365,10 +368,11 @@ class GraphMonitor(QObject):
     ) -> None:
         self._revision = model.revision
         made = {(each.name, each.transformation) for each in model.nodelets}
-        if self._is_another and made != self._made:
-            self.history = UndoHistory()
-            self._tell_history()
-        self._made, self._is_another = made, False
+        if not (self._is_another and self._changing):  # else the change may make the difference
+            if self._is_another and made != self._made:
+                self.history = UndoHistory()
+                self._tell_history()
+            self._made, self._is_another = made, False
         if model.transformations:
             self._take_library(model, self._link)
         self._take_snapshot(Snapshot(model.nodelets, nodes, taken, self.snapshot.pending))

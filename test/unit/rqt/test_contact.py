@@ -5,20 +5,21 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
-from clocks import HandClock, eventually
+from clocks import HandClock, eventually, wait_for
 from python_qt_binding.QtGui import QPalette
 from unit.cli.fake_client import cases
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
-from dyknow.model.graph import State
+from dyknow.model.graph import SpawnRequest, State
 from dyknow.periodic import RunningClock
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.example_graphs import soccer
-from dyknow_rqt.graph.changes import protect
+from dyknow_rqt.graph.changes import Change, protect, spawn
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.screenshots import dark_palette
@@ -220,6 +221,44 @@ def test_another_manager_of_the_name_is_read_from_the_beginning_without_undo(
     assert "recorder" in window.library.table.names()
     until(qtbot, lambda: not window.graph.bar.undo.isEnabled())
     assert window.monitor.history.texts == ("", "")
+
+
+class SlowChange(Change):
+    """Makes a nodelet, once it may."""
+
+    text = "slow"
+
+    def __init__(self):
+        self.may = threading.Event()
+
+    def steps(self, present):
+        wait_for(self.may)
+        return spawn(SpawnRequest("tracker", "/second")).steps(present)
+
+
+def test_a_link_that_is_renewed_during_a_change_leaves_all_that_can_be_undone(
+    qtbot, window, remote, monkeypatch
+):
+    monitor, slow, graph, is_made = window.monitor, SlowChange(), remote.graph, threading.Event()
+    create(qtbot, window, "/first")
+    monkeypatch.setattr(remote, "graph", lambda: wait_for(is_made) or graph())
+    monitor.do(slow)
+    monitor._follow_link(True)
+    slow.may.set()
+    until(qtbot, lambda: not monitor.is_changing)
+    is_made.set()
+    until(qtbot, lambda: monitor.snapshot.nodelet("/second") is not None)
+    assert not monitor._is_another and len(monitor.history._done) == 2
+
+
+def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, window, remote):
+    create(qtbot, window, "/first")
+    window.monitor._follow_link(True)
+    window.monitor.do(protect("/first", True))
+    assert "read from the beginning" in window.line.text and not window.monitor.is_changing
+    until(qtbot, lambda: not window.monitor._is_another)
+    window.monitor.undo()
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
 
 def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):
