@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Callable, Mapping, Sequence
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import SpawnRequest
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,8 @@ def carry_out(
                 raise StepFailed(step, error, take_back(done, maybe)) from error
             failed.append((step, error))
         except BaseException:
-            take_back(done, [step])
+            for trouble in take_back(done, [step]):
+                _log.warning("%s", trouble)
             raise
     return failed
 
@@ -101,6 +106,25 @@ def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = 
             if not (step in maybe and isinstance(error, Refused)):
                 troubles.append(f"{step.what} could not be taken back: {error}")
     return troubles
+
+
+def spawning(request: SpawnRequest, client: BaseManagerClient) -> ReversibleStep:
+    """Spawn a nodelet; taken back, nothing of it is left, even if it is protected."""
+    name = request.name
+
+    def destroy() -> None:
+        if client.get_graph().nodelet(name) is None:
+            return  # no answer came, and it was not made
+        try:
+            if request.is_protected:
+                client.set_protection(name, False)
+            client.destroy(name)
+        except Refused as error:  # it is there: not as if it had not been made
+            raise DyKnowError(str(error)) from error
+
+    return ReversibleStep(
+        f"spawning '{name}'", name, lambda: client.spawn_nodelet(request), destroy
+    )
 
 
 def check_connected(client: BaseManagerClient, nodelet: str, topics: Mapping[str, str]) -> None:

@@ -61,6 +61,7 @@ _SUFFIXES = ("", "-wal", "-shm")
 
 _READ_ONLY = "readonly"
 _FULL = "disk is full"
+_REFUSED = "disk I/O error"
 #: What sqlite says of a file that cannot be used now, and what that means to a user.
 _TROUBLES = {
     _FULL: "the disk is full; free some space",
@@ -70,7 +71,7 @@ _TROUBLES = {
     "the disk is mounted, or choose another folder (~state_dir)",
     "unable to open": "it cannot be opened; look at the permissions of its folder and whether the "
     "disk is full, or choose another folder (~state_dir)",
-    "disk I/O error": "the disk does not take it (input/output error); look for a quota, a size "
+    _REFUSED: "the disk does not take it (input/output error); look for a quota, a size "
     "limit or a failing disk",
 }
 #: Errors of the program, not of the file.
@@ -468,9 +469,10 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
         raise
 
 
-def _read_only(path: str, how: str = "immutable=1") -> Rows:
+def _read_only(path: str, how: str = "mode=ro&immutable=1") -> Rows:
     uri = f"{Path(os.path.abspath(path)).as_uri()}?{how}"
     with contextlib.closing(sqlite3.connect(uri, uri=True)) as connection:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # the log's index is in memory
         return _rows(connection)
 
 
@@ -499,14 +501,16 @@ def _read_aside(path: str) -> Rows:
     except OSError as error:
         cause = error
     except _FAULTS as error:
-        if _trouble(error) != _FULL:
+        if _trouble(error) not in (_FULL, _REFUSED):
             raise _Damaged(str(error)) from error
         cause = error
     # No copy can be made; a sound file can be read in place.
     has_log = os.path.exists(path + "-wal") and os.path.getsize(path + "-wal") > 0
     try:
-        return _read_only(path, "mode=ro" if has_log else "immutable=1")
+        return _read_only(path, "mode=rw") if has_log else _read_only(path)
     except _FAULTS as error:
+        if _trouble(cause) == _REFUSED:
+            raise _Damaged(str(cause)) from error
         raise StoreError(path, f"it cannot be read: {cause}") from error
 
 

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Iterator, Mapping
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.steps import ReversibleStep, check_connected
+from dyknow.manager.steps import ReversibleStep, check_connected, spawning
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.hosts import pins
@@ -80,16 +80,7 @@ def _make(
     name = nodelet.name
     config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
     manager = "" if name in plan.any_manager else nodelet.manager
-    request = replace(nodelet, config=config, manager=manager)
-
-    def destroy() -> None:
-        if nodelet.is_protected:
-            client.set_protection(name, False)
-        client.destroy(name)
-
-    yield ReversibleStep(
-        f"spawning '{name}'", name, lambda: client.spawn_nodelet(request), destroy
-    )
+    yield spawning(replace(nodelet, config=config, manager=manager), client)
     if later:
         connect = partial(_connect_undeclared, name, later, client)
         # Nothing to undo: the connections go with the nodelet.

@@ -13,8 +13,9 @@ from dyknow.cli.arguments import SEVERAL, argument, flag
 from dyknow.cli.commands.connect import PortMove, apply, find_port, meeting_topic, resolved
 from dyknow.cli.output import nodelet_json
 from dyknow.cli.shell import Shell, command
-from dyknow.errors import DuplicatePort, DyKnowError
-from dyknow.model.graph import PortRef, PortState, State
+from dyknow.errors import DuplicatePort
+from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out, spawning
+from dyknow.model.graph import PortRef, PortState, SpawnRequest, State
 from dyknow.model.hosts import AT
 from dyknow.model.transformation import OUT, Transformation
 from dyknow.wiring.ports import CannotConnect
@@ -89,25 +90,29 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
             end = meeting_topic(shell.client, *(ends if own.direction == OUT else ends[::-1]))
             peers.append(PortMove(peer, found.topic, end))
         config[port] = end
-    shell.client.spawn(
+    request = SpawnRequest(
         arguments.label,
         name,
         config,
         arguments.protected,
         arguments.isolated,
         place,
-        arguments.param,
+        tuple(arguments.param),
+    )
+    back = [PortMove(each.port, each.after, each.before) for each in peers]
+    connecting = ReversibleStep(
+        f"connecting '{name}'",
+        name,
+        lambda: apply(shell.client, peers),
+        lambda: apply(shell.client, back),
     )
     try:
-        apply(shell.client, peers)
-    except DyKnowError:
-        try:
-            if arguments.protected:
-                shell.client.set_protection(name, False)
-            shell.client.destroy(name)
-        except DyKnowError as error:
-            shell.warn(f"{name} is left: {error}")
-        raise
+        carry_out([spawning(request, shell.client), connecting])
+    except StepFailed as failed:
+        for trouble in failed.troubles:
+            if str(failed.error) not in trouble:
+                shell.warn(trouble)
+        raise failed.error from failed
     show_spawned(shell, name)
 
 

@@ -353,6 +353,58 @@ def test_a_spawn_that_cannot_be_connected_leaves_nothing(chain, monkeypatch, opt
     assert chain.get_graph().nodelet("/r") is None
 
 
+@pytest.mark.parametrize("option", ["", "--protected"])
+@pytest.mark.parametrize("error", [ManagerUnreachable("no answer"), KeyboardInterrupt()])
+@pytest.mark.parametrize("call", ["spawn_nodelet", "connect"])
+@pytest.mark.parametrize("is_done", [True, False])
+def test_a_spawn_without_an_answer_or_with_ctrl_c_leaves_nothing(
+    chain, monkeypatch, option, error, call, is_done
+):
+    chain.connect([("/robot/relay", {"out": ""})])
+    before, make = chain.get_graph().nodelets, getattr(chain, call)
+
+    def fail(request):
+        monkeypatch.setattr(chain, call, make)
+        if is_done:
+            make(request)
+        raise error
+
+    monkeypatch.setattr(chain, call, fail)
+    line = f"spawn relay r {option} --connect in:/robot/relay:out"
+    if isinstance(error, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            run(chain, line)
+    else:
+        assert run(chain, line) == Outcome(3, "", "dyknow: no answer\n")
+    assert chain.get_graph().nodelets == before
+
+
+@pytest.mark.parametrize("error", [ManagerUnreachable("no answer"), KeyboardInterrupt()])
+def test_a_spawn_says_what_it_leaves_where_a_nodelet_manager_hangs(
+    chain, monkeypatch, caplog, error
+):
+    connect = chain.connect
+
+    def fail(moves):
+        monkeypatch.setattr(chain, "connect", connect)
+        raise error
+
+    def refuse(name):
+        raise Refused(f"'{name}' is not destroyed yet")
+
+    monkeypatch.setattr(chain, "connect", fail)
+    monkeypatch.setattr(chain, "destroy", refuse)
+    said = "spawning '/r' could not be taken back: '/r' is not destroyed yet"
+    line = "spawn relay r --connect in:/robot/relay:out"
+    if isinstance(error, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            run(chain, line)
+        assert said in caplog.text
+    else:
+        outcome = run(chain, line)
+        assert outcome == Outcome(3, "", f"dyknow: warning: {said}\ndyknow: no answer\n")
+
+
 def test_stats_are_watched_until_the_count(chain):
     outcome = run(chain, "stats --watch 0.001 --count 3 --json")
     assert outcome.code == 0

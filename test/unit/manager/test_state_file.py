@@ -66,6 +66,48 @@ def reopened(path: str) -> Dict[tuple[str, str], str]:
 
 # Trouble: the file is sound
 
+#: Opens a file while no file may be longer than a limit, writes, and goes on without the limit.
+LIMITED = """
+import resource, sys
+from dyknow.manager.store import Store
+limit, path, clock = int(sys.argv[1]), sys.argv[2], [0.0]
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+store = Store(path, lambda: clock[0])
+found = len(store.read("nodelets", lambda key, text: text))
+store.write({("claims", "c"): "of a client"})
+assert "size limit" in store.remark and "damaged" not in store.remark, store.remark
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+clock[0] += 10.0
+store.write_pending()
+assert (store.trouble, store.complaint) == ("", ""), (store.trouble, store.complaint)
+print(found)
+"""
+
+
+@pytest.mark.parametrize("limit", [0, 50, 4096])
+@pytest.mark.parametrize("before", ["none", "killed", "closed"])
+def test_a_disk_that_takes_nothing_from_the_beginning_on(
+    tmp_path: Path, limit: int, before: str
+) -> None:
+    path = str(tmp_path / "state")
+    if before == "closed":
+        written(path)
+    if before == "killed":
+        file = Store(path)
+        file.write(ROWS)
+        for suffix in ("", "-wal"):
+            shutil.copyfile(path + suffix, path + suffix + ".kept")
+        file.close()
+        for suffix in ("", "-wal"):
+            os.replace(path + suffix + ".kept", path + suffix)
+        Path(path + ".backup").unlink()
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(limit), path], check=True, stdout=subprocess.PIPE
+    )
+    rows = {} if before == "none" else ROWS
+    assert int(done.stdout) == len(rows)
+    assert reopened(path) == {**rows, **CLAIM}
+
 
 def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -329,6 +371,17 @@ def test_a_damaged_backup_is_left_out(tmp_path: Path) -> None:
     written(path, CLAIM)
     change_text(path + ".backup")
     change_text(path)
+    file = Store(path)
+    assert content(file) == ROWS
+    assert f"'{path}.backup-2'" in file.complaint
+    file.close()
+
+
+def test_a_backup_that_is_away_is_left_out(tmp_path: Path) -> None:
+    """As when the manager is killed between the two renames of a backup."""
+    path = written(str(tmp_path / "state"))
+    os.replace(path + ".backup", path + ".backup-2")
+    Path(path).write_text("x")
     file = Store(path)
     assert content(file) == ROWS
     assert f"'{path}.backup-2'" in file.complaint
