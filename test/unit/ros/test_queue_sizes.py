@@ -12,6 +12,7 @@ from typing import Any, Iterator
 
 import pytest
 import rospy.topics
+from clocks import PATIENCE
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
@@ -59,7 +60,7 @@ class Topic:
     def subscribe(self, node: str = "/recorder") -> socket.socket:
         """Let a process subscribe; returns its socket."""
         here, there = socket.socketpair()
-        there.settimeout(0.3)
+        there.settimeout(PATIENCE)
         self.sockets += [here, there]
         connection = TCPROSTransport(TCPROSPub("/t", String), "/t")
         connection.set_socket(here, node)
@@ -75,33 +76,35 @@ class Topic:
 def _topic(monkeypatch: pytest.MonkeyPatch) -> Iterator[Topic]:
     topic = Topic(monkeypatch)
     yield topic
+    topic.implementation.close()  # else the garbage collector does, in any thread
     for each in topic.sockets:
         each.close()
 
 
-def received(there: socket.socket) -> int:
-    """Read until nothing comes any more; returns how many messages came."""
-    data = more = b""
-    try:
-        while more or not data:
-            more = there.recv(1 << 20)
-            data += more
-    except socket.timeout:
-        pass
-    number = 0
-    while data:
-        (length,) = struct.unpack_from("<I", data)
-        data, number = data[4 + length :], number + 1
-    return number
+def publish(publisher: RospyPublisher, size: int = 0) -> None:
+    """Publish messages that begin with their numbers."""
+    for number in range(COUNT):
+        publisher.publish(String(f"{number} {'x' * size}"))
+
+
+def received(there: socket.socket) -> list[int]:
+    """Read until the last message has come; returns the numbers of all that came."""
+    data, numbers = b"", [-1]
+    while numbers[-1] < COUNT - 1:
+        data += there.recv(1 << 20)
+        while len(data) > 4 and len(data) >= 4 + struct.unpack_from("<I", data)[0]:
+            (length,) = struct.unpack_from("<I", data)
+            numbers.append(int(String().deserialize(data[4 : 4 + length]).data.split()[0]))
+            data = data[4 + length :]
+    return numbers[1:]
 
 
 def test_a_subscriber_of_a_nodelet_that_is_yet_to_be_loaded_has_the_queue_of_the_nodelet(topic):
     topic.advertise(1)  # as for a nodelet that moves here
     there = topic.subscribe()
     loaded = topic.advertise(100)
-    for _ in range(COUNT):
-        loaded.publish(String("x" * SIZE))
-    assert received(there) == COUNT
+    publish(loaded, SIZE)
+    assert received(there) == list(range(COUNT))
 
 
 def test_messages_for_a_late_subscriber_of_such_a_nodelet_are_kept_too(topic):
@@ -109,9 +112,8 @@ def test_messages_for_a_late_subscriber_of_such_a_nodelet_are_kept_too(topic):
     topic.advertise(1).wait(0.0)
     topic.notified = frozenset()
     loaded = topic.advertise(5)
-    for _ in range(COUNT):
-        loaded.publish(String("word"))
-    assert received(topic.subscribe("/late")) == 5
+    publish(loaded)
+    assert received(topic.subscribe("/late")) == list(range(COUNT - 5, COUNT))
 
 
 @pytest.mark.parametrize(
