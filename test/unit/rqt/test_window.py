@@ -140,7 +140,8 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     window.monitor.undo()
     until(qtbot, lambda: "undo 'create /first': " in window.line.text)
     remote.client.is_up = True
-    until(qtbot, lambda: window.monitor.is_linked)  # its silence may have been noticed
+    # Its silence may have been noticed.
+    until(qtbot, lambda: window.monitor.is_linked and not window.monitor._is_another)
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
