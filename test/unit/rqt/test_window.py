@@ -34,6 +34,8 @@ from dyknow_rqt.window import DyKnowWidget, make_room
 def test_a_manager_that_hangs_does_not_hold_up_the_window(qtbot, window, remote):
     answers, ticks, timer = remote.client.answers, [], QTimer()
     answers.clear()
+    window.monitor.do(protect("/field/tracker", True))
+    assert window.line.text == "protect /field/tracker …"
     timer.timeout.connect(lambda: ticks.append(1))
     timer.start(10)
     last = threading.Timer(PATIENCE, answers.set)
@@ -41,8 +43,6 @@ def test_a_manager_that_hangs_does_not_hold_up_the_window(qtbot, window, remote)
     until(qtbot, lambda: len(ticks) > 100)
     timer.stop()
     assert not answers.is_set(), "the window has waited for the manager"
-    window.monitor.do(protect("/field/tracker", True))
-    assert window.line.text == "protect /field/tracker …"
     last.cancel()
     answers.set()
     until(qtbot, lambda: window.line.text == "done: protect /field/tracker")
