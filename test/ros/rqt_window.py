@@ -69,11 +69,12 @@ class Window:
         """Act when the manager answers, until it has an effect.
 
         A window that a busy machine has starved takes the manager for a silent one, and refuses.
+        It also refuses until it has read the graph.
         """
         self.refusals.clear()
         while not effect():
             while self.refusals:
-                self.assertIn("silent", self.refusals.pop())
+                self.assertRegex(self.refusals.pop(), "silent|is being read")
             until(lambda: self.monitor.is_linked and not self.monitor.is_changing, "it answers")
             act()
             until(lambda: effect() or self.refusals, what)

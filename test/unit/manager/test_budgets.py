@@ -8,6 +8,7 @@ from __future__ import annotations
 import collections
 import gc
 import sys
+import threading
 from types import FrameType
 from typing import Any, Counter, List, Set
 
@@ -49,12 +50,13 @@ def client_with_chain(length: int) -> SimulatedManagerClient:
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]:
-    """Count the calls of a method from now on."""
+    """Count the calls of a method in this thread from now on: earlier tests leave others."""
     found: List[str] = []
-    method = getattr(owner, name)
+    method, here = getattr(owner, name), threading.get_ident()
 
     def called(self: Any, *args: Any, **kwds: Any) -> Any:
-        found.append(name)
+        if threading.get_ident() == here:
+            found.append(name)
         return method(self, *args, **kwds)
 
     monkeypatch.setattr(owner, name, called)
