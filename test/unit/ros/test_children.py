@@ -93,13 +93,18 @@ def children(launcher):
 
 
 def test_a_record_is_there_before_the_process_and_none_after_the_end(children, launcher):
+    earlier = {*threading.enumerate()}
     children.want(NodeletKind.PYTHON, 1)
     wait_for(launcher.launched)
     assert [each.name for each in launcher.at_launch] == ["/dyknow_nodelet_manager"]
     children.end_all()
     with pytest.raises(HostError, match="being ended"):
         children.want(NodeletKind.PYTHON, 1)
-    eventually(lambda: not any("nodelet_manager" in each.name for each in threading.enumerate()))
+    eventually(lambda: not any("nodelet_manager" in each.name for each in new_threads(earlier)))
+
+
+def new_threads(earlier: Set[threading.Thread]) -> Set[threading.Thread]:
+    return {*threading.enumerate()} - earlier
 
 
 def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monkeypatch):
