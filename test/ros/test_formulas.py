@@ -70,7 +70,13 @@ class NodeletTest(NodeletManagerCase):
         done = Done("holds", FORMULA, "--bag", path, "--all", "--json")
         of_bag = [json.loads(line) for line in done.lines]
         self.assertEqual(done.code, 1, done.err)
-        eventually(lambda: len(live) >= len(of_bag) - 1, 10.0, "all states are decided")
+        eventually(
+            lambda: len(live) >= len(of_bag) - 1,
+            10.0,
+            "all states are decided",
+            lambda: f"{len(of_bag)} of the bag, {len(live)} live:\n{list(live)}\n"
+            f"{messages[0].header}\n{graph.get_statistics('/charged')}",
+        )
         names = {0: "FALSE", 1: "TRUE", 2: "UNKNOWN"}
         found = [
             {

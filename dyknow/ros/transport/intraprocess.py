@@ -110,6 +110,7 @@ class OrdinaryHandles:
         #: The largest queue size of the publications of the bus; None without one.
         self._queue_size: int | None = None
         self._refreshing = state_lock("outside listeners")
+        self._connecting = 0  # subscribers whose connections are being added
         self._publisher: Any = None  # rospy's
         self._subscriber: Any = None  # rospy's
 
@@ -149,9 +150,7 @@ class OrdinaryHandles:
             return outwards(message, connection_override)
 
         def add_connection(connection: Any) -> Any:
-            with self._refreshing:
-                for each in list(self.registrations):
-                    each.heard = True  # first: a peer that sees the connection is heard already
+            self._count_connecting(1)  # first: a peer that sees the connection is heard already
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             publisher.acquire()  # nothing is published between missed and later messages
             try:
@@ -161,7 +160,7 @@ class OrdinaryHandles:
                 return added
             finally:
                 publisher.release()
-                self.refresh()
+                self._count_connecting(-1)
 
         def add_with_queue(connection: Any) -> Any:
             size, publisher.queue_size = publisher.queue_size, None  # rospy would add its own
@@ -265,6 +264,7 @@ class OrdinaryHandles:
         with self._refreshing:  # the last thread here has seen all changes
             heard = bool(
                 self.foreign
+                or self._connecting
                 or self.backlog.waiting()
                 or (self._publisher and self._publisher.connections)
             )
@@ -273,6 +273,11 @@ class OrdinaryHandles:
                 changed = registration.changed
                 if changed is not None:
                     changed()
+
+    def _count_connecting(self, change: int) -> None:
+        with self._refreshing:
+            self._connecting += change
+        self.refresh()
 
     def _follow(self, implementation: Any, *changes: str) -> None:
         """Refresh after every call of these methods of rospy's object."""

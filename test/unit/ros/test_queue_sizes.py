@@ -142,5 +142,23 @@ def test_a_publication_that_comes_while_a_subscriber_connects(topic):
     assert topic.sizes() == [topic.implementation.queue_size] == [7]
 
 
+def test_a_subscriber_that_can_be_seen_is_heard(topic):
+    """Whatever else is noted at the moment in which it connects."""
+    publisher = topic.advertise(1)
+    add, heard = topic.handles._outbound, []
+
+    def outbound(connection, size):
+        topic.handles.forget_dead(lambda address: True)  # of another thread
+        heard.append(publisher.heard)
+        return add(connection, size)
+
+    topic.handles._outbound = outbound
+    assert not publisher.heard
+    topic.subscribe()
+    assert heard == [True]
+    topic.implementation.remove_connection(topic.implementation.connections[0])
+    assert not publisher.heard
+
+
 def test_the_larger_size_of_two():
     assert [wider(1, 2), wider(2, 1), wider(0, 1), wider(1, 0), wider(0, 0)] == [2, 2, 0, 0, 0]
