@@ -75,6 +75,7 @@ class Window:
         while not effect():
             while self.refusals:
                 self.assertRegex(self.refusals.pop(), "silent|is being read")
+                QTest.qWait(20)  # the window goes on
             until(lambda: self.monitor.is_linked and not self.monitor.is_changing, "it answers")
             act()
             until(lambda: effect() or self.refusals, what)
