@@ -151,6 +151,12 @@ class OrdinaryHandles:
 
         def add_connection(connection: Any) -> Any:
             self._count_connecting(1)  # first: a peer that sees the connection is heard already
+            try:
+                return add_and_catch_up(connection)
+            finally:
+                self._count_connecting(-1)
+
+        def add_and_catch_up(connection: Any) -> Any:
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             publisher.acquire()  # nothing is published between missed and later messages
             try:
@@ -160,7 +166,6 @@ class OrdinaryHandles:
                 return added
             finally:
                 publisher.release()
-                self._count_connecting(-1)
 
         def add_with_queue(connection: Any) -> Any:
             size, publisher.queue_size = publisher.queue_size, None  # rospy would add its own

@@ -160,5 +160,19 @@ def test_a_subscriber_that_can_be_seen_is_heard(topic):
     assert not publisher.heard
 
 
+def test_a_subscriber_whose_connection_fails_is_not_heard(topic):
+    publisher = topic.advertise(1)
+    topic.handles.expect(("/late",))
+
+    def fail(endpoint):
+        raise OSError("no address")
+
+    topic.handles._address = fail
+    with pytest.raises(OSError):
+        topic.subscribe()
+    topic.handles.forget_dead(lambda address: True)
+    assert not publisher.heard
+
+
 def test_the_larger_size_of_two():
     assert [wider(1, 2), wider(2, 1), wider(0, 1), wider(1, 0), wider(0, 0)] == [2, 2, 0, 0, 0]
