@@ -161,6 +161,17 @@ class GraphMonitor(QObject):
     def is_changing(self) -> bool:
         return self._changing
 
+    @property
+    def obstacle(self) -> str:
+        """Why no change can begin now; empty if one can."""
+        if self._changing:
+            return "another change is under way; try again when it is done"
+        if not self.is_linked:
+            return self.heart.status.text
+        if self._is_another:
+            return "the graph is being read from the beginning; try again"
+        return ""
+
     def stream(self, claim_id: str) -> Optional[StreamStatus]:
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
@@ -263,13 +274,8 @@ class GraphMonitor(QObject):
             except DyKnowError:
                 return done, None
 
-        refusal = "" if self.is_linked else self.heart.status.text
-        if self._changing:
-            refusal = "another change is under way; try again when it is done"
-        elif self._is_another:
-            refusal = refusal or "the graph is being read from the beginning; try again"
-        if refusal:
-            self.failed.emit(f"{text}: {refusal}")
+        if self.obstacle:
+            self.failed.emit(f"{text}: {self.obstacle}")
             self.settled.emit()
             return
         self._changing = True

@@ -24,7 +24,7 @@ from typing import (
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_connected
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
+from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Transformation
@@ -197,25 +197,21 @@ def destroy(name: str) -> Change:
         undo: Do = _no_way(f"the library does not have the transformation of {name}")
         nodelet = present.snapshot.nodelet(name)
         if nodelet is not None and nodelet.transformation in present.library:
-            undo = partial(present.client.spawn_nodelet, _request_of(nodelet, present))
+            former = request_of(nodelet, pins(present.client.list_hosts()))
+            undo = partial(present.client.spawn_nodelet, former)
         return partial(present.client.destroy, name), undo
 
     return _one_step(f"destroy {name}", make)
 
 
-def _request_of(nodelet: NodeletStatus, present: Present) -> SpawnRequest:
-    """Return the request that makes a nodelet again, where its spawn wanted it."""
-    return request_of(nodelet, pins(present.client.list_hosts()))
-
-
 def isolate(names: Sequence[str], on: bool) -> Change:
     """Make nodelets again, with their wiring, in processes of their own, or in a shared one."""
 
-    def make(name: str, present: Present) -> List[ReversibleStep]:
+    def make(name: str, present: Present, pinned: Mapping[str, str]) -> List[ReversibleStep]:
         nodelet = present.snapshot.nodelet(name)
         if nodelet is None or nodelet.transformation not in present.library:
             raise CannotUndo(f"the library does not have the transformation of {name}")
-        client, before = present.client, _request_of(nodelet, present)
+        client, before = present.client, request_of(nodelet, pinned)
         after = replace(before, isolated=on, manager=before.manager if before.host else "")
         return [
             ReversibleStep(
@@ -232,11 +228,12 @@ def isolate(names: Sequence[str], on: bool) -> Change:
             ),
         ]
 
+    def plan(present: Present) -> List[ReversibleStep]:
+        pinned = pins(present.client.list_hosts())
+        return [step for name in names for step in make(name, present, pinned)]
+
     what = names[0] if len(names) == 1 else f"{len(names)} nodelets"
-    return Steps(
-        f"isolate {what}" if on else f"let {what} share a process",
-        lambda present: [step for name in names for step in make(name, present)],
-    )
+    return Steps(f"isolate {what}" if on else f"let {what} share a process", plan)
 
 
 def restart(names: Sequence[str]) -> Change:

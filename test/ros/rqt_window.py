@@ -75,8 +75,7 @@ class Window:
         while not effect():
             while self.refusals:
                 self.assertRegex(self.refusals.pop(), "silent|is being read")
-                QTest.qWait(20)  # the window goes on
-            until(lambda: self.monitor.is_linked and not self.monitor.is_changing, "it answers")
+            until(lambda: not self.monitor.obstacle, "a change can begin")
             act()
             until(lambda: effect() or self.refusals, what)
         until(lambda: not self.monitor.is_changing, "the change has ended")

@@ -25,5 +25,5 @@ def window(qtbot, remote):
         widget.activateWindow()
     until(qtbot, lambda: len(widget.graph.drawn.vertices) > 15 and widget.monitor.library)
     # Before that changes are refused, or count as another manager's.
-    until(qtbot, lambda: widget.monitor.is_linked and not widget.monitor._is_another)
+    until(qtbot, lambda: not widget.monitor.obstacle)
     return widget

@@ -78,7 +78,7 @@ def move(view, place):
 
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
-    until(qtbot, lambda: window.monitor.is_linked and not window.monitor._is_another)
+    until(qtbot, lambda: not window.monitor.obstacle)
     window.monitor.do(spawn(SpawnRequest("tracker", name)))
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)

@@ -205,7 +205,7 @@ def test_another_manager_of_the_name_is_read_from_the_beginning_without_undo(
     create(qtbot, window, "/first")
     remote.address = "rosrpc://localhost:40002"  # of its next life
     until(qtbot, lambda: window.monitor.heart._address == remote.address)
-    until(qtbot, lambda: not window.monitor._is_another)
+    until(qtbot, lambda: not window.monitor.obstacle)
     assert window.graph.bar.undo.isEnabled()
     remote.client.remove_transformation("recorder")
     until(qtbot, lambda: "recorder" not in window.library.table.names())
@@ -256,7 +256,7 @@ def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, windo
     window.monitor._follow_link(True)
     window.monitor.do(protect("/first", True))
     assert "read from the beginning" in window.line.text and not window.monitor.is_changing
-    until(qtbot, lambda: not window.monitor._is_another)
+    until(qtbot, lambda: not window.monitor.obstacle)
     window.monitor.undo()
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 

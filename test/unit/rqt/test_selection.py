@@ -135,7 +135,7 @@ def test_the_nodelets_of_a_stream_are_those_after_a_repair(qtbot, window, remote
     window.tabs.setCurrentWidget(window.streams)
     window.streams.tag.setText("Track(ball)")
     # Not while it seems silent on a busy machine.
-    until(qtbot, lambda: window.monitor.is_linked and not window.monitor._is_another)
+    until(qtbot, lambda: not window.monitor.obstacle)
     window.streams.acquire.click()
     until(qtbot, lambda: "n_/tracker_1" in vertex_keys(window))
     until(qtbot, lambda: len(window.streams.table.names()) == 1)
