@@ -5,7 +5,6 @@
 #include <ros/init.h>
 #include <ros/master.h>
 #include <ros/node_handle.h>
-#include <ros/service_manager.h>
 #include <ros/statistics.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
@@ -31,7 +30,6 @@ namespace
 {
 
 using AdvertiseMethod = ros::Publisher (ros::NodeHandle::*)(ros::AdvertiseOptions&);
-using AdvertiseServiceMethod = ros::ServiceServer (ros::NodeHandle::*)(ros::AdvertiseServiceOptions&);
 using SubscribeMethod = ros::Subscriber (ros::NodeHandle::*)(ros::SubscribeOptions&);
 using ResolveMethod = std::string (ros::NodeHandle::*)(const std::string&, bool) const;
 using ExecuteFunction = bool (*)(const std::string&, const XmlRpc::XmlRpcValue&, XmlRpc::XmlRpcValue&,
@@ -112,7 +110,6 @@ std::vector<void*> roscppHooks()
       reinterpret_cast<void*>(static_cast<ExecuteFunction>(&ros::master::execute)),
       addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
       addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
-      addressOf(static_cast<AdvertiseServiceMethod>(&ros::NodeHandle::advertiseService)),
       addressOf(static_cast<ResolveMethod>(&ros::NodeHandle::resolveName)),
       addressOf(&ros::TopicManager::subscribe),
       addressOf(&ros::TopicManager::unsubscribe),
@@ -123,14 +120,11 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::TopicManager::getNumPublishers),
       addressOf(&ros::TopicManager::incrementSequence),
       addressOf(&ros::TopicManager::getAdvertisedTopics),
-      addressOf(&ros::ServiceManager::advertiseService),
-      addressOf(&ros::ServiceManager::unadvertiseService),
       topics::unregisterPublisherHook(),
       addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
       addressOf(&ros::StatisticsLogger::init),
       addressOf(&ros::Publisher::getTopic),
       addressOf(&ros::Subscriber::getTopic),
-      addressOf(&ros::ServiceServer::getService),
   };
 }
 

@@ -235,6 +235,16 @@ void withdrawServicesOf(const ros::CallbackQueueInterface* queue)
   }
 }
 
+std::vector<void*> serviceHooks()
+{
+  return {
+      addressOf(static_cast<AdvertiseServiceMethod>(&ros::NodeHandle::advertiseService)),
+      addressOf(&ros::ServiceManager::advertiseService),
+      addressOf(&ros::ServiceManager::unadvertiseService),
+      addressOf(&ros::ServiceServer::getService),
+  };
+}
+
 }  // namespace dyknow
 
 namespace ros

@@ -53,9 +53,12 @@ void probe()
 
 bool check()
 {
-  for (void* hook : roscppHooks())
+  for (const auto& hooks : {roscppHooks(), serviceHooks()})
   {
-    checkSymbol(hook);
+    for (void* hook : hooks)
+    {
+      checkSymbol(hook);
+    }
   }
   for (void* hook : nodeletHooks())
   {

@@ -34,8 +34,9 @@ private:
   bool is_reached_ = false;
 };
 
-/// Addresses of all hooks of libroscpp's functions.
+/// Addresses of all hooks of libroscpp's functions; those of services have a file of their own.
 std::vector<void*> roscppHooks();
+std::vector<void*> serviceHooks();
 
 /// Addresses of all hooks of libnodeletlib's functions.
 std::vector<void*> nodeletHooks();
