@@ -328,7 +328,7 @@ class Observer:
             if record.is_ending and not self._is_ended(record):
                 return
             if record.unwanted:
-                self._lifecycle.forget(record)
+                self._graph.remove(name)
                 _log.info("%s, which was to be destroyed, is destroyed now", name)
                 return
             if record.claimed:  # the claim's repair replaces it

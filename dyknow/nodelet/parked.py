@@ -102,7 +102,8 @@ class ParkedConnection(Connection):
             held = list(self._queue)
             self._queue.clear()
         latched = {_latching(each): each for each in held if _latching(each)}
-        last = {id(each) for each in latched.values() if not self._is_among(each, waiting)}
+        there = set(map(self._digest_of, waiting)) - {None}
+        last = {id(each) for each in latched.values() if self._digest_of(each) not in there}
         kept = [each for each in held if not self._is_due(each) or id(each) in last]
         with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))
@@ -138,10 +139,6 @@ class ParkedConnection(Connection):
                 return False
             self._due[digest] -= 1
             return True
-
-    def _is_among(self, message: Any, others: Sequence[Any]) -> bool:
-        digest = self._digest_of(message)
-        return digest is not None and any(self._digest_of(each) == digest for each in others)
 
     def _digest_of(self, message: Any) -> bytes | None:
         try:

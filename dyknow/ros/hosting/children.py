@@ -230,15 +230,14 @@ class Children:
     def _add(self, child: Child) -> Child:
         with self._changed:
             present = None if self._ending else self._children.setdefault(child.name, child)
-        if present is not child:
-            child.close()
+        if present is child:
+            child.on_up = self._notify
+            child.live(partial(self._run, child))
+            return child
+        child.close()
         if present is None:
             raise HostError("the manager is being ended")
-        if present is not child:
-            return present
-        child.on_up = self._notify
-        child.live(partial(self._run, child))
-        return child
+        return present
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Return the first free name: `base`, `base_2`, and so on."""

@@ -145,7 +145,7 @@ class NodeletManager(Closable):
         if bound:
             guard_topics(lambda topic: self._guards.current().check_topic(topic))
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
-        self._bonded = BondedNodelets(self._bonds, lambda each: self.unload(each.name, only=each))
+        self._bonded = BondedNodelets(self._bonds, self._unload_only)
         self._loaders: WeakKeyDictionary[Context, str] = WeakKeyDictionary()
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
@@ -165,9 +165,7 @@ class NodeletManager(Closable):
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and ``~poll``."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._offer_poll()
-        self._hand_over_service = HandOverService(
-            self.loader, self._guards, lambda each: self.unload(each.name, only=each)
-        )
+        self._hand_over_service = HandOverService(self.loader, self._guards, self._unload_only)
         self._services += [
             rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
             rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
@@ -225,6 +223,9 @@ class NodeletManager(Closable):
             self._guards.check_protection(caller, name)
         self.loader.unload(name, only)
         rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
+
+    def _unload_only(self, context: Context) -> None:
+        self.unload(context.name, only=context)  # another nodelet may have the name by now
 
     def _topics_of(self, name: str) -> list[str] | None:
         """List the topics of a nodelet's ports; None if there is no nodelet of that name."""
