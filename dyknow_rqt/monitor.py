@@ -355,7 +355,8 @@ class GraphMonitor(QObject):
 
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
-        if model.revision >= self._revision:  # else a look has brought a newer one
+        # Else a look has brought a newer one, or is to say whose models come over a new link.
+        if model.revision >= self._revision and not self._is_another:
             self._heard = model
             if not self._drawing.isActive():
                 self._drawing.start()
@@ -461,7 +462,7 @@ class GraphMonitor(QObject):
     def _follow_link(self, is_linked: bool) -> None:
         """Read everything of a manager that answers again: it may be another one."""
         if is_linked:
-            self._is_another = True
+            self._is_another, self._heard = True, None
             self._revision = self._library_revision = -1
             self._link += 1
             self.look()

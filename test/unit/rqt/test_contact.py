@@ -251,6 +251,18 @@ def test_a_link_that_is_renewed_during_a_change_leaves_all_that_can_be_undone(
     assert not monitor._is_another and len(monitor.history._done) == 2
 
 
+def test_models_that_waited_for_a_new_link_take_nothing_back(qtbot, window, remote):
+    monitor, before = window.monitor, remote.client.get_model()
+    create(qtbot, window, "/first")
+    monitor._hear(before)  # it waits for its turn to be drawn
+    monitor._follow_link(True)
+    monitor._hear(before)
+    monitor._take_heard()
+    assert monitor.snapshot.nodelet("/first") is not None
+    until(qtbot, lambda: not monitor.obstacle)
+    assert monitor.history.texts[0] and monitor.snapshot.nodelet("/first") is not None
+
+
 def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, window, remote):
     create(qtbot, window, "/first")
     window.monitor._follow_link(True)
