@@ -218,7 +218,7 @@ def busy(arguments: argparse.Namespace, results: Results) -> None:
         "type": int,
         "default": [0, 1, 10, 50],
         "metavar": "N",
-        "help": "topics that another process hears, of as many chains (default: 0 1 10 50)",
+        "help": "topics heard by another process, all at most, in chains (default: 0 1 10 50)",
     },
     payload="time",
     rate=20.0,

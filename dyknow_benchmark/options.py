@@ -37,7 +37,9 @@ def measurement(**options: Any) -> Callable[[Run], Run]:
     def declare(run: Run) -> Run:
         name, (first, _, description) = run.__name__, (run.__doc__ or "").partition("\n")
         text = first[:1].lower() + first[1:].rstrip(".")
-        parser = _COMMANDS.add_parser(name, help=text, description=f"{text}. {description}")
+        description = f"{text}. {description}"
+        # An abbreviated --quick would set nothing.
+        parser = _COMMANDS.add_parser(name, help=text, description=description, allow_abbrev=False)
         for option, given in options.items():
             parser.add_argument(f"--{option}", **_words(option, given))
         out = OUT if name == "chain" else None

@@ -187,6 +187,7 @@ def test_without_a_name_the_measurement_is_the_chain_of_the_paper(words, command
         *((f"chain {each}", each.split()[0]) for each in ("--hops 0", "--kinds nodes")),
         *((f"chain {each}", each.split()[0]) for each in ("--messages x", "--rate 0")),
         ("images --sizes 4x", "640x480"),
+        ("chain --qui", "--qui"),
     ],
 )
 def test_a_wrong_option_is_refused(words, said, capsys):
