@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from dataclasses import dataclass
 from typing import Any, Callable, Sequence
@@ -12,6 +13,7 @@ from typing import Any, Callable, Sequence
 import rospy
 import rospy.msg
 import rospy.timer
+from rosmaster.paramserver import ParamDictionary
 from rospy.impl.tcpros_service import convert_return_to_response
 
 from dyknow.nodelet.local import (
@@ -160,32 +162,39 @@ class _Members:
         return rospy.Time.from_sec(self.get_time())
 
     def get_param(self, param_name: str, default: Any = _REQUIRED) -> Any:
-        name = self._resolve(param_name)
-        parameters = self._node.parameters
-        if name in parameters:
-            return parameters[name]
-        prefix = name.rstrip("/") + "/"
-        below = {
-            key[len(prefix) :]: value
-            for key, value in parameters.items()
-            if key.startswith(prefix)
-        }
-        if below:
-            return _nested(below)
-        if default is _REQUIRED:
-            raise KeyError(name)
-        return default
+        try:
+            return self._tree().get_param(self._resolve(param_name))
+        except KeyError:
+            if default is _REQUIRED:
+                raise
+            return default
 
     get_param_cached = get_param
 
     def set_param(self, param_name: str, param_value: Any) -> None:
-        self._node.parameters[self._resolve(param_name)] = param_value
+        tree = self._tree()
+        tree.set_param(self._resolve(param_name), param_value)
+        self._keep(tree)
 
     def has_param(self, param_name: str) -> bool:
-        return self.get_param(param_name, None) is not None
+        return bool(self._tree().has_param(self._resolve(param_name)))
 
     def delete_param(self, param_name: str) -> None:
-        del self._node.parameters[self._resolve(param_name)]
+        tree = self._tree()
+        tree.delete_param(self._resolve(param_name))
+        self._keep(tree)
+
+    def _tree(self) -> ParamDictionary:
+        """Make a copy of the parameters, as a master keeps them."""
+        tree = ParamDictionary(None)
+        for name, value in self._node.parameters.items():
+            tree.set_param(name, copy.deepcopy(value))
+        return tree
+
+    def _keep(self, tree: ParamDictionary) -> None:
+        parameters = {name: tree.get_param(name) for name in tree.get_param_names()}
+        self._node.parameters.clear()
+        self._node.parameters.update(parameters)
 
     def ServiceProxy(  # noqa: N802
         self, name: str, service_class: Any, persistent: bool = False, headers: Any = None
@@ -220,15 +229,3 @@ class LocalServiceProxy:
 
     def close(self) -> None:
         """Close nothing: there is no connection."""
-
-
-def _nested(flat: dict[str, Any]) -> dict[str, Any]:
-    """``{"a/b": 1}`` as ``{"a": {"b": 1}}``."""
-    nested: dict[str, Any] = {}
-    for key, value in flat.items():
-        *path, last = key.split("/")
-        inner = nested
-        for name in path:
-            inner = inner.setdefault(name, {})
-        inner[last] = value
-    return nested

@@ -113,6 +113,20 @@ class TestLife:
         with pytest.raises(KeyError):
             nodelet.nh.get_param("~gains/p")
 
+    def test_parameters_are_a_tree_as_at_the_master(self, harness):
+        nh = harness.load(Multiplier, parameters={"gains": {"p": 1, "limits": {"low": 0}}}).nh
+        assert nh.get_param("~gains/p") == 1 and nh.has_param("~gains/limits")
+        nh.set_param("~gains/limits/high", 9)
+        assert nh.get_param("~gains") == {"p": 1, "limits": {"low": 0, "high": 9}}
+        nh.delete_param("~gains/limits")
+        assert harness.parameters == {"/nodelet/gains/p": 1}
+        nh.set_param("~gains", {"d": 2})
+        assert nh.get_param("/nodelet") == {"gains": {"d": 2}}
+        nh.set_param("~gains", 5)
+        assert nh.get_param("~gains") == 5 and not nh.has_param("~gains/d")
+        nh.get_param("/")["nodelet"].clear()
+        assert harness.parameters == {"/nodelet/gains": 5}
+
     def test_what_on_init_raises_fails_the_load(self, harness):
         class Broken(dyknow.Nodelet):
             def on_init(self):
