@@ -16,7 +16,7 @@ import rosbag
 import rospy
 from charged_robot import CHARGED, FORMULAS
 from dyknow_msgs.msg import Verdict
-from graph import Battery, Heard, NodeletManagerCase, battery
+from graph import Battery, Heard, NodeletManagerCase, battery, is_linked, nodes_on
 from manager_suite import ManagerProcess
 from processes import DYKNOW, Done, TellingCase, eventually, run
 from sensor_msgs.msg import BatteryState
@@ -57,7 +57,7 @@ class NodeletTest(NodeletManagerCase):
         self.load("/charged", FORMULA, {"battery": "sensor_msgs/BatteryState"}, delay=1000.0)
         live = self.enter(Heard("/charged/verdicts", Verdict))
         publisher = self.publisher("/battery", BatteryState, queue_size=1000)
-        eventually(publisher.get_num_connections, 10.0, "the nodelet is connected")
+        eventually(lambda: is_linked("/battery"), 10.0, "the nodelet is connected")
         path = str(self.make_folder() / "run.bag")
         messages = drained(rospy.get_time() - 100.0)
         with rosbag.Bag(path, "w") as bag:
@@ -131,6 +131,7 @@ class HoldsTest(TellingCase):
         done = Done("holds", "battery.percentage > 0.2", "--for", "1", "--json")
         self.assertEqual(done.code, 0, done.err)
         self.assertEqual({json.loads(each)["value"] for each in done.lines}, {"TRUE"})
+        self.assertEqual(nodes_on("/battery")[1], set())
 
     def test_a_topic_that_comes_later(self):
         command = self.holds("battery.percentage > 0.2", "--topic", "/battery")

@@ -176,7 +176,8 @@ def _live(
                 streams[port], datatypes[port] = stream.topic, stream.datatype
         check(formula, {port: datatypes.get(port, "") for port in formula.ports})
         for port, topic in streams.items():
-            live.subscribe(port, "", topic, known_class(datatypes[port]))
+            subscriber = live.subscribe(port, "", topic, known_class(datatypes[port]))
+            stack.callback(subscriber.unregister)
         present: Callable[[], Mapping[str, list[str]] | None] = dict
         if individual:
             individuals = IndividualStreams(client, individual, {}, live.subscribe)
