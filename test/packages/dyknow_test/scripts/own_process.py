@@ -20,9 +20,12 @@ import types
 import rospy
 from std_srvs.srv import Empty
 
+FOLDERS = []
+
 
 def write_module(name):
-    folder = tempfile.mkdtemp()
+    FOLDERS.append(tempfile.TemporaryDirectory())
+    folder = FOLDERS[-1].name
     with open(os.path.join(folder, f"{name}.py"), "w") as file:
         file.write("import rospy\nclass Thing: pass\n")
     return folder
