@@ -46,7 +46,7 @@ from dyknow.ros.transport.conversions import (
 )
 from dyknow.ros.transport.late_subscribers import Backlog
 from dyknow.ros.transport.outbound import Outbound, wider
-from dyknow.ros.transport.shared_memory import SharedMemory
+from dyknow.ros.transport.shared_memory import Answer, SharedMemory, connect_once
 from dyknow.ros.wire.master import Master
 
 Callback = Tuple[Callable[..., Any], Any]
@@ -401,15 +401,19 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         except PeerTimeout:
             return ""
 
-    def _create_transport(self, topic: str, uri: str, parameters: Any) -> tuple[int, str, int]:
+    def _create_transport(self, topic: str, uri: str, parameters: Any) -> Answer:
         if uri == self._uri and topic in self._topics:
             return self._link(topic)
-        answer: tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
+        subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
+        if subscriber is None:
+            return 0, f"no subscriber of {topic}", 0
+        connect = functools.partial(self._connect_outside, topic, uri, parameters)
+        answer = connect_once(subscriber, uri, connect)
         if uri == self._uri and topic in self._topics:
             return self._link(topic)  # meanwhile, by a thread that did not see this connection yet
         return answer
 
-    def _link(self, topic: str) -> tuple[int, str, int]:
+    def _link(self, topic: str) -> Answer:
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
         handles = self._topics.get(topic)
         if subscriber is None or handles is None:

@@ -19,10 +19,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import select
 import socket
 import threading
 import weakref
-from typing import Any, Sequence
+from typing import Any, Callable, Sequence, Tuple
 
 import genpy
 import rospy
@@ -51,6 +52,10 @@ from dyknow.ros.transport.packing import (
 TCPROS: str = rospy.impl.tcpros_base.TCPROS
 #: A subscriber's answer to each message that it has copied.
 _COPIED = b"\6"
+
+
+Answer = Tuple[int, str, int]
+"""Returned to rospy by what makes a connection: a code above 0 for success, a text, a port."""
 
 
 class Inbound(rospy.impl.tcpros_pubsub.TCPROSSub):
@@ -200,7 +205,7 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
             rospy.loginfo("messages do not travel through shared memory: %s", trouble)
         return self._arena
 
-    def create_transport(self, topic: str, uri: str, parameters: Any) -> tuple[int, str, int]:
+    def create_transport(self, topic: str, uri: str, parameters: Any) -> Answer:
         """Connect to a publisher that knows the protocol; over TCPROS if its memory is away."""
         if not isinstance(parameters, list) or len(parameters) != 4:
             return 0, f"invalid parameters of {SHMROS}: {parameters}", 0
@@ -214,9 +219,7 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
         if reader is None or subscriber is None:
             tcpros = rospy.impl.tcpros.get_tcpros_handler()
-            answer: tuple[int, str, int] = tcpros.create_transport(
-                topic, uri, [TCPROS, host, port]
-            )
+            answer: Answer = tcpros.create_transport(topic, uri, [TCPROS, host, port])
             return answer
         connection = InboundTransport(Inbound(topic, subscriber, reader), topic, address)
         connection.set_endpoint_id(uri)
@@ -225,16 +228,20 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
             target=rospy.impl.tcpros_pubsub.robust_connect_subscriber,
             args=(connection, host, port, uri, subscriber.receive_callback, topic),
         )
-        if not subscriber.add_connection(connection):  # it was closed meanwhile
-            connection.close()
-            return 0, f"no subscriber of {topic}", 0
-        try:
-            thread.start()
-        except NO_THREAD as error:  # without a connection the publisher is connected to later
-            subscriber.remove_connection(connection)
-            connection.close()
-            return 0, f"{topic} is not received from {uri}: {error}", 0
-        return 1, f"connected to {topic}", port
+
+        def connect() -> Answer:
+            if not subscriber.add_connection(connection):  # it was closed meanwhile
+                connection.close()
+                return 0, f"no subscriber of {topic}", 0
+            try:
+                thread.start()
+            except NO_THREAD as error:  # without a connection the publisher is connected to later
+                subscriber.remove_connection(connection)
+                connection.close()
+                return 0, f"{topic} is not received from {uri}: {error}", 0
+            return 1, f"connected to {topic}", port
+
+        return connect_once(subscriber, uri, connect)
 
     def _reader(self, address: str) -> ArenaReader:
         reader = self._readers.get(address)
@@ -282,3 +289,28 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
                     each.close()
         publisher.message_data_sent += packed.size
         return True
+
+
+def connect_once(subscriber: Any, uri: str, connect: Callable[[], Answer]) -> Answer:
+    """Connect rospy's subscriber to a publisher, unless another thread has just done so.
+
+    Of two threads that learn of a publisher at the same time, rospy lets the second one replace
+    the connection of the first: messages in that are lost, or come over both.
+    """
+    with subscriber.c_lock:
+        same = [each for each in subscriber.connections or () if each.endpoint_id == uri]
+        if any(map(_is_open, same)):
+            return 1, f"connected to {uri} already", 0
+        return connect()
+
+
+def _is_open(connection: Any) -> bool:
+    """Whether a connection is being made, or has been and was not closed by the publisher."""
+    if connection.done or connection.socket is None:
+        return not connection.done
+    poll = select.poll()
+    try:
+        poll.register(connection.socket, select.POLLRDHUP)
+        return not poll.poll(0)
+    except (OSError, TypeError, ValueError):  # closed just now
+        return False

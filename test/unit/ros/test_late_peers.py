@@ -5,16 +5,20 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rospy.impl import registration, tcpros_pubsub
+from rospy.topics import _SubscriberImpl
 from std_msgs.msg import Header
 
 from dyknow.errors import PeerTimeout
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.ros.transport import topics
-from dyknow.ros.transport.intraprocess import OrdinaryHandles
+from dyknow.ros.transport.intraprocess import IntraProcess, OrdinaryHandles
 from dyknow.ros.transport.late_subscribers import (
     LATELY,
     LONGEST,
@@ -22,6 +26,7 @@ from dyknow.ros.transport.late_subscribers import (
     LateSubscribers,
     Reminders,
 )
+from dyknow.ros.transport.shared_memory import SharedMemory, connect_once
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 
 ONE, TWO, THREE = "http://one", "http://two", "http://three"
@@ -276,3 +281,61 @@ def test_a_subscriber_that_hangs_is_waited_for_on_its_first_topic_alone(graph: G
     graph.now += 60.0
     graph.announce()
     assert graph.now == pytest.approx(60.0 + 2 * PATIENCE, abs=0.02)
+
+
+# Two threads that learn of a publisher at the same time
+
+
+class Link:
+    """A connection to a publisher, over a pair of sockets."""
+
+    def __init__(self, uri: str = ONE) -> None:
+        self.endpoint_id, self.done = uri, False
+        self.socket, self.far = socket.socketpair()
+
+
+def closed_by_the_publisher(link):
+    link.far.send(b"unread")
+    link.far.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "connects"),
+    [
+        (lambda link: None, False),
+        (lambda link: setattr(link, "socket", None), False),
+        (lambda link: setattr(link, "endpoint_id", TWO), True),
+        (lambda link: setattr(link, "done", True), True),
+        (lambda link: link.socket.close(), True),
+        (closed_by_the_publisher, True),
+    ],
+    ids=["open", "being made", "to another one", "ended", "closed", "closed by the publisher"],
+)
+def test_a_connection_that_lives_is_not_replaced(change, connects):
+    link = Link()
+    with link.socket, link.far:
+        change(link)
+        subscriber = SimpleNamespace(c_lock=threading.RLock(), connections=[link])
+        code, text, _ = connect_once(subscriber, ONE, lambda: (1, "connected", 0))
+    assert (code, text) == (1, "connected" if connects else f"connected to {ONE} already")
+
+
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_of_two_connections_to_a_publisher_the_first_stays(is_shared, monkeypatch):
+    subscriber = _SubscriberImpl("/t", Header)
+    manager = SimpleNamespace(get_subscriber_impl=lambda topic: subscriber)
+    monkeypatch.setattr(registration, "_topic_manager", manager)
+    monkeypatch.setattr(SharedMemory, "_reader", lambda handler, address: address)
+    monkeypatch.setattr(tcpros_pubsub, "robust_connect_subscriber", lambda *args: None)
+    if is_shared:
+        connect, where = SharedMemory(True).create_transport, ["SHMROS", "localhost", 1, "address"]
+    else:
+        hook: Any = object.__new__(IntraProcess)
+        hook._uri, hook._topics = THREE, {}
+        hook._connect_outside = tcpros_pubsub.TCPROSHandler().create_transport
+        connect, where = hook._create_transport, ["TCPROS", "localhost", 1]
+    assert connect("/t", ONE, where)[0] == 1
+    (first,) = subscriber.connections
+    assert connect("/t", ONE, where)[0] == connect("/t", TWO, where)[0] == 1
+    assert [each.endpoint_id for each in subscriber.connections] == [ONE, TWO]
+    assert subscriber.connections[0] is first and not first.done
