@@ -92,9 +92,10 @@ def test_sigint_ends_it_before_it_imports_modules(program):
 def test_no_module_is_loaded_while_sigint_raises(words, tmp_path):
     """From the first line of each program to its first effect."""
     script = str(ROOT / "scripts" / words[0])
-    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9", "TMPDIR": str(tmp_path)}
+    folder = str(tmp_path)
+    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9", "TMPDIR": folder}
     command = [sys.executable, "-c", LOAD, script, *words[1:]]
-    done = subprocess.run(command, env=environment, stderr=subprocess.PIPE)
+    done = subprocess.run(command, cwd=folder, env=environment, stderr=subprocess.PIPE)
     assert done.returncode == 0, done.stderr
 
 
