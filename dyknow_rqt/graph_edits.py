@@ -163,7 +163,8 @@ class GraphEdits(QObject):
     @qt_slot
     def _delete(self) -> None:
         """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
-        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in self._selection.edges))
+        edges = self._selection.edges
+        refs = tuple(dict.fromkeys(ref for edge in edges for ref in edge_refs(edge)[:1]))
         if refs:
             self.disconnect_ports(refs)
         elif self._selection.nodelets:

@@ -100,7 +100,7 @@ def _connected(
     for name in topics:
         topic = snapshot.topics().get(name)
         yield from topic.sources + topic.targets if topic is not None else ()
-    yield from (edge_refs(edge)[0] for edge in edges)
+    yield from (ref for edge in edges for ref in edge_refs(edge)[:1])
 
 
 def _count(things: Sized, what: str) -> str:

@@ -88,6 +88,18 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     until(qtbot, lambda: topic(remote, CEILING) == "/field/ball")
 
 
+def test_an_arrow_of_an_ordinary_node_is_not_disconnected(qtbot, window, remote, caplog):
+    view, before = window.graph.view, wiring_of(remote.graph().nodelets)
+    window.graph.bar.choose("nodes", 1)
+    until(qtbot, lambda: any(edge.head == "p_/team_view" for edge in view.scene().edges))
+    arrow = next(each for edge, each in view.scene().edges.items() if edge.head == "p_/team_view")
+    arrow.setSelected(True)
+    qtbot.keyClick(view, Qt.Key_Delete)
+    view.scene().vertices["n_/field/tracker"].setSelected(True)
+    assert context_menu(qtbot, window, arrow)["&Disconnect 2 ports"].isEnabled()
+    assert wiring_of(remote.graph().nodelets) == before and not caplog.records
+
+
 def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, window, remote):
     scene = window.graph.view.scene()
     arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
