@@ -250,7 +250,7 @@ def read_file(path: str) -> bytes:
 def write_file(path: str, data: bytes) -> None:
     """Write a file; an existing one is replaced once the new one is complete."""
     whole = Path(os.path.realpath(path))
-    draft = whole.with_name(f".dyknow-{os.getpid()}")
+    draft = whole.parent / f".dyknow-{os.getpid()}"
     try:
         if os.path.exists(path) and not os.path.isfile(path):  # /dev/stdout, a pipe
             Path(path).write_bytes(data)

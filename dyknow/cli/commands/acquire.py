@@ -72,7 +72,7 @@ def request_of(arguments: argparse.Namespace, lease: float = 0.0) -> StreamReque
     given: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in fields.items()
-        if value
+        if value or name == "tag"
     }
     client = f"dyknow acquire on {socket.gethostname()} ({os.getpid()})"
     return StreamRequest(**{**given, "client_id": client, "lease": lease})

@@ -114,8 +114,8 @@ def _print(shell: Shell, verdict: Verdict, with_why: bool) -> None:
 def _of_bag(
     path: str, formula: Formula, monitor: Monitor, given: Mapping[str, str]
 ) -> Generator[Verdict, None, None]:
+    from dyknow.ros.formulas.bags import Bag  # rosbag takes its time to import
     from dyknow.ros.formulas.message_types import check
-    from dyknow.ros.formulas.sources import Bag
 
     for variable in formula.variables:
         raise DyKnowError(

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Messages of live topics and of bags, for one monitor."""
+"""Messages of live topics, for one monitor."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from typing import Any, Callable, Iterator, Mapping, NamedTuple
 
 import rospy
 
-from dyknow.errors import DyKnowError
 from dyknow.formulas import Monitor, Verdict
-from dyknow.similar import did_you_mean
 
 #: Most seconds between two looks at the clock.
 _PATIENCE = 0.1
@@ -79,61 +77,3 @@ class LiveTopics:
                 yield from monitor.advance(now)
             else:
                 yield from monitor.feed(received.port, received.message, now, received.individual)
-
-
-class Bag:
-    """The messages of a bag."""
-
-    def __init__(self, path: str) -> None:
-        """Open a bag.
-
-        Raises:
-            DyKnowError: it cannot be read.
-        """
-        import rosbag
-
-        try:
-            self._bag = rosbag.Bag(path)
-        except (OSError, rosbag.ROSBagException) as error:
-            raise DyKnowError(f"bag '{path}': {error}") from error
-        found = self._bag.get_type_and_topic_info().topics
-        #: The topics, with their types.
-        self.datatypes = {topic: each.msg_type for topic, each in sorted(found.items())}
-        self._path = path
-
-    def topic(self, port: str, given: Mapping[str, str]) -> str:
-        """Return the topic of a port: the one that is given, or the one of its name.
-
-        Raises:
-            DyKnowError: the bag does not have it.
-        """
-        topic = given.get(port, f"/{port}")
-        if topic in self.datatypes:
-            return topic
-        hint = did_you_mean(topic, self.datatypes) or f"; it has {', '.join(self.datatypes)}"
-        raise DyKnowError(f"bag '{self._path}' has no topic '{topic}' for the port '{port}'{hint}")
-
-    def verdicts(
-        self, monitor: Monitor, topics: Mapping[str, str], progress: Callable[[float], object]
-    ) -> Iterator[Verdict]:
-        """Yield the verdicts about all of it.
-
-        Args:
-            monitor: makes them.
-            topics: the topic of each port.
-            progress: called with the seconds of the bag that are done.
-        """
-        ports: dict[str, list[str]] = {}
-        for port, topic in topics.items():
-            ports.setdefault(topic, []).append(port)
-        begin = self._bag.get_start_time()
-        for topic, message, when in self._bag.read_messages(topics=list(ports)):
-            for port in ports[topic]:
-                yield from monitor.feed(port, message, when)
-            progress(when.to_sec() - begin)
-        yield from monitor.finish()
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first to the last message."""
-        return float(self._bag.get_end_time() - self._bag.get_start_time())

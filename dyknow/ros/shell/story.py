@@ -12,6 +12,7 @@ from dyknow_msgs.msg import Verdict
 
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
+from dyknow.ros.wire.bags import bag_errors
 from dyknow.ros.wire.messages import event_from
 
 
@@ -33,11 +34,8 @@ def moments(path: str, claim: str = "") -> list[StoryLine]:
     Raises:
         DyKnowError: the bag cannot be read, or has no event of that claim.
     """
-    try:
-        with rosbag.Bag(path) as bag:
-            messages = [(topic, m, when.to_sec()) for topic, m, when in bag.read_messages()]
-    except (OSError, rosbag.ROSBagException) as error:
-        raise DyKnowError(f"bag '{path}' cannot be read: {error}") from error
+    with bag_errors(path), rosbag.Bag(path) as bag:
+        messages = [(topic, m, when.to_sec()) for topic, m, when in bag.read_messages()]
     events = [(m, when) for _, m, when in messages if m._type == "dyknow_msgs/StreamEvent"]
     own = [(m, when) for m, when in events if claim in ("", m.after.claim_id)]
     if claim and not own:

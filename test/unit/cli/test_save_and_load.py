@@ -329,6 +329,9 @@ def test_files_that_cannot_be_used(client):
         $ save no/x.xml
         dyknow: no/x.xml: cannot be written: No such file or directory
         [1]
+        $ save /
+        dyknow: /: cannot be written: Is a directory
+        [1]
         """,
     )
 

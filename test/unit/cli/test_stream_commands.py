@@ -184,6 +184,11 @@ def test_what_is_no_rate_is_refused(client, rate, capsys):
     assert f"'{rate}': expected Hz above 0, such as 10" in capsys.readouterr().err
 
 
+def test_an_empty_tag_is_refused(client):
+    refusal = "dyknow: '' is not a tag: expected Functor or Functor(arg, …)"
+    play(client, "".join(f"$ {each} ''\n{refusal}\n[1]\n" for each in ("acquire", "plan")))
+
+
 def test_a_stream_is_held_until_ctrl_c(client):
     outcome = run(client, ACQUIRE)
     (claim,) = client.reconciler.claims()

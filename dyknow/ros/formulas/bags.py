@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Messages of bags, for one monitor."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Iterator, Mapping
+
+import rosbag
+
+from dyknow.errors import DyKnowError
+from dyknow.formulas import Monitor, Verdict
+from dyknow.ros.wire.bags import bag_errors
+from dyknow.similar import did_you_mean
+
+
+class Bag:
+    """The messages of a bag."""
+
+    def __init__(self, path: str) -> None:
+        """Open a bag.
+
+        Raises:
+            DyKnowError: it cannot be read.
+        """
+        with bag_errors(path):
+            self._bag = rosbag.Bag(path)
+            found = self._bag.get_type_and_topic_info().topics
+        #: The topics, with their types.
+        self.datatypes = {topic: each.msg_type for topic, each in sorted(found.items())}
+        self._path = path
+
+    def topic(self, port: str, given: Mapping[str, str]) -> str:
+        """Return the topic of a port: the one that is given, or the one of its name.
+
+        Raises:
+            DyKnowError: the bag does not have it.
+        """
+        topic = given.get(port, f"/{port}")
+        if topic in self.datatypes:
+            return topic
+        hint = did_you_mean(topic, self.datatypes) or f"; it has {', '.join(self.datatypes)}"
+        raise DyKnowError(f"bag '{self._path}' has no topic '{topic}' for the port '{port}'{hint}")
+
+    def verdicts(
+        self, monitor: Monitor, topics: Mapping[str, str], progress: Callable[[float], object]
+    ) -> Iterator[Verdict]:
+        """Yield the verdicts about all of it.
+
+        Args:
+            monitor: makes them.
+            topics: the topic of each port.
+            progress: called with the seconds of the bag that are done.
+        """
+        ports: dict[str, list[str]] = {}
+        for port, topic in topics.items():
+            ports.setdefault(topic, []).append(port)
+        begin = self._bag.get_start_time()
+        for topic, message, when in self._read(list(ports)):
+            for port in ports[topic]:
+                yield from monitor.feed(port, message, when)
+            progress(when.to_sec() - begin)
+        yield from monitor.finish()
+
+    def _read(self, topics: list[str]) -> Iterator[Any]:
+        with bag_errors(self._path):
+            yield from self._bag.read_messages(topics=topics)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last message."""
+        return float(self._bag.get_end_time() - self._bag.get_start_time())
