@@ -137,9 +137,11 @@ class Connection:
         queue = self._queue
         queue.append(message)
         if len(queue) - 1 == self._limit:
-            queue.popleft()
-            self.subscription.traffic.dropped += 1
-        elif state is not _HELD:
+            if queue.popleft() is not message or queue:
+                self.subscription.traffic.dropped += 1
+                return
+            queue.append(message)  # a delivery has just taken the oldest
+        if state is not _HELD:
             strand = self._strand
             if strand.alive:  # as post_locked, without its call
                 strand._tasks.append(self)

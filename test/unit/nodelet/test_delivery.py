@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import collections
+
 import pytest
 from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World
 
@@ -30,6 +32,26 @@ def test_each_subscription_has_a_queue_with_a_bound_of_its_own_or_none(world):
         publisher.publish(number)
     world.drain()
     assert got == sizes
+
+
+def test_the_newest_message_stays_if_the_oldest_is_delivered_at_that_moment(world):
+    got = []
+    subscriber = world.handle().Subscriber("/t", Message, got.append, queue_size=1)
+    connection, publisher = subscriber.subscription.connection, world.publisher("/t")
+
+    class Queue(collections.deque):
+        def __len__(self):
+            length = super().__len__()
+            if length == 2 and not got:
+                world.drain()
+            return length
+
+    connection._queue = Queue()
+    first, last = Message(1), Message(2)
+    publisher.publish(first)
+    publisher.publish(last)
+    world.drain()
+    assert (got, subscriber.subscription.traffic.dropped) == ([first, last], 0)
 
 
 def test_a_message_goes_out_once_and_only_if_somebody_listens(world):
