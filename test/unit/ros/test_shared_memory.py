@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 from subprocess import PIPE
+from types import SimpleNamespace
 
 import genpy.dynamic
 import numpy as np
@@ -24,6 +25,7 @@ from clocks import eventually
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rospy.exceptions import TransportTerminated
+from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.numpy_msg import numpy_msg
 from sensor_msgs.msg import CompressedImage, Image, LaserScan, PointCloud2
 from std_msgs.msg import ByteMultiArray, Float64MultiArray, Header, String
@@ -34,6 +36,7 @@ from dyknow.ros.transport import packing
 from dyknow.ros.transport.arena import Arena, ArenaReader
 from dyknow.ros.transport.outbound import WINDOW, Outbound, Share
 from dyknow.ros.transport.packing import FRAME, LARGE, Packed, assembled, largest_field
+from dyknow.ros.transport.shared_memory import Inbound, InboundTransport
 
 MB = 1 << 20
 IMPORT = "from dyknow.ros.transport.arena import Arena, ArenaReader"
@@ -563,3 +566,22 @@ def test_any_mixture_arrives_in_order(messages):
         connection.close()
         connection.other.close()
     assert received == list(range(len(messages)))
+
+
+def test_a_connection_made_again_owes_no_answers_for_the_one_before(monkeypatch):
+    monkeypatch.setattr(TCPROSTransport, "read_header", lambda connection: None)
+    subscriber = SimpleNamespace(data_class=Header, queue_size=1, buff_size=1, tcp_nodelay=True)
+    reader = ArenaReader(ARENA.address)
+    connection = InboundTransport(Inbound("/topic", subscriber, reader), "/topic", "address")
+    connection.protocol.owed = 2  # a message after these could not be read
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connection.socket = socket.create_connection(server.getsockname())
+        peer, _ = server.accept()
+    with peer:
+        connection.read_header()
+        content = io.BytesIO()
+        Header(seq=5).serialize(content)
+        peer.sendall(struct.pack("<I", content.tell()) + content.getvalue())
+        assert [message.seq for message in connection.receive_once()] == [5]
+        connection.close()
+        assert exactly(peer, 7) + peer.recv(1) == b"address"
