@@ -105,7 +105,7 @@ class TransportTest(SharedMemoryCase):
         self.received(range(3), "/inside")
 
     def test_each_peer_has_the_transport_that_it_knows(self):
-        self.talks()
+        self.talks(queue_size=1000)
         self.listens()
         heard = self.enter(Heard("/a", Image, lambda image: (image.height, is_whole(image))))
         counter = self.run_process("rostopic", "hz", "/a")
