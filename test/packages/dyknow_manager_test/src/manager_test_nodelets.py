@@ -18,11 +18,11 @@ import dyknow
 
 
 class Counter(dyknow.Nodelet):
-    """Publishes headers, numbered from 1, at ~rate."""
+    """Publishes headers at ~rate, numbered from the one after ~start."""
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)
-        self.number = 0
+        self.number = self.nh.get_param("~start", 0)
         self.out = self.nh.Publisher("out", Header, queue_size=1000)
         period = self.nh.Duration(1.0 / self.nh.get_param("~rate", 20.0))
         self.timer = self.nh.Timer(period, self.on_timer)
