@@ -4,10 +4,12 @@
 #include "topics.h"
 
 #include <ros/console.h>
+#include <ros/names.h>
 #include <ros/poll_manager.h>
 #include <ros/publication.h>
 #include <ros/subscriber_link.h>
 #include <ros/topic_manager.h>
+#include <rosgraph_msgs/TopicStatistics.h>
 
 #include <algorithm>
 #include <atomic>
@@ -52,6 +54,7 @@ std::recursive_timed_mutex& wiringMutex()
 std::atomic<bool> g_is_shut_down{false};
 std::atomic<std::uint32_t> g_shutdowns{0};
 std::atomic<bool> g_has_statistics{false};
+std::atomic<bool> g_keeps_statistics{false};
 
 thread_local std::vector<std::string>* t_unregistered = nullptr;
 thread_local std::size_t* t_known = nullptr;
@@ -59,6 +62,13 @@ thread_local std::size_t* t_known = nullptr;
 ros::TopicManager* manager()
 {
   return ros::TopicManager::instance().get();
+}
+
+void advertiseStatistics()
+{
+  ros::AdvertiseOptions options;
+  options.init<rosgraph_msgs::TopicStatistics>(ros::names::resolve("/statistics"), 1);
+  advertise(WiringLock(), options, boost::make_shared<ros::SubscriberCallbacks>());
 }
 
 }  // namespace
@@ -83,6 +93,7 @@ WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), forWai
 void noteStart()
 {
   g_is_shut_down = false;
+  g_keeps_statistics = false;
 }
 
 void noteShutdown()
@@ -105,6 +116,12 @@ std::uint32_t shutdowns()
 void noteStatistics()
 {
   g_has_statistics = true;
+  // Else roscpp advertises them when a subscription has some, under the lock of its callbacks, and waits for that
+  // of all subscriptions, whose holder may wait for the callbacks. A topic that is there needs no such lock.
+  if (!g_keeps_statistics.exchange(true))
+  {
+    later(advertiseStatistics);
+  }
 }
 
 bool subscribe(const WiringLock&, const ros::SubscribeOptions& options)

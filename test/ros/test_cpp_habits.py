@@ -132,6 +132,12 @@ class StatisticsTest(HabitsCase):
 
         eventually(all_came, 20.0, f"statistics of {topic} come", lambda: came)
 
+    def test_they_are_advertised_before_a_message_comes(self):
+        """roscpp would do it under the lock of a callback, and wait there for another lock."""
+        node = self.run_process(*RUN, *PROGRAM, "0", "-1", "/in:=/silent", "__name:=habits")
+        becomes(lambda: "/statistics" in graph.registrations("/habits")["publishers"], True)
+        self.stop(node)
+
     def test_moves_and_unsubscribing(self):
         nodes = [
             self.run_process(*RUN, *command, f"__name:={name[1:]}")
