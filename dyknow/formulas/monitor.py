@@ -132,8 +132,8 @@ class Formula:
             FormulaError: bounds do not fit the period.
         """
         for name, value in (("period", period), ("delay", delay), ("hold", hold or 0.0)):
-            if not 0 <= value < float("inf") or (name == "period" and value < 1e-6):
-                raise BadParameter(name, value, "seconds")
+            if not 0 <= value < 2**31 or (name == "period" and value < 1e-6):
+                raise BadParameter(name, value, f"seconds below {2**31}")
         settings = StateSettings(
             max(1, round(period * SECOND)),
             None if hold is None else round(hold * SECOND),

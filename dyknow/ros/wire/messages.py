@@ -19,7 +19,7 @@ from typing import Any, Mapping, Sequence, TypeVar
 from dyknow_msgs import msg, srv
 from genpy import Duration, Time, TVal
 
-from dyknow.errors import Result, StreamRefused
+from dyknow.errors import BadParameter, Result, StreamRefused
 from dyknow.guards import Guards
 from dyknow.model.graph import (
     OWNER,
@@ -46,20 +46,24 @@ T = TypeVar("T")
 
 #: Prefix of the lines of an answer to ``acquire_stream`` that are warnings.
 _WARNING = "warning: "
-_SECONDS = {"duration": Duration, "time": Time}
+#: Types of times, and the number of seconds that they cannot hold any more.
+_SECONDS = {"duration": (Duration, 2**31), "time": (Time, 2**32)}
 
 
 def _message(message_class: type[Any], value: object, /, **fields: object) -> Any:
     """Make a message from ``fields``, and the rest from the attributes of a value."""
     for name, kind in zip(message_class.__slots__, message_class._slot_types):
         if name not in fields and hasattr(value, name):
-            fields[name] = _field(kind, getattr(value, name))
+            fields[name] = _field(name, kind, getattr(value, name))
     return message_class(**fields)
 
 
-def _field(kind: str, value: Any) -> Any:
+def _field(name: str, kind: str, value: Any) -> Any:
     if kind in _SECONDS:
-        return _SECONDS[kind].from_sec(value)
+        time_class, end = _SECONDS[kind]
+        if not abs(value) < end:
+            raise BadParameter(name, value, f"seconds below {end}")
+        return time_class.from_sec(value)
     if isinstance(value, enum.Enum):
         return value.value
     return list(value) if isinstance(value, tuple) else value

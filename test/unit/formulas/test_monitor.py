@@ -387,6 +387,7 @@ def test_exact_reasoning_decides_more() -> None:
     ("make", "error", "text"),
     [
         (lambda: parse("p").monitor(period=0.0), BadParameter, "period"),
+        (lambda: parse("p").monitor(period=1e300), BadParameter, "period.* below 2147483648"),
         (lambda: parse("p").monitor(hold=-1.0), BadParameter, "hold"),
         (lambda: parse("p").monitor(delay=math.inf), BadParameter, "delay"),
         (lambda: parse("p").monitor().feed("q", True, 0.0), BadParameter, "port"),

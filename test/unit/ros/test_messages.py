@@ -8,6 +8,7 @@ No field of the values here has its default, so each of them has to be converted
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from io import BytesIO
 
@@ -18,7 +19,7 @@ from dyknow_msgs.msg import Counts
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
-from dyknow.errors import Result, StreamRefused
+from dyknow.errors import BadParameter, Result, StreamRefused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import (
     NodeletCount,
@@ -108,6 +109,12 @@ def test_a_value_arrives_unchanged(kind, value):
     further = [True] if kind == "acquire" else []
     message = getattr(messages, f"{kind}_message")(value, *further)
     assert getattr(messages, f"{kind}_from")(sent(message)) == value
+
+
+@pytest.mark.parametrize("seconds", [2.0**31, 1e300, math.inf, math.nan])
+def test_a_time_that_no_message_can_hold(seconds):
+    with pytest.raises(BadParameter, match="'lease' is .*: expected seconds below 2147483648"):
+        messages.acquire_message(replace(REQUEST, lease=seconds), dry_run=False)
 
 
 def test_fields_that_the_values_do_not_have():
