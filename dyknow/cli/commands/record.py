@@ -101,4 +101,5 @@ def _boxes(shell: Shell) -> list[str]:
 
 
 def _clock(when: float) -> str:
+    when = round(when, 3)
     return time.strftime("%H:%M:%S", time.localtime(when)) + f"{when % 1:.3f}"[1:]

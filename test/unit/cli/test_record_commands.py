@@ -83,6 +83,24 @@ def test_why_says_what_a_bag_does_not_have(client, bag, tmp_path):
         assert (told.code, said in told.err) == (1, True)
 
 
+@pytest.mark.parametrize(
+    "unknown", [event("c1", ACTIVE, 99, "?"), Verdict(value=99), model(camera=99)]
+)
+def test_why_refuses_values_that_mean_nothing(client, tmp_path, unknown):
+    path = str(tmp_path / "box.bag")
+    messages = [model(), event("c1", ACTIVE, RECOVERING, "died", "/camera"), unknown]
+    write_bag(path, [KeptMessage("/t", each, 1.0 + n, 0) for n, each in enumerate(messages)])
+    told = run(client, f"why c1 --bag {path}")
+    assert told.code == 1
+    assert told.err.startswith(f"dyknow: bag '{path}' is damaged")
+
+
+def test_the_times_of_a_story_are_rounded(client, tmp_path):
+    path = str(tmp_path / "box.bag")
+    write_bag(path, [KeptMessage("/e", event("c1", ACTIVE, RECOVERING, "died"), 12.9996, 0)])
+    assert run(client, f"why --bag {path}").lines[0].split()[0].endswith(":13.000")
+
+
 def test_record_writes_the_bags_of_all_or_of_some(client):
     refused = "'/b' writes no bag: disk full"
     client.boxes = {"/a": "/bags/a.bag", "/b": Refused(refused)}
