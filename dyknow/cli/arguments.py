@@ -19,6 +19,8 @@ from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Parameter
 
 DEFAULT_MANAGER = "/dyknow_manager"
+#: Seconds that a duration of ROS cannot hold any more.
+_HIGHEST = 2**31
 
 
 class Parser(argparse.ArgumentParser):
@@ -115,6 +117,8 @@ def _above_zero(text: str, expected: str = "seconds, such as 0.5") -> float:
         value = math.nan
     if not 0 < value < math.inf:
         raise _expected(text, expected)
+    if value >= _HIGHEST:
+        raise _expected(text, f"{expected}, and below {_HIGHEST}")
     return value
 
 

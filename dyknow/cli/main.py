@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import logging
 import os
 import re
@@ -32,6 +33,7 @@ from dyknow.cli.shell import (
     UNREACHABLE,
     Command,
     Shell,
+    written,
 )
 from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.ros.process.signals import ENDS, RAISES, sigint
@@ -140,10 +142,13 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
     for word in words:
         name, is_given, value = word.partition(":=")
         option = word if word.startswith("--") else option
-        if not is_given or (command == "spawn" and option.startswith("--param")):
+        is_value = command == "spawn" and option.startswith("--param")
+        if is_given and command == "spawn" and re.match("_[^_]", name):
+            parameter = f"{name[1:]}={value}"
+            own += [parameter] if is_value else []
+            parameters += [] if is_value else ["--param", parameter]
+        elif is_value or not is_given:
             own.append(word)
-        elif command == "spawn" and re.match("_[^_]", name):
-            parameters += ["--param", f"{name[1:]}={value}"]
         elif name not in _FROM_ROSLAUNCH:
             parser.error(f"'{word}' would have no effect: {_instead(command, word)}")
     return own + parameters
@@ -196,16 +201,34 @@ def main(words: Sequence[str] | None = None) -> int:
     Args:
         words: the command line without the program's name; by default the process's.
     """
+    if words is None:
+        _prepare_streams()
     try:
-        arguments = parse(sys.argv[1:] if words is None else words)
+        with written(sys.stdout):  # help, too
+            arguments = parse(sys.argv[1:] if words is None else words)
         with sigint(RAISES):
             return _run(arguments)
     except SystemExit as end:  # argparse's
         return end.code if isinstance(end.code, int) else FAILED
+    except BrokenPipeError:
+        return BROKEN_PIPE
+    except DyKnowError as error:
+        sys.stderr.write(f"dyknow: {error}\n")
+        return FAILED
     except KeyboardInterrupt:
         if sys.stderr.isatty():
             sys.stderr.write("\n")  # behind the terminal's ^C
         return INTERRUPTED
+
+
+def _prepare_streams() -> None:
+    """Let closed standard streams lead nowhere, and escape what the locale has no letters for."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # the lowest free descriptor is that of the stream
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def execute(arguments: argparse.Namespace, shell: Shell) -> int:
@@ -233,12 +256,6 @@ def _run(arguments: argparse.Namespace) -> int:
     warnings.emit = lambda record: shell.warn(record.getMessage())  # type: ignore[method-assign]
     logger.addHandler(warnings)
     try:
-        code = execute(arguments, shell)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of our output is gone; the interpreter's own flush at exit must not complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        return execute(arguments, shell)
     finally:
         logger.removeHandler(warnings)
-    return code

@@ -17,7 +17,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Sequence
 
-from dyknow.cli.shell import Shell
+from dyknow.cli.shell import Shell, written
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.hosts import HostStatus
@@ -214,8 +214,7 @@ class Screen:
 
     def show(self, value: Any, lines: Sequence[str]) -> None:
         if self._in_place:
-            self._shell.out.write(self._page(lines))
-            self._shell.out.flush()
+            self._shell.write(self._page(lines))
         else:
             self._shell.show(value, ["", *lines] if self._shown else lines, indent=None)
         self._shown = True
@@ -248,7 +247,11 @@ def read_file(path: str) -> bytes:
 
 
 def write_file(path: str, data: bytes) -> None:
-    """Write a file; an existing one is replaced once the new one is complete."""
+    """Write a file, or standard output; an existing file is replaced by the complete new one."""
+    if path == STDIO:
+        with written(sys.stdout):
+            sys.stdout.buffer.write(data)
+        return
     whole = Path(os.path.realpath(path))
     draft = whole.parent / f".dyknow-{os.getpid()}"
     try:

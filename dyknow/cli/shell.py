@@ -6,10 +6,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, Sequence, TextIO, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Iterable,
+    Iterator,
+    Optional,
+    Sequence,
+    TextIO,
+    Tuple,
+)
 
 from dyknow import names
 from dyknow.cli.arguments import Argument
@@ -27,6 +39,27 @@ BROKEN_PIPE = 141
 
 #: What was done with one of several subjects: values for JSON, and lines.
 Acted = Tuple[Sequence[Any], Sequence[str]]
+
+
+@contextlib.contextmanager
+def written(out: TextIO) -> Iterator[None]:
+    """Send what the block writes to standard output at once: its reader may be a pipe.
+
+    Raises:
+        BrokenPipeError: the reader has gone.
+        DyKnowError: it cannot be written for another reason, such as a full disk.
+    """
+    try:
+        try:
+            yield
+        finally:
+            out.flush()
+    except OSError as error:
+        # What is left goes nowhere, or the interpreter would complain about it when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise DyKnowError(f"standard output cannot be written: {error.strerror}") from error
 
 
 class Shell:
@@ -62,12 +95,21 @@ class Shell:
 
     def show(self, value: Any, lines: Iterable[str], indent: int | None = 2) -> None:
         """Print a result: the value as JSON, in one line without an indent, or else the lines."""
-        for line in [json.dumps(value, indent=indent)] if self.as_json else lines:
-            self.out.write(line + "\n")
-        self.out.flush()  # the command may go on, and its reader be a pipe
+        shown = [json.dumps(value, indent=indent)] if self.as_json else lines
+        self.write("".join(line + "\n" for line in shown))
+
+    def write(self, text: str) -> None:
+        """Print a text as it is."""
+        with written(self.out):
+            self.out.write(text)
 
     def for_each(
-        self, kind: str, done: str, subjects: Iterable[str], act: Callable[[str], Acted | None]
+        self,
+        kind: str,
+        done: str,
+        subjects: Iterable[str],
+        act: Callable[[str], Acted | None],
+        indent: int | None = 2,
     ) -> int | None:
         """Act on every subject, also after one was refused; return the exit code.
 
@@ -81,6 +123,8 @@ class Shell:
             try:
                 values, said = act(subject) or ([subject], [f"{done} {subject}"])
             except ManagerUnreachable:
+                if lines:
+                    self.show({done: acted, "failed": failed}, lines, indent)
                 raise
             except DyKnowError as error:
                 for line in str(error).splitlines():
@@ -89,7 +133,7 @@ class Shell:
             else:
                 acted += values
                 lines += said
-        self.show({done: acted, "failed": failed}, lines)
+        self.show({done: acted, "failed": failed}, lines, indent)
         return FAILED if failed else None
 
     def error(self, message: object) -> None:

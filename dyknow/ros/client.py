@@ -189,7 +189,9 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         answer = self._ask(
             "find_bindings", srv.FindBindings, ASK_TIMEOUT, tag, datatype, kept=True
         )
-        return tuple(_accepted(answer).bindings)
+        if _accepted(answer).message:
+            _log.warning("%s: %s", tag, answer.message)
+        return tuple(answer.bindings)
 
     # Inside
 

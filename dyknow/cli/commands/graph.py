@@ -14,7 +14,7 @@ from typing import Iterator, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import argument, flag, group
-from dyknow.cli.output import nodelet_json, picked, state_of, write_file
+from dyknow.cli.output import STDIO, nodelet_json, picked, state_of, write_file
 from dyknow.cli.shell import Shell, command
 from dyknow.graphviz import CannotDraw, quote, render
 from dyknow.model.graph import Model, NodeletStatus, PortRef
@@ -56,7 +56,8 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
                 f"{error}, or use --dot, which draws nothing, or --namespace, which draws less"
             ) from error
         write_file(drawing, picture)
-        shell.show({"file": drawing}, [f"drew {drawing}"])
+        if drawing != STDIO:
+            shell.show({"file": drawing}, [f"drew {drawing}"])
     elif arguments.dot:
         dot = to_dot(snapshot)
         shell.show({"dot": dot}, [dot.rstrip("\n")])

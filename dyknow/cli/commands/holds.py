@@ -66,6 +66,8 @@ _POLL = 0.5
 def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.bag and arguments.port:
         arguments.refuse("--bag has topics of its own: --port is for live streams")
+    if arguments.bag and arguments.seconds:
+        arguments.refuse("--bag ends by itself: --for is for live streams")
     formula = parse(arguments.formula)
     monitor = formula.monitor(arguments.period, arguments.hold, arguments.delay, arguments.exact)
     topics, tags = (_named(formula, each) for each in (arguments.topic, arguments.port))

@@ -115,7 +115,7 @@ def _export(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
     text = specification_text(chosen)
     labels = [each.label for each in chosen]
-    if arguments.output:
+    if arguments.output and arguments.output != STDIO:
         write_file(arguments.output, text.encode("utf-8"))
         shell.show(
             {"file": arguments.output, "labels": labels},

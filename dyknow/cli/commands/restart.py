@@ -59,7 +59,7 @@ def _restart(arguments: argparse.Namespace, shell: Shell) -> int | None:
     return _restart_all(names, shell)
 
 
-def _restart_all(names: Iterable[str], shell: Shell) -> int | None:
+def _restart_all(names: Iterable[str], shell: Shell, indent: int | None = 2) -> int | None:
     """Restart in order, also after one failed; return the exit code."""
 
     def restart(name: str) -> Acted:
@@ -69,7 +69,7 @@ def _restart_all(names: Iterable[str], shell: Shell) -> int | None:
         others = f" with {', '.join(done.names)}" if done.names not in ((), (name,)) else ""
         return done.names, [f"restarted {name}{others} in {time.monotonic() - began:.2f} s"]
 
-    return shell.for_each("name", "restarted", names, restart)
+    return shell.for_each("name", "restarted", names, restart, indent)
 
 
 def _watch(names: Sequence[str], shell: Shell) -> None:
@@ -90,7 +90,7 @@ def _watch(names: Sequence[str], shell: Shell) -> None:
         for each in due(model) if model is not None else ():
             assert model is not None
             tried[each.name] = each.outdated, model.library_revision
-            if not _restart_all([each.name], shell):
+            if not _restart_all([each.name], shell, indent=None):
                 now = shell.client.get_graph().nodelet(each.name)
                 if now is None or not now.outdated:
                     del tried[each.name]

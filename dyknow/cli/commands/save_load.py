@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import TYPE_CHECKING, Callable, Collection, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Collection, Iterable, Iterator, Sequence
 
 from dyknow.cli.arguments import argument, flag
 from dyknow.cli.output import STDIO, Json, count, read_file, write_file
@@ -24,8 +24,9 @@ from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_
 if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import ShellClient
 
-#: Seconds between two checks of a wait.
+#: Seconds between two checks of a wait, and those that it lasts at most.
 _PERIOD = 0.25
+_WAIT = 60.0
 
 
 @command(
@@ -40,7 +41,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.warn(f"'{nodelet.name}' is not saved: it was not spawned from a transformation")
     text = wiring.to_xml()
     if arguments.file == STDIO and not shell.as_json:
-        shell.out.write(text)
+        shell.write(text)
         return
     if arguments.file != STDIO:
         write_file(arguments.file, text.encode("utf-8"))
@@ -74,7 +75,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
         "wait until the manager answers, all of it is loaded and runs, and the claims that use it "
         "are active; with --dry-run, change nothing, but wait for that",
     ),
-    argument("--within", "SECONDS", "the longest wait (default: 60)", default=60.0),
+    argument("--within", "SECONDS", "the longest wait (default: 60)"),
     flag(
         "--keep-going",
         "go on when a step fails, and keep what was done (default: undo everything)",
@@ -90,13 +91,17 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     ),
 )
 def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    if arguments.within and not arguments.wait:
+        arguments.refuse("--within limits the wait: expected --wait beside it")
     client, file = shell.client, arguments.file
-    waiting = _Waiting(shell, arguments.within if arguments.wait else 0.0)
+    data = read_file(file)
+    name = "standard input" if file == STDIO else file
+    waiting = _Waiting(shell, (arguments.within or _WAIT) if arguments.wait else 0.0)
     wiring: Wiring | None = None
     changing: LoadPlan | None = None
     while True:
         try:
-            wiring = wiring or _read(file, lambda: _limit(client))
+            wiring = wiring or read_wiring(data, name, lambda: _limit(client))
             plan = _plan(arguments, wiring, client)
             problems = [f"{file}: {problem}" for problem in plan.problems]
             is_to_load = not (problems or arguments.dry_run)
@@ -184,10 +189,6 @@ def _limit(client: ShellClient) -> int:
     name = "limits/nodelets"
     limit = client.stored_parameters(client.manager, [name]).get(name)
     return limit if isinstance(limit, int) else NO_GUARDS.nodelets
-
-
-def _read(file: str, limit: Callable[[], int]) -> Wiring:
-    return read_wiring(read_file(file), "standard input" if file == STDIO else file, limit)
 
 
 def _outcome(plan: LoadPlan, failed: Collection[str]) -> Json:

@@ -192,6 +192,25 @@ def test_a_manager_that_is_gone_ends_a_command_with_3(chain):
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (3, "", 1)
 
 
+def test_what_was_done_before_the_manager_went_is_told(chain):
+    def fail(call, subject):
+        if subject != "/robot/relay":
+            raise ManagerUnreachable("DyKnow manager '/dyknow_manager' is not running")
+
+    chain.fail = fail
+    outcome = run(chain, "unprotect /robot/relay")
+    outcome = run(chain, "destroy /robot/relay cam")
+    assert (outcome.code, outcome.out) == (3, "destroyed /robot/relay\n")
+    assert outcome.err.count("\n") == 1
+
+
+def test_files_may_be_standard_output(client, capfdbinary):
+    printed = run(client, "export").out
+    assert run(client, "export -o -") == Outcome(0, printed, "")
+    assert run(client, "graph --svg -") == Outcome(0, "", "")
+    assert b"<svg" in capfdbinary.readouterr().out
+
+
 def test_import_reads_what_export_wrote(client, tmp_path):
     file = tmp_path / "all.xml"
     before = client.get_model().transformations

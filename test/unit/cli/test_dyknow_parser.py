@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -77,9 +78,19 @@ def test_examples_are_understood():
         ("spawn relay a --connect in", "'in': expected PORT:TOPIC or PORT:NODELET:PORT"),
         ("list --timeout never", "'never': expected seconds"),
         ("list --timeout -1", "expected"),
+        (
+            "acquire 'Ball(x)' --lease 2147483648",
+            "expected seconds, such as 0.5, and below 2147483648",
+        ),
+        (
+            "holds true --period 1e300",
+            "'1e300': expected seconds, such as 0.5, and below 2147483648",
+        ),
         ("stats --watch 0", "expected seconds"),
         ("stats --count 0", "expected an integer of at least 1"),
         ("stats --count 3", "--count says how often --watch shows"),
+        ("load w.xml --within 5", "--within limits the wait: expected --wait beside it"),
+        ("holds p --bag a.bag --for 5", "--bag ends by itself: --for is for live streams"),
         ("graph --dot --svg x", "not allowed with argument"),
         ("list --lon", "unrecognized arguments: --lon"),
     ],
@@ -106,6 +117,9 @@ def test_ports_and_arguments_of_ros():
     assert parse(words).param == [Parameter("rate", "", "20"), Parameter("frame", "", "a=b")]
     words = ["spawn", "relay", "a", "--param", "rate:=20", "frame=a:=b", "--param=size:=3"]
     given = [("rate", "20"), ("frame", "a:=b"), ("size", "3")]
+    assert parse(words).param == [Parameter(name, "", value) for name, value in given]
+    words = ["spawn", "relay", "a", "--param", "rate=20", "_gain:=2", "--isolated", "_x:=y"]
+    given = [("rate", "20"), ("gain", "2"), ("x", "y")]
     assert parse(words).param == [Parameter(name, "", value) for name, value in given]
     words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
     found = parse(words)
@@ -136,6 +150,48 @@ def test_without_a_master_it_says_so_and_ends_with_3(capsys, monkeypatch, uri):
         assert f"no ROS master at {uri} (" in said.err
         assert ("(Connection refused)" in said.err) == ("localhost" in uri)
         assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("line", ["--help", "list --help", "--version", "check {0}"])
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [
+        (">/dev/full", 1, "dyknow: standard output cannot be written: No space left on device\n"),
+        (">&-", 0, ""),
+        ("<&-", 0, ""),
+        ("2>&-", 0, ""),
+        (">&{gone}", 141, ""),
+    ],
+)
+def test_output_that_goes_nowhere_is_no_traceback(tmp_path, unbuffered, line, where, code, said):
+    library = tmp_path / "library.xml"
+    library.write_text("<transformations/>")
+    reader, gone = os.pipe()
+    os.close(reader)
+    command = f"{sys.executable} -m dyknow.cli {line.format(library)} {where.format(gone=gone)}"
+    try:
+        done = subprocess.run(
+            ["bash", "-c", command],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            pass_fds=[gone],
+            check=False,
+        )
+    finally:
+        os.close(gone)
+    assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_closed_input_is_empty():
+    command = f"{sys.executable} -m dyknow.cli check - <&-"
+    done = subprocess.run(
+        ["bash", "-c", command], stdout=subprocess.PIPE, timeout=PATIENCE, check=False
+    )
+    assert done.returncode == 1
+    assert done.stdout.startswith(b"standard input:1: no element found")
 
 
 def test_help_and_check_do_without_ros_and_other_commands():

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from unit.cli.fake_client import play, run
 
@@ -110,8 +112,9 @@ def test_what_is_watched_is_restarted_once_for_each_change(chain, monkeypatch):
 
     monkeypatch.setattr(chain, "wait_for_model", wait)
     chain.calls.clear()
-    done = run(chain, "restart --watch cam")
+    done = run(chain, "restart --watch cam --json")
     assert done.code == UNREACHABLE
     assert [call for call, _ in chain.calls] == ["restart"] * 3
-    assert [line.partition(" in ")[0] for line in done.lines] == ["restarted /cam"] * 2
+    found = [json.loads(line) for line in done.lines]
+    assert [each["restarted"] for each in found] == [["/cam"], [], ["/cam"]]
     assert "invalid syntax" in done.err
