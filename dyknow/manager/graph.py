@@ -11,10 +11,11 @@ operation works on its nodelet; other operations pass the time that they will wa
 from __future__ import annotations
 
 import contextlib
+import sys
 from dataclasses import dataclass
 from typing import Callable, Iterable, Iterator, Mapping
 
-from dyknow.errors import Busy, NameTaken, UnknownNodelet
+from dyknow.errors import Busy, LimitExceeded, NameTaken, UnknownNodelet
 from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.record import Record
 from dyknow.manager.store import Store
@@ -90,7 +91,7 @@ class Graph:
 
     @contextlib.contextmanager
     def changing(
-        self, name: str, new: bool = False, patience: float = 0.0
+        self, name: str, new: bool = False, patience: float = 0.0, most: int = sys.maxsize
     ) -> Iterator[Record | None]:
         """Reserve a name for one operation; yields its record, or None.
 
@@ -98,10 +99,12 @@ class Graph:
             name: of the nodelet.
             new: whether the name must be free.
             patience: seconds to wait for another operation on it.
+            most: nodelets of ours that there may be with it, and with those that are being made.
 
         Raises:
             Busy: another operation works on it.
             NameTaken: it has to be ``new``, and is taken.
+            LimitExceeded: there are too many.
         """
         with self._changed:
             deadline = self._clock.now() + patience
@@ -110,8 +113,8 @@ class Graph:
                 if left <= 0.0:
                     raise NameTaken(name) if new else Busy(name)
                 self._clock.wait(self._changed, left)
-            if new and name in self.records:
-                raise NameTaken(name)
+            if new:
+                self._check_new(name, most)
             self._busy.add(name)
             record = self.records.get(name)
         try:
@@ -120,6 +123,14 @@ class Graph:
             with self._changed:
                 self._busy.discard(name)
                 self._changed.notify_all()
+
+    def _check_new(self, name: str, most: int) -> None:
+        if name in self.records:
+            raise NameTaken(name)
+        ours = sum(not each.owner for each in self.records.values())
+        count = ours + len(self._busy - self.records.keys()) + 1
+        if count > most:
+            raise LimitExceeded("nodelets", count, most)
 
     @contextlib.contextmanager
     def restart(self, names: Iterable[str]) -> Iterator[list[Record]]:

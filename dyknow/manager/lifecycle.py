@@ -24,7 +24,6 @@ from dyknow.errors import (
     HostError,
     HostTimeout,
     InvalidConfiguration,
-    LimitExceeded,
     NameTaken,
     NotOurs,
     NotSpawnable,
@@ -149,14 +148,12 @@ class Lifecycle:
             what = f"node '{transformation.node}'" if transformation.node else ""
             what = what or f"topic '{transformation.source}'"
             raise NotSpawnable(transformation.label, what)
-        count = sum(not each.owner for each in self._graph.all()) + 1
-        if count > self._guards.nodelets:
-            raise LimitExceeded("nodelets", count, self._guards.nodelets)
         if transformation.type == NODE:
             self._guards.check_program(Program.of(transformation.source).name, is_own=True)
         parameters = completed(transformation, request.parameters, self._library.ontology)
         config = self._resolved(transformation, request.name, request.config)
-        with self._graph.changing(request.name, new=True, patience=PATIENCE):
+        most = self._guards.nodelets
+        with self._graph.changing(request.name, new=True, patience=PATIENCE, most=most):
             kind = self._host.kind_of(transformation)
             is_here = request.host != "" and request.host == self._host.here
             by_default = transformation.isolated and (is_here or not request.manager)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from unit.manager.field import CHAIN, Field
 from unit.manager.world import World
@@ -105,6 +107,23 @@ def test_it_does_not_count_for_the_limit_of_nodelets() -> None:
     world.spawn("relay", "mine")
     with pytest.raises(LimitExceeded):
         world.spawn("relay", "another")
+
+
+def test_nodelets_that_are_being_made_count_for_the_limit(monkeypatch) -> None:
+    world = World(guards=Guards(nodelets=1))
+    ensure, refused = world.host.ensure, []
+
+    def ensure_during_another_spawn(*words: Any) -> str:
+        monkeypatch.undo()
+        with pytest.raises(LimitExceeded):
+            world.spawn("relay", "another")
+        refused.append("another")
+        return ensure(*words)
+
+    monkeypatch.setattr(world.host, "ensure", ensure_during_another_spawn)
+    world.spawn("relay", "mine")
+    assert refused == ["another"]
+    assert world.states() == {"/mine": "RUNNING"}
 
 
 def test_claims_do_not_use_it(field: Field) -> None:
