@@ -31,7 +31,7 @@ from typing import (
 )
 
 from dyknow.locks import module_lock
-from dyknow.nodelet.module_files import forget_bytecode, is_standard, package_spec, stamps
+from dyknow.nodelet.module_files import forget_bytecode, is_standard, package_spec
 from dyknow.periodic import current_frames
 
 Module = types.ModuleType
@@ -273,7 +273,7 @@ class Importer:
             if spec.loader is not None:
                 spec.loader.exec_module(module)
             return
-        forget_bytecode(stamps([spec.loader.path]))
+        forget_bytecode([spec.loader.path])
         code = spec.loader.get_code(module.__name__)
         assert code is not None  # a source file has code
         is_blind = module.__name__.partition(".")[0] in self._blind

@@ -17,7 +17,6 @@ import os
 import re
 import sys
 import sysconfig
-import time
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -42,8 +41,8 @@ _LEFT_OUT = frozenset(("msg", "srv", "cfg", "test", "tests", "__pycache__"))
 #: A package with more files than this is not a library for ROS.
 _MOST_FILES = 100
 
-#: Nanoseconds.
-_JUST_NOW = 2_000_000_000
+#: Nanoseconds: more than reading and compiling a file takes.
+_WELL_AFTER = 2_000_000_000
 
 Stamp = Tuple[int, int]
 
@@ -210,16 +209,18 @@ def stamps(files: Collection[str]) -> dict[str, Stamp]:
     return found
 
 
-def forget_bytecode(files: Mapping[str, Stamp]) -> None:
-    """Delete the bytecode of files that were saved just now.
+def forget_bytecode(files: Collection[str]) -> None:
+    """Delete the bytecode of files that may be of an earlier version.
 
     Python knows a version by the second of its time and its size, and two may have been saved
-    within one.
+    within one, or get the same time when they are copied. What was compiled well after the last
+    change of the file, which nobody can set to another time, is of the present version.
     """
-    for file, (saved, _) in files.items():
-        if time.time_ns() - saved < _JUST_NOW:
-            with contextlib.suppress(OSError, NotImplementedError):
-                os.remove(importlib.util.cache_from_source(file))
+    for file in files:
+        with contextlib.suppress(OSError, NotImplementedError):
+            bytecode = importlib.util.cache_from_source(file)
+            if os.stat(bytecode).st_mtime_ns - os.stat(file).st_ctime_ns < _WELL_AFTER:
+                os.remove(bytecode)
 
 
 class Dependents:

@@ -236,7 +236,7 @@ class ClassImports:
             return importlib.import_module(name)
         importlib.invalidate_caches()  # files may be new
         package = Package.find(top, library)
-        forget_bytecode(stamps(package.files.values()))
+        forget_bytecode(package.files.values())
         importer = self._library_importer(context, name, package)
         if importer is None:
             importer = self._generation(top, package)

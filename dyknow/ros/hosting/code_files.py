@@ -20,7 +20,14 @@ from typing import Callable, Iterator, Mapping, Tuple
 from dyknow.errors import DyKnowError, HostError, UnknownNodeletType
 from dyknow.locks import state_lock
 from dyknow.model.transformation import NODE, Program, Transformation
-from dyknow.nodelet.module_files import Stamp, reached_from, script_file, source_files, stamps
+from dyknow.nodelet.module_files import (
+    Stamp,
+    forget_bytecode,
+    reached_from,
+    script_file,
+    source_files,
+    stamps,
+)
 from dyknow.nodelet.plugins import Package, Plugins, plugin_files
 from dyknow.ros.hosting.installed import cpp_descriptions
 from dyknow.ros.process import programs
@@ -65,6 +72,7 @@ class CodeFiles:
             code = self._known.get(key)
         if anew or code is None:
             files = tuple(self._files_of(transformation))
+            forget_bytecode(files)  # a node in Python imports without us
             found = stamps(files)
             code = _Code(files, found, found, now)
         elif now - code.looked_at >= _PERIOD:

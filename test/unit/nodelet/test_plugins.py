@@ -376,14 +376,16 @@ def test_what_was_generated_for_a_package_in_a_devel_space(
         assert first.own is second.own is sys.modules[f"{package.name}.msg"].Own
 
 
-def test_versions_that_were_saved_within_a_second_are_distinguished(packages, monkeypatch):
+@pytest.mark.parametrize("since", [-1000, 1000])
+def test_versions_of_the_same_second_are_distinguished(packages, monkeypatch, since):
+    """However long after it they are loaded."""
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     packages.add("fast", GOOD.format(module="fast_module"), fast_module=MODULE)
     file = packages.folder / "fast" / "src" / "fast_module.py"
     imports, declared = ClassImports(), packages.plugins.find("good/Nodelet")
-    saved = int(time.time()) + 1000  # it is recent, however long this takes
+    second = int(time.time()) + since
     for number in range(3, 7):  # all of the same size
         file.write_text(MODULE.replace("number = 5", f"number = {number}"))
-        os.utime(file, ns=(0, saved * 1_000_000_000 + number))
+        os.utime(file, ns=(0, second * 1_000_000_000 + number))
         found = imports.load(declared, None)  # type: ignore[arg-type]
         assert found.on_init.__globals__["number"] == number

@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +88,22 @@ def test_a_script_is_its_file_and_the_modules_beside_it(package: Package) -> Non
     assert not package.changes(package.script, "scripts/beside.py")
     package.write("scripts/run.py", "#!/usr/bin/env python3\nimport beside")
     assert package.changes(package.script, "scripts/beside.py", "VALUE = 333")
+
+
+def test_a_node_runs_the_version_that_was_saved_last(package: Package) -> None:
+    """Python takes versions of one second and size for the same."""
+    package.write("scripts/run.py", "#!/usr/bin/env python3\nimport beside\nprint(beside.VALUE)")
+    script, beside = (package.folder / "scripts" / name for name in ("run.py", "beside.py"))
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    printed = []
+    for value in range(3):
+        beside.write_text(f"VALUE = {value}")
+        os.utime(beside, (0, 1000))
+        package.code.of(package.script, anew=True)
+        printed.append(
+            subprocess.check_output([sys.executable, str(script)], env=environment, text=True)
+        )
+    assert printed == ["0\n", "1\n", "2\n"]
 
 
 def test_a_nodelet_in_cpp_is_its_library(package: Package, tmp_path: Path) -> None:
