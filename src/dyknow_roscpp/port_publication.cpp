@@ -80,9 +80,22 @@ bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::Subs
     first = active_ = std::make_shared<Registration>(topic, node_);
   }
   const topics::WiringLock lock;
-  if (isActive(first))
+  try
   {
-    first->advertise(lock, options_);
+    if (isActive(first))
+    {
+      first->advertise(lock, options_);
+    }
+  }
+  catch (const Refusal&)
+  {
+    if (topics::isUp())
+    {
+      throw;
+    }
+    // roscpp shuts down. Nodes publish at once, which roscpp lets nobody do with a handle that it refused.
+    std::lock_guard<std::mutex> messages_lock(message_lock_);
+    active_.reset();
   }
   return true;
 }

@@ -191,6 +191,13 @@ class ViewTest(HabitsCase):
         self.assertIn("without a callback", plain)
         self.assertEqual(live, plain)
 
+    def test_it_advertises_while_it_ends(self):
+        """As in a callback that a shutdown overtakes; a refused handle would end in an abort."""
+        node = self.run_process(*RUN, *PROGRAM, "0", "-1", "__name:=habits")
+        eventually(self.is_live, 20.0, "its ports are live")
+        self.stop(node)
+        self.assertIn("published at the end: 1", node.output)
+
 
 class HelpTest(HabitsCase):
     def test_no_node_is_started(self):

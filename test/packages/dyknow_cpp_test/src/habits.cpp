@@ -59,6 +59,15 @@ public:
   {
   }
 
+  /// Publishes as a callback does that is overtaken by a shutdown; returns whether it had a topic for that.
+  bool publishLast() const
+  {
+    ros::NodeHandle nh(nh_);
+    const ros::Publisher last = nh.advertise<std_msgs::String>("last", 1);
+    last.publish(std_msgs::String());
+    return static_cast<bool>(last);
+  }
+
 private:
   using Request = std_srvs::Trigger::Request;
   using Answer = std_srvs::Trigger::Response;
@@ -183,6 +192,7 @@ int main(int argc, char** argv)
     {
       if (!ros::ok())
       {
+        std::printf("published at the end: %d\n", relay.publishLast());
         queue.end();
         return 0;
       }
