@@ -145,8 +145,10 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
         is_value = command == "spawn" and option.startswith("--param")
         if is_given and command == "spawn" and re.match("_[^_]", name):
             parameter = f"{name[1:]}={value}"
-            own += [parameter] if is_value else []
-            parameters += [] if is_value else ["--param", parameter]
+            if is_value:
+                own.append(parameter)
+            else:
+                parameters += ["--param", parameter]
         elif is_value or not is_given:
             own.append(word)
         elif name not in _FROM_ROSLAUNCH:

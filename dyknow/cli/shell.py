@@ -137,7 +137,6 @@ class Shell:
         return FAILED if failed else None
 
     def error(self, message: object) -> None:
-        self.out.flush()
         self.err.write(f"dyknow: {message}\n")
 
     def warn(self, messages: str) -> None:

@@ -213,8 +213,8 @@ def forget_bytecode(files: Collection[str]) -> None:
     """Delete the bytecode of files that may be of an earlier version.
 
     Python knows a version by the second of its time and its size, and two may have been saved
-    within one, or get the same time when they are copied. What was compiled well after the last
-    change of the file, which nobody can set to another time, is of the present version.
+    within one, or get the same time when they are copied. Bytecode that was written well after
+    the file's ctime, which unlike its mtime cannot be set, is of the present version.
     """
     for file in files:
         with contextlib.suppress(OSError, NotImplementedError):

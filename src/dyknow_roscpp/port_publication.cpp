@@ -93,7 +93,7 @@ bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::Subs
     {
       throw;
     }
-    // roscpp shuts down. Nodes publish at once, which roscpp lets nobody do with a handle that it refused.
+    // roscpp shuts down. A node publishes at once, and roscpp aborts if its handle was refused.
     std::lock_guard<std::mutex> messages_lock(message_lock_);
     active_.reset();
   }

@@ -31,8 +31,8 @@ _TIMEOUT = 120.0
     "dot -Tpdf -o robot.pdf",
     group(
         flag("--dot", "print it in graphviz's DOT language"),
-        argument("--svg", "FILE", "draw it into a file (svg)"),
-        argument("--png", "FILE", "draw it into a file (png)"),
+        argument("--svg", "FILE", f"draw it into a file (svg); {STDIO} for standard output"),
+        argument("--png", "FILE", f"draw it into a file (png); {STDIO} for standard output"),
     ),
     argument(
         "--namespace",

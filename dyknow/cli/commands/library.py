@@ -109,7 +109,7 @@ def _named(file: str, words: str) -> str:
     "Write transformations as one specification, which 'import' reads.",
     "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
     _labels("*", "what to export (default: all)"),
-    argument("-o --output", "FILE", "write here (default: print)"),
+    argument("-o --output", "FILE", f"write here (default: {STDIO}, print)"),
 )
 def _export(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)

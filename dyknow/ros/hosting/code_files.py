@@ -72,7 +72,8 @@ class CodeFiles:
             code = self._known.get(key)
         if anew or code is None:
             files = tuple(self._files_of(transformation))
-            forget_bytecode(files)  # a node in Python imports without us
+            if anew:
+                forget_bytecode(files)  # a node in Python imports without us
             found = stamps(files)
             code = _Code(files, found, found, now)
         elif now - code.looked_at >= _PERIOD:

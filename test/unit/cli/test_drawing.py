@@ -11,7 +11,7 @@ import subprocess
 
 import pytest
 from clocks import PATIENCE
-from unit.cli.fake_client import FakeClient, run
+from unit.cli.fake_client import FakeClient, Outcome, run
 from unit.manager.world import World
 
 from dyknow.cli.commands.graph import to_dot
@@ -100,6 +100,12 @@ def test_files(tmp_path):
     assert b"<svg" in (tmp_path / "g.svg").read_bytes()
     assert run(client, f"graph --png {tmp_path / 'g.png'}").code == 0
     assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
+
+
+@needs_graphviz
+def test_standard_output(capfdbinary):
+    assert run(FakeClient(World()), "graph --svg -") == Outcome(0, "", "")
+    assert b"<svg" in capfdbinary.readouterr().out
 
 
 def test_without_graphviz_it_says_what_to_do(monkeypatch):

@@ -198,17 +198,15 @@ def test_what_was_done_before_the_manager_went_is_told(chain):
             raise ManagerUnreachable("DyKnow manager '/dyknow_manager' is not running")
 
     chain.fail = fail
-    outcome = run(chain, "unprotect /robot/relay")
+    assert run(chain, "unprotect /robot/relay").code == 0
     outcome = run(chain, "destroy /robot/relay cam")
     assert (outcome.code, outcome.out) == (3, "destroyed /robot/relay\n")
     assert outcome.err.count("\n") == 1
 
 
-def test_files_may_be_standard_output(client, capfdbinary):
+def test_export_to_standard_output(client):
     printed = run(client, "export").out
     assert run(client, "export -o -") == Outcome(0, printed, "")
-    assert run(client, "graph --svg -") == Outcome(0, "", "")
-    assert b"<svg" in capfdbinary.readouterr().out
 
 
 def test_import_reads_what_export_wrote(client, tmp_path):
