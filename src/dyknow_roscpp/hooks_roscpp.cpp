@@ -5,12 +5,14 @@
 #include <ros/init.h>
 #include <ros/master.h>
 #include <ros/node_handle.h>
+#include <ros/poll_set.h>
 #include <ros/statistics.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
 #include <ros/topic_manager.h>
 
 #include <boost/align/aligned_allocator.hpp>
+#include <poll.h>
 
 #include <algorithm>
 #include <typeinfo>
@@ -97,6 +99,17 @@ auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direc
   return made;
 }
 
+/// The events of a socket, without an end that is another socket's.
+///
+/// roscpp learns of several events at a time. When a connection ends and another thread closes its socket before the
+/// event is handled, a connection that is accepted in between has the same descriptor, and would be closed.
+int ownEvents(int descriptor, int events)
+{
+  constexpr int END = POLLERR | POLLHUP | POLLRDHUP | POLLNVAL;
+  pollfd now{descriptor, POLLRDHUP, 0};
+  return (events & END) == 0 || poll(&now, 1, 0) < 0 ? events : events & (~END | now.revents);
+}
+
 }  // namespace
 
 std::vector<void*> roscppHooks()
@@ -121,6 +134,7 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::TopicManager::incrementSequence),
       addressOf(&ros::TopicManager::getAdvertisedTopics),
       topics::unregisterPublisherHook(),
+      addressOf(&ros::PollSet::addSocket),
       addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
       addressOf(&ros::StatisticsLogger::init),
       addressOf(&ros::Publisher::getTopic),
@@ -342,6 +356,13 @@ std::string Subscriber::getTopic() const
   const std::string key = next(this);
   const auto subscription = Registry::instance().subscription(key);
   return subscription ? subscription->port().topic() : Registry::topicOf(key);
+}
+
+bool PollSet::addSocket(int fd, const SocketUpdateFunc& update_func, const TransportPtr& transport)
+{
+  static const auto next = dyknow::behind(&PollSet::addSocket);
+  const auto update = [fd, update_func](int events) { update_func(dyknow::ownEvents(fd, events)); };
+  return next(this, fd, update, transport);
 }
 
 void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,

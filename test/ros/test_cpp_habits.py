@@ -191,6 +191,12 @@ class ViewTest(HabitsCase):
         self.assertIn("without a callback", plain)
         self.assertEqual(live, plain)
 
+    def test_a_connection_outlives_the_former_one_of_its_descriptor(self):
+        """roscpp closes it, and its client gets no answer."""
+        node = self.run_process(*RUN, *PROGRAM, "0", "-1", "__name:=habits")
+        self.assertTrue(self.call("/habits/accepted").success)
+        self.stop(node)
+
     def test_it_advertises_while_it_ends(self):
         """As in a callback that a shutdown overtakes; a refused handle would end in an abort."""
         node = self.run_process(*RUN, *PROGRAM, "0", "-1", "__name:=habits")

@@ -6,10 +6,17 @@
 ///
 /// habits N PAUSE...: N times a handle that lives for an instant; then for each pause (s) such a handle (if it is
 /// not negative), the pause, and a relay that works until SIGUSR1.
+#include <arpa/inet.h>
+#include <netinet/tcp.h>
 #include <ros/callback_queue.h>
+#include <ros/poll_set.h>
 #include <ros/ros.h>
+#include <ros/transport/transport_tcp.h>
 #include <std_msgs/String.h>
 #include <std_srvs/Trigger.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <csignal>
@@ -45,6 +52,86 @@ private:
   bool is_gone_ = false;
 };
 
+/// A client's end of a connection to a port of this host. What it does has arrived when it returns.
+class Client
+{
+public:
+  explicit Client(int port) : socket_(socket(AF_INET, SOCK_STREAM, 0))
+  {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(port));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    if (connect(socket_, reinterpret_cast<sockaddr*>(&address), sizeof(address)) != 0)
+    {
+      std::abort();
+    }
+    send(socket_, "x", 1, 0);
+    waitFor([](const tcp_info& info) { return info.tcpi_unacked == 0; });
+  }
+
+  ~Client() { close(socket_); }
+
+  void end()
+  {
+    shutdown(socket_, SHUT_WR);
+    waitFor([](const tcp_info& info) { return info.tcpi_state == TCP_FIN_WAIT2; });
+  }
+
+private:
+  template <class Condition>
+  void waitFor(Condition condition)
+  {
+    tcp_info info{};
+    for (socklen_t size = sizeof(info);
+         getsockopt(socket_, IPPROTO_TCP, TCP_INFO, &info, &size) == 0 && !condition(info);)
+    {
+      usleep(100);
+    }
+  }
+
+  const int socket_;
+};
+
+/// Whether a connection is open that was accepted when another thread had closed one whose end was not handled yet,
+/// and got the descriptor of that.
+bool outlivesFormer()
+{
+  ros::PollSet sockets;
+  std::vector<ros::TransportTCPPtr> accepted;
+  const auto server = boost::make_shared<ros::TransportTCP>(&sockets);
+  server->listen(0, 3, [&accepted](const ros::TransportTCPPtr& transport) { accepted.push_back(transport); });
+  Client former(server->getServerPort());
+  while (accepted.empty())
+  {
+    sockets.update(100);
+  }
+  sockets.update(0);
+  // Three events at a time, in this order.
+  const int first = eventfd(0, 0);
+  sockets.addSocket(first, [&](int)
+                    {
+                      accepted[0]->close();  // as a thread does that has sent the answer
+                      sockets.delSocket(first);
+                    });
+  sockets.update(0);
+  sockets.addEvents(first, POLLOUT);
+  Client newcomer(server->getServerPort());
+  former.end();
+  while (accepted.size() < 2)
+  {
+    sockets.update(100);
+  }
+  std::uint8_t byte;
+  const bool is_open = accepted[1]->read(&byte, 1) == 1;
+  for (const auto& each : {accepted[0], accepted[1], server})
+  {
+    each->close();
+  }
+  close(first);
+  return is_open;
+}
+
 class Relay
 {
 public:
@@ -56,6 +143,7 @@ public:
     , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
     , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
     , refused_(private_nh_.advertiseService("refused", &Relay::onRefused, this))
+    , accepted_(private_nh_.advertiseService("accepted", &Relay::onAccepted, this))
   {
   }
 
@@ -136,6 +224,12 @@ private:
     return true;
   }
 
+  bool onAccepted(Request&, Answer& answer)
+  {
+    answer.success = outlivesFormer();
+    return true;
+  }
+
   template <class Call>
   std::string refusal(Call call)
   {
@@ -157,6 +251,7 @@ private:
   ros::ServiceServer again_;
   ros::ServiceServer seen_;
   ros::ServiceServer refused_;
+  ros::ServiceServer accepted_;
 };
 
 /// A parameter by way of a handle of its own: where it is the only one, roscpp is started and shut down.
