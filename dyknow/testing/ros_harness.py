@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import itertools
 import logging
 import os
@@ -13,13 +14,13 @@ import time
 import unittest
 from typing import Any, Callable, Mapping, Sequence
 
-import rosgraph
 import rosmaster.master
 import rospy
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from roslib.packages import find_node
 
 from dyknow import names
+from dyknow.errors import PeerTimeout
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.master import Master
@@ -139,7 +140,7 @@ class RosHarness(Harness):
     # Input and output
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message; the first on a topic waits until a subscriber is connected.
+        """Publish a message; the first on a topic waits until its subscribers are connected.
 
         Raises:
             AssertionError: the topic has no subscriber.
@@ -148,6 +149,7 @@ class RosHarness(Harness):
         if publisher is None:
             publisher = rospy.Publisher(topic, type(message), queue_size=1000)
             self._publishers[topic] = publisher
+            self.wait_until(lambda: _reaches_all(topic), what=f"{topic} reaches its subscribers")
         connected = publisher.get_num_connections
         self.wait_until(lambda: connected() > 0, what=f"{topic} has a subscriber")
         publisher.publish(message)
@@ -160,10 +162,7 @@ class RosHarness(Harness):
         received: list[Any] = []
         subscriber = rospy.Subscriber(topic, datatype, received.append, queue_size=1000)
         self._subscribers.append(subscriber)
-        publishers = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
-        expected = len(publishers.get(rospy.resolve_name(topic), ()))
-        connected = subscriber.get_num_connections
-        self.wait_until(lambda: connected() >= expected, what=f"{topic} is connected")
+        self.wait_until(lambda: _comes_from_all(topic), what=f"{topic} is connected")
         return received
 
     def wait_until(
@@ -200,6 +199,28 @@ class RosTestCase(unittest.TestCase):
         """Start the nodelet manager."""
         self.harness = RosHarness()
         self.addCleanup(self.harness.close)
+
+
+def _reaches_all(topic: str) -> bool:
+    """Whether this node sends a topic that it publishes to all subscribers, of which there are."""
+    topic, me = rospy.resolve_name(topic), rospy.get_name()
+    subscribers = Master(me).subscribers(topic)
+    return bool(subscribers) and subscribers <= _receivers(me, topic)
+
+
+def _comes_from_all(topic: str) -> bool:
+    """Whether the publishers of a topic send it to this node.
+
+    rospy counts a connection of a subscriber before it is made.
+    """
+    topic, me = rospy.resolve_name(topic), rospy.get_name()
+    return all(me in _receivers(each, topic) for each in Master(me).publishers(topic))
+
+
+def _receivers(publisher: str, topic: str) -> set[str]:
+    with contextlib.suppress(LookupError, PeerTimeout):  # it has ended
+        return Master(rospy.get_name()).receivers(publisher, topic, _PATIENCE)
+    return set()
 
 
 def _join_ros() -> None:

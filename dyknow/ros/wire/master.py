@@ -169,6 +169,9 @@ class Master:
     def publishers(self, topic: str) -> set[str]:
         return self._nodes(topic, 0)
 
+    def subscribers(self, topic: str) -> set[str]:
+        return self._nodes(topic, 1)
+
     def datatype(self, topic: str) -> str:
         """Type of a topic with a live publisher or subscriber, else empty.
 
@@ -178,7 +181,7 @@ class Master:
         published = dict(self.ask("getPublishedTopics", names.parent(topic)))
         if topic in published:
             return str(published[topic])
-        answers = (self._subscribed(node, topic) for node in sorted(self._nodes(topic, 1)))
+        answers = (self._subscribed(node, topic) for node in sorted(self.subscribers(topic)))
         return next((answer for answer in answers if answer not in ("", "*")), "")
 
     def node(self, name: str) -> str:
@@ -203,6 +206,11 @@ class Master:
         infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
         return {int(port.group(1)) for port in ports if port}
+
+    def receivers(self, node: str, topic: str, timeout: float) -> set[str]:
+        """Query a node for the nodes to which it sends a topic that it publishes."""
+        infos = self._ask_node(node, self.ask("lookupNode", node), timeout, "getBusInfo")
+        return {str(info[1]) for info in infos if info[2:5:2] == ["o", topic]}
 
     def transports(self, node: str, timeout: float) -> dict[tuple[str, str, str], list[str]]:
         """Query a node for the transports of its connections to other processes.

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 import rosgraph
 import rospy
+from rospy.impl import tcpros_pubsub
 from std_msgs.msg import Header, String
 
 from dyknow.errors import DyKnowError, UnknownPort
@@ -31,6 +33,21 @@ def test_messages_pass(harness):
     for number in range(3):
         harness.publish("/in", Header(frame_id=str(number)))
     harness.wait_until(lambda: [each.frame_id for each in got] == ["0", "1", "2"])
+
+
+def test_messages_pass_when_connecting_takes_time(harness, monkeypatch):
+    """rospy counts the connection of a subscriber before a thread makes it."""
+
+    def connect_late(*args):
+        time.sleep(0.5)
+        connect(*args)
+
+    connect = tcpros_pubsub.robust_connect_subscriber
+    monkeypatch.setattr(tcpros_pubsub, "robust_connect_subscriber", connect_late)
+    harness.load("dyknow/Relay", "/late", ports={"in": "/early", "out": "/late_out"})
+    inputs, outputs = harness.listen("/early", Header), harness.listen("/late_out", Header)
+    harness.publish("/early", Header(frame_id="first"))
+    harness.wait_until(lambda: len(inputs) == len(outputs) == 1, 5.0)
 
 
 def test_ports_are_connected_elsewhere(harness):
