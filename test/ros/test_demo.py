@@ -24,7 +24,7 @@ STORY = (
     r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
     r"\+ bottom_camera_1",
     r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  battery \d+%  bott",
-    r"Holds\(charged, nao\) is FALSE: battery\.percentage = 0\.1\d* at \d+\.\d+",
+    r"Holds\(charged, nao\) is FALSE: battery\.percentage = 0\.1\d* at \d+(\.\d+)?\n",
     r"RECOVERING: .*bottom_camera_1 is not available: Holds\(charged, nao\) is FALSE since ",
     r"- bottom_camera_1",
     r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
