@@ -94,8 +94,15 @@ class ScriptProxy(NodeletProxy):
             suffix = f"_{kind.direction}" if other is not None else ""
             port = self._by_label[label, kind.direction] = kind(label + suffix, datatype, topic)
         elif port.datatype._md5sum != datatype._md5sum:
-            raise PortConflict(port.name, port.kind, f"a port of type {datatype._type}")
+            self._retype(port, datatype)
         return port
+
+    def _retype(self, port: ProxyPort, datatype: Any) -> None:
+        """Give a port another type, if the script has let go of it or takes any type there."""
+        if not port.handles or (port.direction == IN and port.datatype._md5sum == "*"):
+            port.datatype = datatype
+        elif port.direction == OUT or datatype._md5sum != "*":
+            raise PortConflict(port.name, port.kind, f"a port of type {datatype._type}")
 
     def _rename(self, port: ProxyPort, name: str) -> None:
         """Tell a port from one of the other direction."""

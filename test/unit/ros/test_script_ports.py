@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 from rospy import SubscribeListener
-from unit.nodelet.fakes import Message, World, numbers
+from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, numbers
 
-from dyknow.errors import InvalidConfiguration
+from dyknow.errors import InvalidConfiguration, PortConflict
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.handle import NodeHandle
 from dyknow.ros.scripts.script_ports import ScriptHandle, ScriptProxy
@@ -119,3 +119,23 @@ def test_a_port_by_a_longer_name(script):
     script.proxy.set_config([("script/out", "/x")])
     assert script.ports()["~out"] == ("test/Message", "/x")
     assert "script/out" not in script.ports()
+
+
+@pytest.mark.parametrize("maker", ["Publisher", "Subscriber"])
+def test_a_port_that_the_script_has_let_go_of_may_get_another_type(script, maker):
+    make = getattr(script.handle, maker)
+    make("words", OtherMessage, None).unregister()
+    make("words", Message, None)
+    assert script.ports()["words"] == ("test/Message", "/robot/words")
+    with pytest.raises(PortConflict, match="a port of type test/OtherMessage"):
+        make("words", OtherMessage, None)
+
+
+def test_a_subscriber_to_any_type_goes_with_one_of_a_type(script):
+    got, any_type = [], []
+    for datatype, received in ((AnyMessage, any_type), (Message, got), (AnyMessage, any_type)):
+        script.handle.Subscriber("words", datatype, received.append)
+    assert script.ports()["words"] == ("test/Message", "/robot/words")
+    script.world.handle().Publisher("/robot/words", Message).publish(1)
+    script.world.drain()
+    assert numbers(got) == [1]
