@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import builtins
 import collections
-import contextlib
 import dataclasses
 import importlib
 import importlib.util
@@ -152,19 +151,24 @@ class Importer:
     # Inside
 
     def _dataclass(self, cls: type[Any] | None = None, **options: Any) -> Any:
-        """Replace ``dataclass``, which needs its module, a copy here, in ``sys.modules``."""
+        """Replace ``dataclass``, which needs its module, a copy here, in ``sys.modules``.
+
+        It is there under a name of its own for so long: the process may have another of its name.
+        """
 
         def make(cls: type[Any]) -> Any:
-            name = cls.__module__
-            with _lending:
-                is_lent = name in self.modules and name not in sys.modules
-                if is_lent:
-                    sys.modules[name] = self.modules[name]
-                try:
-                    return dataclasses.dataclass(**options)(cls)
-                finally:
-                    if is_lent:
-                        del sys.modules[name]
+            name, lent = cls.__module__, f"{cls.__module__}, {id(cls)}"
+            if name not in self.modules:
+                return dataclasses.dataclass(**options)(cls)
+            sys.modules[lent] = self.modules[name]
+            cls.__module__ = lent
+            try:
+                made = dataclasses.dataclass(**options)(cls)
+            finally:
+                cls.__module__ = name
+                del sys.modules[lent]
+            made.__module__ = name  # with slots it is another class
+            return made
 
         return make if cls is None else make(cls)
 
@@ -187,8 +191,11 @@ class Importer:
             wanted = getattr(module, "__all__", ()) if "*" in fromlist else fromlist
             for item in wanted:
                 if not hasattr(module, item):
-                    with contextlib.suppress(ModuleNotFoundError):
+                    try:
                         self._load(f"{name}.{item}")
+                    except ModuleNotFoundError as error:
+                        if error.name != f"{name}.{item}":
+                            raise
         return module
 
     def _import_blindly(
@@ -313,6 +320,3 @@ def _package(namespace: Mapping[str, Any]) -> str:
         return str(package)
     name = str(namespace.get("__name__", ""))
     return name if "__path__" in namespace else name.rpartition(".")[0]
-
-
-_lending = module_lock()

@@ -163,6 +163,29 @@ def test_dataclasses_whose_annotations_are_texts(folder: Folder) -> None:
     assert "sib_eight" not in sys.modules
 
 
+def test_dataclasses_of_a_script_whose_annotations_are_texts(folder: Folder) -> None:
+    """The process has another module of its name, ``__main__``."""
+    before = sys.modules["__main__"]
+    found = run(
+        script_importer(folder()),
+        "from __future__ import annotations\nfrom dataclasses import InitVar, dataclass\n"
+        "from typing import ClassVar\n"
+        "@dataclass\nclass Made:\n  number: ClassVar[int] = 7\n  given: InitVar[int]\n"
+        "  twice: int = 0\n  def __post_init__(self, given):\n    self.twice = 2 * given\n",
+    )
+    made = found["Made"](5)
+    assert (made.twice, made.number, vars(made)) == (10, 7, {"twice": 10})
+    assert found["Made"].__module__ == "__main__" and sys.modules["__main__"] is before
+
+
+def test_what_a_submodule_lacks_is_named(folder: Folder) -> None:
+    path = folder(pack_three____init__="", pack_three__sub="import not_there_at_all")
+    with pytest.raises(ModuleNotFoundError, match="'not_there_at_all'"):
+        run(script_importer(path), "from pack_three import sub")
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        run(script_importer(path), "from pack_three import nothing")
+
+
 def test_import_module_and_what_stands_for_sys_modules(folder: Folder) -> None:
     importer = script_importer(folder(pack_nine____init__="", pack_nine__leaf="word = 'leaf'"))
     found = run(
