@@ -34,6 +34,7 @@ from dyknow.nodelet.module_files import (
     CatkinFinder,
     Stamp,
     forget_bytecode,
+    package_spec,
     source_files,
     stamps,
 )
@@ -185,10 +186,22 @@ class Package:
         """Find the package of a top-level module; ``library`` is searched first."""
         if not os.path.isdir(library) or PathFinder.find_spec(top, [library]) is None:
             return cls(frozenset((top,)), [], source_files(top))
-        tops = {each.partition(".")[0] for each in os.listdir(library) if each.endswith(".py")}
-        tops = {top, *tops}
+        tops = {each.stem for each in Path(library).glob("*.py")}
+        tops.add(top)
+        if not os.path.isdir(os.path.join(library, top)):  # else its modules are in a package
+            tops |= {each.parent.name for each in Path(library).glob("*/__init__.py")}
         files = {n: f for each in sorted(tops) for n, f in source_files(each, [library]).items()}
         return cls(frozenset(tops), [library], files)
+
+    def is_hidden(self) -> bool:
+        """Whether the process has other modules of these names, or finds them first."""
+        if not self.folders:
+            return False
+        found = [package_spec(top, sys.path) for top in self.tops]
+        files = [spec.origin for spec in found if spec is not None]
+        files += [getattr(sys.modules.get(top), "__file__", None) for top in self.tops]
+        ours = set(map(os.path.realpath, self.files.values()))
+        return any(file and os.path.realpath(file) not in ours for file in files)
 
 
 class ClassImports:
@@ -204,7 +217,7 @@ class ClassImports:
     ) -> None:
         self._library_importer = library_importer
         #: By package: stamps of its files, and its modules; None for the process's own.
-        self._generations: dict[str, tuple[Mapping[str, Stamp], Importer | None]] = {}
+        self._generations: dict[tuple[str, ...], tuple[Mapping[str, Stamp], Importer | None]] = {}
         CatkinFinder.install()
 
     def load(self, declared: PluginClass, context: Context) -> type[Nodelet]:
@@ -243,11 +256,11 @@ class ClassImports:
         return importlib.import_module(name) if importer is None else importer.import_module(name)
 
     def _generation(self, top: str, package: Package) -> Importer | None:
-        now = stamps(package.files.values())
-        if top not in self._generations:
-            self._generations[top] = now, None
+        now, key = stamps(package.files.values()), (top, *package.folders)
+        if key not in self._generations and not package.is_hidden():
+            self._generations[key] = now, None
             sys.path[:0] = [each for each in package.folders if each not in sys.path]
-        elif self._generations[top][0] != now:
+        elif key not in self._generations or self._generations[key][0] != now:
             importer = Importer(package.tops.__contains__, search=package.folders)
-            self._generations[top] = now, importer
-        return self._generations[top][1]
+            self._generations[key] = now, importer
+        return self._generations[key][1]

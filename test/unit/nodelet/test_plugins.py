@@ -318,6 +318,31 @@ def test_what_else_is_in_the_folder_stays_the_processs_own(package: Written) -> 
     assert vars(module)[other.name] is sys.modules[other.name]
 
 
+def test_modules_of_one_name_are_those_of_each_folder(tmp_path: Path) -> None:
+    """Also in packages beside them, which change with them."""
+    imports = ClassImports()
+
+    def load(name: str) -> Any:
+        declared = PluginClass(
+            f"{name}/Teller", f"{name}_nodelets.Teller", "", tmp_path / name, tmp_path / "p.xml"
+        )
+        return imports.load(declared, None).said  # type: ignore[arg-type, attr-defined]
+
+    for name in ("one_a", "one_b"):
+        (tmp_path / name / "parts").mkdir(parents=True)
+        (tmp_path / name / f"{name}_nodelets.py").write_text(
+            "import dyknow, common, parts.words\n"
+            "class Teller(dyknow.Nodelet):\n  said = common.word, parts.words.word\n"
+        )
+        (tmp_path / name / "common.py").write_text(f"word = '{name}'")
+        (tmp_path / name / "parts" / "__init__.py").write_text("")
+        (tmp_path / name / "parts" / "words.py").write_text(f"word = '{name}'")
+        assert load(name) == (name, name)
+    for name in ("one_a", "one_b"):
+        (tmp_path / name / "parts" / "words.py").write_text(f"word = 'changed {name}'")
+        assert load(name) == (name, f"changed {name}")
+
+
 #: What catkin puts into a devel space, in short.
 RELAY = """# generated from catkin/cmake/template/__init__.py.in
 import os, pkgutil, sys
