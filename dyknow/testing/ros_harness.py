@@ -69,6 +69,7 @@ class RosHarness(Harness):
     def close(self) -> None:
         """End the nodelet manager; delete the parameters that were set for its nodelets."""
         self._processes.close()
+        _forget(self.manager)
         for registration in (*self._publishers.values(), *self._subscribers):
             registration.unregister()
         for name in self._parameters:
@@ -221,6 +222,14 @@ def _receivers(publisher: str, topic: str) -> set[str]:
     with contextlib.suppress(LookupError, PeerTimeout):  # it has ended
         return Master(rospy.get_name()).receivers(publisher, topic, _PATIENCE)
     return set()
+
+
+def _forget(node: str) -> None:
+    """Unregister what a nodelet manager that crashed has left at the master."""
+    master = Master(rospy.get_name())
+    uri = master.node(node)
+    if uri:
+        master.purge(node, uri)
 
 
 def _join_ros() -> None:

@@ -91,6 +91,15 @@ def test_parameters_are_set_and_nothing_is_left_of_a_harness():
     assert not rospy.has_param("/one/datatype")
 
 
+def test_what_crashed_holds_up_no_later_test():
+    with RosHarness() as crashed:
+        crashed.load("dyknow/Relay", "/one", BOTH)
+        crashed._process.kill()
+        with pytest.raises(AssertionError):
+            crashed.wait_until(lambda: False)
+    assert not {"/one", crashed.manager} & _nodes()
+
+
 def _nodes():
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     return {node for part in state for _, owners in part for node in owners}
