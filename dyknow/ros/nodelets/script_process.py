@@ -34,7 +34,7 @@ from dyknow.periodic import in_background
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_flag
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process.signals import on_signals
-from dyknow.ros.scripts.sandbox import Sandbox
+from dyknow.ros.scripts.sandbox import Sandbox, join_all
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
 from dyknow.ros.scripts.script_ports import ScriptHandle
 
@@ -94,9 +94,7 @@ class _ScriptProcess:
         except BaseException as error:
             status, is_interrupted = 1, type(error) is KeyboardInterrupt
             _report(error, vars(self._code.module)["__file__"])
-        for thread in threading.enumerate():
-            if thread is not threading.main_thread() and not thread.daemon:
-                thread.join()
+        join_all(lambda: [each for each in threading.enumerate() if not each.daemon])
         self._sandbox.run_exits()
         self._main_over.set()
         self._sandbox.shut_down("the script has ended")

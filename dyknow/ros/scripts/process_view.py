@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from functools import partial
-from typing import Any, Callable, Dict, NoReturn
+from typing import Any, Callable, Collection, Dict
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import flag_lock
@@ -37,7 +37,9 @@ _TOOLKITS = (
 _REFUSED = {
     "cv2": "destroyAllWindows imshow namedWindow waitKey".split(),
     "multiprocessing": "Manager Pool Process get_context".split(),
-    "os": "chdir execl execv execve execvp fchdir fork forkpty".split(),
+    "os": [
+        each for each in dir(os) if each in ("chdir", "fchdir") or each[:4] in ("exec", "fork")
+    ],
     "signal": "alarm set_wakeup_fd setitimer".split(),
 }
 
@@ -54,10 +56,16 @@ def process_views(sandbox: Sandbox) -> Views:
 
 def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
     """Return factories of the further views of a script, by name."""
-    views: Views = {"sys": lambda: _sys(sandbox, importer())}
+    views: Views = {"sys": lambda: _Sys(sandbox, importer())}
     if not sandbox.is_alone:
         views.update(_refusing(sandbox))
-        views["os"] = lambda: _partly_refused(sandbox, "os", _exit=sys.exit, kill=_kill(sandbox))
+        views["os"] = lambda: _partly_refused(
+            sandbox,
+            "os",
+            _exit=sys.exit,
+            kill=_kill(sandbox, os.kill, {os.getpid(), 0, -os.getpgrp()}),
+            killpg=_kill(sandbox, os.killpg, {os.getpgrp(), 0}),
+        )
         views["signal"] = lambda: _signal(sandbox)
     return views
 
@@ -69,34 +77,35 @@ def functions(sandbox: Sandbox) -> dict[str, Any]:
     return {"input": _refusal(sandbox, "input()"), "exit": sys.exit, "quit": sys.exit}
 
 
-def _sys(sandbox: Sandbox, importer: Importer) -> View:
-    if sandbox.is_alone:
-        return _OwnSys(sandbox, importer)
-    own = {"argv": sandbox.argv, "path": importer.path, "modules": importer.everything()}
-    return View(sys, {**own, "stdin": _NoKeyboard(sandbox)})
-
-
-class _OwnSys(View):
-    """``sys`` of a sandbox with a process of its own: assignments are to the process's ``sys``."""
+class _Sys(View):
+    """``sys`` of a sandbox; assignments are to the process's ``sys`` if that is its own."""
 
     def __init__(self, sandbox: Sandbox, importer: Importer) -> None:
-        super().__init__(sys, {"modules": importer.everything()})
+        own: dict[str, Any] = {"modules": importer.everything()}
+        if not sandbox.is_alone:
+            own.update(argv=sandbox.argv, path=importer.path, stdin=_NoKeyboard(sandbox))
+        super().__init__(sys, own)
         self.__dict__.update(_sandbox=sandbox, _importer=importer)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        setattr(sys, name, value)
+        setattr(sys, name, value) if self._sandbox.is_alone else super().__setattr__(name, value)
         if name == "argv":
             self._sandbox.argv = value
         elif name == "path":
             self._importer.path = value
 
     def __delattr__(self, name: str) -> None:
-        delattr(sys, name)
+        delattr(sys, name) if self._sandbox.is_alone else super().__delattr__(name)
 
 
 def _threading(sandbox: Sandbox) -> View:
     class Thread(threading.Thread):
         """A thread of a sandbox."""
+
+        def __init__(self, *args: Any, daemon: bool | None = None, **kwds: Any) -> None:
+            super().__init__(*args, daemon=daemon, **kwds)
+            if daemon is None:
+                self.daemon = sandbox.is_on_daemon()
 
         def start(self) -> None:
             sandbox.adopt(self)
@@ -115,6 +124,10 @@ def _threading(sandbox: Sandbox) -> View:
 
     class Timer(threading.Timer, Thread):
         """A timer of a sandbox."""
+
+        def __init__(self, *args: Any, **kwds: Any) -> None:
+            super().__init__(*args, **kwds)
+            self.daemon = sandbox.is_on_daemon()
 
     class Condition(threading.Condition):
         """A condition whose waits end at the unload."""
@@ -185,15 +198,20 @@ def _signal(sandbox: Sandbox) -> View:
         signal=set_handler,
         getsignal=lambda number: handlers.get(number, signal.SIG_DFL),
         pause=pause,
+        raise_signal=lambda number: sandbox.unload(),
     )
 
 
-def _kill(sandbox: Sandbox) -> Callable[[int, int], None]:
-    def kill(pid: int, number: int) -> None:
-        if pid == os.getpid() and number:
+def _kill(
+    sandbox: Sandbox, send: Callable[[int, int], None], own: Collection[int]
+) -> Callable[[int, int], None]:
+    """Return a function that sends signals; one to ``own`` processes ends the sandbox instead."""
+
+    def kill(target: int, number: int) -> None:
+        if target in own and number:
             sandbox.unload()
         else:
-            os.kill(pid, number)
+            send(target, number)
 
     return kill
 
@@ -216,11 +234,17 @@ def _partly_refused(sandbox: Sandbox, name: str, **own: Any) -> View:
     return View(real, {**refused, **own})
 
 
-def _refusal(sandbox: Sandbox, what: str) -> Callable[..., NoReturn]:
-    def refused(*args: Any, **kwds: Any) -> NoReturn:
-        raise NeedsProcess(sandbox.name, what)
+def _refusal(sandbox: Sandbox, what: str) -> type[Any]:
+    class Refused:
+        """Stands for a function, or for a class that code may derive from."""
 
-    return refused
+        def __new__(cls, *args: Any, **kwds: Any) -> Any:
+            raise NeedsProcess(sandbox.name, what)
+
+        def __init_subclass__(cls, **kwds: Any) -> None:
+            raise NeedsProcess(sandbox.name, what)
+
+    return Refused
 
 
 class _NoKeyboard:
@@ -231,6 +255,14 @@ class _NoKeyboard:
 
     def isatty(self) -> bool:
         return False
+
+    def __iter__(self) -> Any:
+        return self.read
+
+    __enter__ = __next__ = __iter__
+
+    def __exit__(self, *unused: object) -> None:
+        """Do nothing; it is not entered."""
 
     def __getattr__(self, name: str) -> Any:
         raise NeedsProcess(self._sandbox.name, "the keyboard (sys.stdin)")

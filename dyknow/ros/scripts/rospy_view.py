@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import threading
+import types
 from typing import Any, Callable, Mapping
 
 import genpy
@@ -136,15 +137,10 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
     def get_mappings() -> dict[str, str]:
         return dict(sandbox.context.remappings) if sandbox.context is not None else {}
 
-    def logger(name: str) -> Callable[..., Any]:
-        # A partial adds no frame: rospy distinguishes call sites by their frames.
-        if sandbox.is_alone:
-            return getattr(rospy, name)  # type: ignore[no-any-return]
-        title = sandbox.name.strip("/").replace("/", ".")
-        return functools.partial(getattr(rospy, name), logger_name=title)
-
     members: dict[str, Any] = {name: of_handle(name) for name in _OF_HANDLE}
-    members.update({name: logger(name) for name in _LOGS})
+    members.update({name: getattr(rospy, name) for name in _LOGS})
+    if not sandbox.is_alone:
+        members.update(_logging(sandbox.name))
     members.update(
         init_node=init_node,
         myargv=lambda argv=None: rospy.myargv(sandbox.argv if argv is None else argv),
@@ -180,6 +176,26 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
         members.update({name: _remapping(sandbox, name) for name in _OF_HANDLE})
         members["get_mappings"] = lambda: dict(sandbox.mappings)
     return members
+
+
+def _logging(name: str) -> dict[str, Callable[..., Any]]:
+    """Return rospy's functions for the log in a nodelet's name, with tables of their own.
+
+    They are rospy's code with other globals, and neither that nor a partial adds a frame: rospy
+    distinguishes call sites by their frames, in tables of what was said once or lately.
+    """
+    space = dict(vars(rospy.core))
+    for table in ("_logging_throttle", "_logging_identical", "_logging_once"):
+        space[table] = type(space[table])()
+        for attribute, shared in vars(type(space[table])).items():
+            if isinstance(shared, (dict, set)):
+                setattr(space[table], attribute, type(shared)())
+    for each in ("_base_logger", *_LOGS):
+        space[each] = types.FunctionType(
+            space[each].__code__, space, each, space[each].__defaults__
+        )
+    title = name.strip("/").replace("/", ".")
+    return {each: functools.partial(space[each], logger_name=title) for each in _LOGS}
 
 
 def _remapping(sandbox: Sandbox, name: str) -> Callable[..., Any]:

@@ -167,9 +167,9 @@ class Sandbox:
         do(self.handle)
 
     def signal_shutdown(self, reason: str) -> None:
-        """Shut down because the code asks for it, and unload then."""
-        self.shut_down(reason)
-        self.unload()
+        """Shut down because the code asks for it, and unload then; once."""
+        if self.shut_down(reason, waits=False):
+            self.unload()
 
     def unload(self, why: str = "") -> None:
         """Unload the nodelet, from a thread of its own, once its load is complete."""
@@ -184,11 +184,17 @@ class Sandbox:
 
         context.new_strand("its end").post(begin)  # whatever its callbacks do
 
+    def is_on_daemon(self) -> bool:
+        """Whether the current thread would be a daemon in a process of its own."""
+        me = threading.current_thread()
+        return me.daemon and me is not self.main and me not in self._non_daemons
+
     def adopt(self, thread: threading.Thread) -> None:
         """Register a thread that is about to start, and make it a daemon."""
-        if len(self.threads) > _MANY:
-            self.threads = [each for each in self.threads if each.is_alive()]
-        self.threads.append(thread)
+        with self._lock:
+            if len(self.threads) > _MANY:
+                self.threads = [t for t in self.threads if t.ident is None or t.is_alive()]
+            self.threads.append(thread)
         if not thread.daemon:
             self._non_daemons.add(thread)
             thread.daemon = True
@@ -203,8 +209,11 @@ class Sandbox:
 
     def dismiss(self, thread: threading.Thread) -> None:
         """Forget a thread that could not be started."""
-        if thread.ident is None and thread in self.threads:
-            self.threads.remove(thread)
+        with self._lock:
+            is_known = thread.ident is None and thread in self.threads
+            if is_known:
+                self.threads.remove(thread)
+        if is_known:
             self._non_daemons.discard(thread)
             vars(thread).pop("run", None)
 
@@ -218,10 +227,8 @@ class Sandbox:
 
     def join(self) -> None:
         """Wait for the threads that were not daemons, as Python does at its end."""
-        for thread in list(self.threads):
-            if thread in self._non_daemons and thread is not threading.current_thread():
-                self.waits()
-                thread.join()
+        self.waits()
+        join_all(lambda: [each for each in list(self.threads) if each in self._non_daemons])
 
     def rest(self, seconds: float) -> bool:
         """Sleep until ``seconds`` pass or the sandbox is closing; return whether it is closing."""
@@ -282,13 +289,18 @@ class Sandbox:
 
     # The end
 
-    def shut_down(self, reason: str, patience: float = math.inf) -> None:
+    def shut_down(self, reason: str, patience: float = math.inf, waits: bool = True) -> bool:
         """Shut down as rospy does: hooks, the flag that loops check, hooks.
 
         Args:
             reason: passed to the hooks.
             patience: seconds for which the hooks may sleep; sleeps end then and the hooks go on,
                 so that a robot's driver sends its last commands all the same.
+            waits: for the flag, if another thread shuts down already. Code of the sandbox must
+                not: a hook may wait for its thread.
+
+        Returns:
+            Whether it was not shut down before.
         """
         me = threading.current_thread()
         with self._lock:
@@ -297,9 +309,9 @@ class Sandbox:
                 self.is_ending, self._ending_thread = True, me
                 self._end_of_sleep = time.monotonic() + patience
         if not is_first:
-            if self._ending_thread is not me:  # else a hook asks for it again
+            if waits and self._ending_thread is not me:  # else a hook asks for it again
                 self.closing.wait()
-            return
+            return False
         for hook in list(self.hooks):
             self._attempt(hook, "on_shutdown")
         for before in list(self.hooks_before):
@@ -307,6 +319,7 @@ class Sandbox:
         self.closing.set()
         for after in list(self.hooks_after):
             self._attempt(partial(after, reason), "a shutdown hook")
+        return True
 
     def end_threads(self, files: Collection[str]) -> None:
         """End its threads: wait for them, then raise ``SystemExit`` in them where that is safe.
@@ -398,6 +411,16 @@ class SandboxEnd(Closable):
     def _end(self) -> None:
         self._sandbox.end_threads(frozenset(self._files()))
         self._sandbox.run_exits()
+
+
+def join_all(threads: Callable[[], Iterable[threading.Thread]]) -> None:
+    """Wait until no other thread of these is alive, nor one that they have started meanwhile."""
+    me = threading.current_thread()
+    while True:
+        left = [each for each in threads() if each is not me and each.is_alive()]
+        if not left:
+            return
+        left[0].join()
 
 
 def _place(thread: threading.Thread) -> tuple[str, int]:

@@ -103,6 +103,7 @@ class ScriptNodelet(Nodelet):
         sandbox.begin(ScriptHandle(self.mt_node_handle))
         sandbox.main.start()
         sandbox.settled.wait(PATIENCE)
+        sandbox.settled.set()  # a later error is for the log
         error, self._error = self._error, None
         if error is not None:
             sandbox.closing.set()
@@ -139,10 +140,10 @@ class ScriptNodelet(Nodelet):
     def _failed(self, sandbox: Sandbox, error: BaseException) -> None:
         if sandbox.closing.is_set():
             return
+        self._error = error  # first, so that the load has it if it is not for the log
         if sandbox.settled.is_set():
             lines = traceback.format_exception(type(error), error, error.__traceback__)
             _log.error("%s: the script has failed\n%s", self.name, "".join(lines))
-        self._error = error
 
 
 class NodeArguments:

@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Scripts in a shared nodelet manager end, fail and write to the log as in their own process."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from types import SimpleNamespace
+
+import pytest
+import rospy
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
+
+from dyknow.errors import LoadFailed
+from dyknow.nodelet.context import Runtime
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.local import LocalMiddleware
+from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
+from dyknow.ros.scripts import sandbox as sandbox_module
+from dyknow.ros.scripts import script as script_module
+from dyknow.ros.scripts.rospy_view import rospy_views
+from dyknow.ros.scripts.sandbox import Sandbox
+from dyknow.ros.scripts.script import ScriptNodelet
+
+
+class Scripts:
+    """Loads scripts, which share ``script_witness`` with the test."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.witness = SimpleNamespace(go_on=threading.Event(), ended=threading.Event())
+        self.runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=WorkerPool(None))
+        self.loader = Loader(self.runtime, lambda type_name, context: ScriptNodelet)
+
+    def load(self, text, name="/script"):
+        file = self.folder / "script.py"
+        begin = "import rospy, script_witness\nrospy.init_node('script')\n"
+        file.write_text(f"#!/usr/bin/env python3\n{begin}{text}\n")
+        self.loader.load(name, "script", {}, [str(file)])
+
+    def is_gone(self):
+        eventually(lambda: self.loader.list() == [])
+
+
+@pytest.fixture(name="scripts")
+def _scripts(tmp_path, monkeypatch):
+    scripts = Scripts(tmp_path)
+    monkeypatch.setitem(sys.modules, "script_witness", scripts.witness)
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    yield scripts
+    scripts.witness.go_on.set()
+    scripts.runtime.close()
+
+
+class TestTheEnd:
+    THREAD = """
+import threading, time
+def work():
+    for _ in range(20):
+        time.sleep(0.002)
+    script_witness.ended.set()
+threading.Thread(target=work).start()
+"""
+    TIMERS = """
+import threading
+def tick(left):
+    if left:
+        threading.Timer(0.002, tick, (left - 1,)).start()
+    else:
+        script_witness.ended.set()
+tick(5)
+"""
+
+    @pytest.mark.parametrize("text", [THREAD, TIMERS], ids=["thread", "timers"])
+    def test_it_is_that_of_the_last_thread_that_is_no_daemon(self, scripts, text):
+        scripts.load(text)
+        wait_for(scripts.witness.ended)
+        scripts.is_gone()
+
+    def test_daemons_are_not_waited_for(self, scripts):
+        wait = "threading.Thread(target=lambda: time.sleep(1000.0), daemon=True).start()"
+        scripts.load(f"import threading, time\n{wait}")
+        scripts.is_gone()
+
+    def test_threads_of_callbacks_are_daemons_as_those_are(self):
+        sandbox, found = Sandbox("/sandbox"), []
+        thread = threading.Thread(target=lambda: found.append(sandbox.is_on_daemon()), daemon=True)
+        thread.start()
+        join(thread)
+        assert found == [True]
+
+    def test_a_late_failure_is_in_the_log(self, scripts, monkeypatch, caplog):
+        monkeypatch.setattr(script_module, "PATIENCE", 0.01)
+        wait = "while not script_witness.go_on.is_set(): pass"
+        with caplog.at_level(logging.ERROR, "rosout.dyknow"):
+            scripts.load(f"{wait}\nraise ValueError('no camera')")
+            scripts.witness.go_on.set()
+            scripts.is_gone()
+        assert "ValueError: no camera" in caplog.text
+
+    def test_a_hook_may_join_a_thread_that_asks_for_the_end_too(self):
+        sandbox, ended = Sandbox("/sandbox"), []
+
+        def hook():
+            thread = in_thread(lambda: sandbox.signal_shutdown("a serial error"))
+            thread.join(PATIENCE)
+            ended.append(not thread.is_alive())
+
+        sandbox.hooks.append(hook)
+        sandbox.signal_shutdown("the end")
+        assert ended == [True]
+
+    def test_threads_that_have_not_started_are_not_forgotten(self, monkeypatch):
+        monkeypatch.setattr(sandbox_module, "_MANY", 2)
+        sandbox, threads = Sandbox("/sandbox"), [threading.Thread() for _ in range(5)]
+        for thread in threads:
+            sandbox.adopt(thread)
+        assert sandbox.threads == threads
+
+
+class TestWhatConcernsTheProcess:
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "import os\nos.execlp('true', 'true')",
+            "import os\nos.execvpe('true', ['true'], {})",
+            "import multiprocessing\nclass Own(multiprocessing.Process): pass",
+            "import multiprocessing\nmultiprocessing.Process()",
+            "import sys\nfor line in sys.stdin: pass",
+            "import sys\nwith sys.stdin: pass",
+        ],
+    )
+    def test_is_refused_with_the_cure(self, scripts, text):
+        with pytest.raises(LoadFailed, match="a process of its own"):
+            scripts.load(text)
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "import signal\nsignal.raise_signal(signal.SIGTERM)",
+            "import os\nos.killpg(os.getpgrp(), 15)",
+            "import os\nos.kill(0, 15)",
+        ],
+    )
+    def test_signals_to_itself_end_the_script_alone(self, scripts, text):
+        scripts.load(f"{text}\nrospy.spin()")
+        scripts.is_gone()
+
+    def test_its_command_line_and_path_are_its_own(self, scripts, tmp_path):
+        (tmp_path / "below").mkdir()
+        (tmp_path / "below" / "beside.py").write_text("number = 5\n")
+        scripts.load(
+            "import os, sys\n"
+            "sys.path = [os.path.join(os.path.dirname(__file__), 'below')] + sys.path\n"
+            "import beside\n"
+            "sys.argv = ['program', 'word', 'a:=b']\n"
+            "script_witness.found = beside.number, rospy.myargv()"
+        )
+        assert scripts.witness.found == (5, ["program", "word"])
+        scripts.is_gone()
+
+
+def test_each_instance_has_its_own_log_of_what_was_said_once(caplog, monkeypatch):
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    views = [
+        rospy_views(Sandbox(name), lambda: None, lambda: rospy)["rospy"]() for name in ("/a", "/b")
+    ]
+    with caplog.at_level(logging.WARNING, "rosout"):
+        for view in views * 2:
+            view.logwarn_once("no calibration")
+            view.logwarn_throttle_identical(1000.0, "no lens")
+    said = [(each.name, each.getMessage(), each.filename) for each in caplog.records]
+    assert said == [
+        (f"rosout.{name}", text, "test_scripts.py")
+        for name in "ab"
+        for text in ("no calibration", "no lens")
+    ]
