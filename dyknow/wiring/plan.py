@@ -271,13 +271,18 @@ def _otherwise_made(
             name, expected = parameter.name, f"expected {shorten(parameter.text)}"
             if name not in values:
                 found.append(f"parameter {name} is not set, {expected}")
-            elif values[name] != value_of(parameter):
+            elif not _is_same(values[name], value_of(parameter)):
                 found.append(f"parameter {name} is {shorten(str(values[name]))}, {expected}")
     for port in blueprint.ports:
         shown = present.port(port.name)
         if shown is not None and (shown.direction, shown.tags) != (port.direction, port.tags):
             found.append(f"port {port.name} was declared otherwise")
     return tuple(found)
+
+
+def _is_same(value: object, expected: object) -> bool:
+    """Whether two values of a parameter are equal, also where they have NaN."""
+    return value == expected or repr(value) == repr(expected)
 
 
 def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:

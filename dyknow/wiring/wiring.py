@@ -215,11 +215,12 @@ class _NodeletReader:
         name, label = self._global(nodelet, "name"), nodelet.get("transformation", "-")
         if not label:
             self._findings.problem(nodelet.line, 'transformation=""; expected the label of one')
-        first = self._lines.setdefault(name, nodelet.line)
-        if name and first != nodelet.line:
+        first = self._lines.get(name)
+        if name and first is not None:
             self._findings.problem(
                 nodelet.line, f"the nodelet '{name}' is there already, in line {first}"
             )
+        self._lines.setdefault(name, nodelet.line)
         good = [each for each in nodelet.children if each.is_good]
         config: dict[str, str] = {}
         for each in good:

@@ -208,6 +208,15 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_again(client, file):
     assert run(client, "load w.xml --replace --json").json["nodelets"]["replaced"] == []
 
 
+@pytest.mark.usefixtures("file")
+def test_a_parameter_that_is_not_a_number_is_that_of_the_file(client):
+    text = client.world.manager.library.get("camera").to_xml()
+    client.world.manager.add_transformation(text.replace(">30<", ">nan<"))
+    client.world.spawn("camera", "cam", config={"image": "raw"})
+    assert run(client, "save w.xml").code == 0
+    assert run(client, "load w.xml --replace --json").json["nodelets"]["kept"] == ["/cam"]
+
+
 @pytest.mark.parametrize(
     ("call", "step"),
     [

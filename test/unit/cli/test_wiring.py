@@ -121,6 +121,12 @@ def test_every_problem_is_told_with_its_line() -> None:
     assert "the nodelet '/b' is there already, in line 10" in text
 
 
+def test_a_nodelet_twice_in_one_line_is_refused() -> None:
+    twice = '<nodelet name="/a" transformation="t"/>' * 2
+    with pytest.raises(SpecificationError, match="the nodelet '/a' is there already, in line 1"):
+        read_wiring(f'<wiring version="1"><nodelets>{twice}</nodelets></wiring>'.encode(), "w.xml")
+
+
 def test_a_wiring_of_too_many_nodelets_is_read_no_further() -> None:
     asked = []
 
