@@ -68,8 +68,8 @@ class ManualTicker(Ticker):
     def set(self, seconds: float) -> None:
         """Set the time; timers that are due by then fire on their thread."""
         with self._changed:
-            if self._used and seconds < self._seconds:
-                self._woken = True  # the thread has to see it
+            if self._used and seconds != self._seconds:
+                self._woken = True  # the thread has to see it, also where time goes back
             self._seconds = seconds
             self._changed.notify_all()
 

@@ -225,6 +225,19 @@ class TestTime:
         harness.advance(10.0)
         assert fired == [3.0]
 
+    def test_a_timer_that_is_due_soon_after_another_runs_as_well(self, harness):
+        fired = []
+
+        class Two(dyknow.Nodelet):
+            def on_init(self):
+                self.nh = dyknow.NodeHandle(self.node_handle)
+                for period in (0.1, 0.101):
+                    self.nh.Timer(self.nh.Duration(period), lambda event: fired.append(event))
+
+        harness.load(Two)
+        harness.advance(0.101)
+        assert len(fired) == 2
+
     def test_a_latched_message_of_on_init_reaches_who_listens_later(self, harness):
         harness.load(Ticking, ports={"time": "/time"})
         got = harness.listen("/time")
