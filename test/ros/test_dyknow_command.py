@@ -379,7 +379,7 @@ class RestartTest(ManagerCase):
 
     def test_claims_go_on(self):
         events = self.enter(Events())
-        claim = self.client.acquire_stream(StreamRequest("Sum(it)", max_silence=2.0))
+        claim = self.client.acquire_stream(StreamRequest("Sum(it)", max_silence=60.0))
         heard = self.heard(claim.topic)
         heard.flows()
         parts = [each.name for each in self.client.get_model().nodelets]
