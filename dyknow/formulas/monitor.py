@@ -13,8 +13,17 @@ from dyknow.formulas import syntax
 from dyknow.formulas.compiler import endless
 from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
-from dyknow.formulas.states import States, StateSettings, clock, own_ports
-from dyknow.formulas.tree import SECOND, Quantified, ports, temporals, walk
+from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
+from dyknow.formulas.tree import (
+    SECOND,
+    Call,
+    Quantified,
+    atoms,
+    ports,
+    readings,
+    temporals,
+    walk,
+)
 from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
 
 #: Most states that bounds may span.
@@ -154,6 +163,14 @@ class Formula:
                 problem = f"{each.interval} are {max(near, far or 0)} states of "
                 problem += f"{clock(period)} s: at most {MAX_STATES}"
                 raise FormulaError(self.text, each.place, problem)
+        for atom in atoms(self.tree):
+            for call in readings(atom):
+                if isinstance(call, Call) and call.function == "rate":
+                    states = rate_states(call, period)
+                    if states > MAX_STATES:
+                        problem = f"{call} counts over {states} states of "
+                        problem += f"{clock(period)} s: at most {MAX_STATES}"
+                        raise FormulaError(self.text, call.place, problem)
 
 
 class Monitor:

@@ -153,7 +153,7 @@ class States:
         period = settings.period
         self.own = {
             port: PortValues(
-                _window(each, period)
+                rate_states(each, period)
                 for atom in atoms(formula)
                 for each in readings(atom)
                 if isinstance(each, Call) and each.function == "rate" and port_of(each) == port
@@ -235,7 +235,7 @@ class States:
             return self._value(Field(port_of(wanted)), now) is not None
         if wanted.function == "age":
             return None if port.stamp is None else (now - port.stamp) / SECOND
-        states = _window(wanted, self._settings.period)
+        states = rate_states(wanted, self._settings.period)
         count = port.count(states)
         return None if count is None else count * SECOND / (states * self._settings.period)
 
@@ -352,7 +352,7 @@ def own_ports(formula: Node) -> Tuple[str, ...]:
     return tuple(dict.fromkeys(port for each in parts for port in ports(each)))
 
 
-def _window(call: Call, period: int) -> int:
+def rate_states(call: Call, period: int) -> int:
     """Return the states over which ``rate`` counts."""
     seconds = call.arguments[1] if len(call.arguments) > 1 else Number(RATE_WINDOW)
     assert isinstance(seconds, Number)

@@ -12,8 +12,9 @@ implies   or   and   until since   not always eventually historically once
 from __future__ import annotations
 
 import re
-from decimal import Decimal
+from decimal import Decimal, DecimalException
 from functools import partial
+from keyword import iskeyword
 from typing import Callable, NamedTuple, NoReturn, Union
 
 from dyknow.errors import FormulaError
@@ -37,6 +38,7 @@ from dyknow.formulas.tree import (
     Quantified,
     Text,
     Unary,
+    height,
     is_endless,
     ports,
     walk,
@@ -46,6 +48,10 @@ from dyknow.similar import did_you_mean
 #: Longest formula that is read, in characters, and how deep its parentheses may be.
 MAX_LENGTH = 10_000
 MAX_DEPTH = 60
+#: Most levels of operators; Python 3.8 compiles no more than 97 parentheses within each other.
+MAX_HEIGHT = 90
+_TOO_HIGH = f"it has more than {MAX_HEIGHT} levels: put parentheses around some operators in a row"
+_YEAR = UNITS["h"] * 24 * 365
 #: Numbers of arguments that functions take, and the functions that take a port.
 FUNCTIONS = {
     "abs": (1, 1),
@@ -98,7 +104,10 @@ def parse(text: str) -> Node:
     Raises:
         FormulaError: it is not a formula; the error has line and column, and the expected words.
     """
-    return _Parser(text).formula()
+    try:
+        return _Parser(text).formula()
+    except RecursionError:
+        raise FormulaError(text, 0, _TOO_HIGH) from None
 
 
 class _Parser:
@@ -162,6 +171,8 @@ class _Parser:
         whole = self._formula(self._implication)
         if self._token.kind != "end":
             self._unexpected("an operator such as 'and', or the end")
+        if height(whole) > MAX_HEIGHT:
+            self._fail(_TOO_HIGH, 0)
         for each in walk(whole):
             if each is not whole and isinstance(each, Unary) and is_endless(each):
                 problem = f"'{each.operator}' without bounds may only stand outermost"
@@ -253,10 +264,16 @@ class _Parser:
         if token.kind != "number":
             self._unexpected("a duration such as 5 s or 200 ms")
         self._take()
-        nanoseconds = Decimal(token.text) * self._unit()
-        if not nanoseconds < UNITS["h"] * 24 * 365:
+        nanoseconds = self._times(token, self._unit())
+        if not nanoseconds < _YEAR:
             self._fail("a bound is at most a year", token.place)
         return round(nanoseconds)
+
+    def _times(self, number: _Token, unit: int) -> Decimal:
+        try:
+            return Decimal(number.text) * unit
+        except DecimalException:
+            self._fail("a number is out of range", number.place)
 
     def _unit(self) -> int:
         """Nanoseconds of the unit that follows, or of a second."""
@@ -346,8 +363,8 @@ class _Parser:
         if token.kind == "number":
             self._take()
             is_duration = self._token.kind == "name" and self._token.text in UNITS
-            value = Decimal(token.text)
-            return Number(float(value * self._unit() / SECOND if is_duration else value))
+            value = self._times(token, self._unit() if is_duration else 1)
+            return Number(float(value / SECOND if is_duration else value))
         if token.kind == "text":
             return Text(re.sub(r"\\(.)", r"\1", self._take().text[1:-1]))
         if token.kind != "name" or (token.text in _WORDS and token.text not in ("true", "false")):
@@ -388,6 +405,8 @@ class _Parser:
             window = arguments[1]
             if not isinstance(window, Number) or not window.value > 0:
                 self._fail("the second argument of rate is a duration, as 5 s", token.place)
+            if not window.value < _YEAR // SECOND:
+                self._fail("the second argument of rate is at most a year", token.place)
         return Call(token.text, tuple(arguments), token.place)
 
     def _field(self, token: _Token) -> Field:
@@ -404,7 +423,10 @@ class _Parser:
                 self._take()
             else:
                 step = self._take()
-                if step.kind != "name":
+                if step.kind != "name" or not step.text.isascii():
                     self._fail("expected the name of a field", step.place)
+                if iskeyword(step.text):
+                    hint = f"the field is '{step.text}_' in Python"
+                    self._fail(f"'{step.text}' is a word of Python: {hint}", step.place)
                 path.append(step.text)
         return Field(token.text, tuple(path), token.place)

@@ -10,7 +10,7 @@ expressions, or takes one for a truth. A *formula* combines atoms. All times are
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Iterator, Optional, Tuple, Union
+from typing import Iterator, List, Optional, Tuple, Union
 
 #: Units of time in a formula, in nanoseconds.
 UNITS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
@@ -213,6 +213,26 @@ def walk(formula: Node) -> Iterator[Node]:
     yield formula
     for child in children(formula):
         yield from walk(child)
+
+
+def height(formula: Node) -> int:
+    """Return how many levels of formulas and expressions there are."""
+    levels = 0
+    level: List[Union[Node, Expression]] = [formula]
+    while level:
+        levels += 1
+        level = [part for each in level for part in _parts(each)]
+    return levels
+
+
+def _parts(part: Union[Node, Expression]) -> Tuple[Union[Node, Expression], ...]:
+    if isinstance(part, (Comparison, Proposition)):
+        return operands(part)
+    if isinstance(part, Arithmetic):
+        return (part.left, part.right)
+    if isinstance(part, Call):
+        return part.arguments
+    return children(part) if isinstance(part, (Unary, Binary, Quantified)) else ()
 
 
 def operands(atom: Atom) -> Tuple[Expression, ...]:

@@ -398,6 +398,7 @@ def test_exact_reasoning_decides_more() -> None:
             r"no state lies within \[50 ms, 60 ms\]: states are 0.100 s apart",
         ),
         (lambda: parse("once[0, 30 h] p").monitor(), FormulaError, "1080000 states of 0.100 s"),
+        (lambda: parse("rate(p, 30 h) > 1").monitor(), FormulaError, "1080000 states of 0.100 s"),
     ],
 )
 def test_what_a_monitor_refuses(make: Any, error: Any, text: str) -> None:

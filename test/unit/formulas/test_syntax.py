@@ -12,7 +12,7 @@ from property_tests import examples
 
 from dyknow.errors import FormulaError
 from dyknow.formulas import parse
-from dyknow.formulas.syntax import MAX_DEPTH, MAX_LENGTH
+from dyknow.formulas.syntax import MAX_DEPTH, MAX_HEIGHT, MAX_LENGTH
 
 
 @pytest.mark.parametrize(
@@ -90,6 +90,20 @@ def test_what_is_read(text: str, written: str) -> None:
         ("(" * (MAX_DEPTH + 1) + "p", MAX_DEPTH + 1, f"nested deeper than {MAX_DEPTH}"),
         ("not " * (MAX_DEPTH + 1) + "p", 4 * MAX_DEPTH - 3, f"nested deeper than {MAX_DEPTH}"),
         ("p" * (MAX_LENGTH + 1), 1, f"at most {MAX_LENGTH}"),
+        (" and ".join(["p"] * MAX_HEIGHT), 1, f"more than {MAX_HEIGHT} levels"),
+        (" or ".join(["p"] * 1500), 1, f"more than {MAX_HEIGHT} levels"),
+        (" + ".join(["a.x"] * 1500) + " > 0", 1, f"more than {MAX_HEIGHT} levels"),
+        ("-" * 3000 + "a.x > 0", 1, f"more than {MAX_HEIGHT} levels"),
+        ("abs(" * 600 + "a.x" + ")" * 600 + " > 0", 1, f"more than {MAX_HEIGHT} levels"),
+        ("p until[0,1] " * 400 + "p", 1, f"more than {MAX_HEIGHT} levels"),
+        ("route.from == 1", 7, "'from' is a word of Python: the field is 'from_' in Python"),
+        ("a.True > 0", 3, "'True' is a word of Python"),
+        ("a.x² > 0", 3, "expected the name of a field"),
+        ("historically[0, 1e999999] p", 17, "a number is out of range"),
+        ("a.x > 1e999999 s", 7, "a number is out of range"),
+        ("a.x > 1e99999999999999999999", 7, "a number is out of range"),
+        ("rate(a, 1e300) > 1", 1, "the second argument of rate is at most a year"),
+        ("rate(a, 1e400) > 1", 1, "the second argument of rate is at most a year"),
     ],
 )
 def test_what_is_refused(text: str, column: int, problem: str) -> None:
@@ -105,6 +119,18 @@ def test_an_error_points_at_its_place() -> None:
     assert str(caught.value) == (
         "formula, line 3, column 5: expected ')', found the end\n    (r\n      ^"
     )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        " and ".join(f"a.x > {number}" for number in range(MAX_HEIGHT - 1)),
+        " + ".join(["a.x"] * (MAX_HEIGHT - 1)) + " > 0",
+        "abs(" * (MAX_HEIGHT - 2) + "a.x" + ")" * (MAX_HEIGHT - 2) + " > 0",
+    ],
+)
+def test_the_highest_formula_is_compiled(text: str) -> None:
+    assert parse(text).monitor().due is None
 
 
 @examples(300)
