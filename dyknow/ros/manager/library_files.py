@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import time
+import traceback
 from typing import TYPE_CHECKING, Callable, Collection, Mapping, Sequence
 
 import rospy
@@ -177,6 +178,9 @@ class LibraryFiles:
             found = library.add(text, path)
         except (OSError, ValueError, DyKnowError) as error:
             rospy.logerr("transformations of '%s' are not added: %s", path, error)
+            return frozenset()
+        except Exception:  # the boundary of a file: any package may export one
+            rospy.logerr("transformations of '%s' fail:\n%s", path, traceback.format_exc())
             return frozenset()
         if is_new:
             for warning in (*found.warnings, *missing_here(path, found.transformations)):

@@ -164,6 +164,26 @@ def test_exports_can_be_left_out(tmp_path):
     assert files.labels == []
 
 
+def test_a_file_that_raises_stops_no_other(files, logged, monkeypatch):
+    files.write("own.xml", simple("a"))
+    files.begin()
+    library = files.field.manager.library
+    add = library.add
+
+    def failing(text, path):
+        return add(text, path) if "good.xml" in path else {}[path]
+
+    monkeypatch.setattr(library, "add", failing)
+    files.write("bad.xml", simple("b"))
+    files.write("good.xml", simple("c"))
+    files.exports["transformations"] = ["bad.xml", "good.xml"]
+    files.look()
+    files.look()
+    assert files.labels == ["a", "c"]
+    (error,) = [text for text in logged if "bad.xml" in text]
+    assert "KeyError" in error
+
+
 def test_what_is_wrong_is_said_once_and_changes_nothing(files, logged):
     files.write("own.xml", simple("a"))
     files.begin()
