@@ -11,6 +11,7 @@ from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Sequence,
 from dyknow.errors import BadParameter, FormulaError
 from dyknow.formulas import syntax
 from dyknow.formulas.compiler import endless
+from dyknow.formulas.look_ahead import looks_ahead
 from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
@@ -138,7 +139,7 @@ class Formula:
 
         Raises:
             BadParameter: a parameter is out of its range.
-            FormulaError: bounds do not fit the period.
+            FormulaError: bounds do not fit the period, or a quantifier that looks ahead `exact`.
         """
         for name, value in (("period", period), ("delay", delay), ("hold", hold or 0.0)):
             if not 0 <= value < 2**31 or (name == "period" and value < 1e-6):
@@ -151,6 +152,10 @@ class Formula:
             max_nodes,
         )
         self._check_bounds(settings.period)
+        for each in walk(self.tree) if exact else ():
+            if isinstance(each, Quantified) and looks_ahead(each.operand):
+                problem = "exact cannot reason about a quantifier that looks ahead"
+                raise FormulaError(self.text, each.place, problem)
         return Monitor(self, settings)
 
     def _check_bounds(self, period: int) -> None:

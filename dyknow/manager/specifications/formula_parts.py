@@ -16,6 +16,7 @@ from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import listed, meant, shorten
 from dyknow.manager.specifications.individual_tags import tag_of_individuals
 from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.specifications.values import BadValue, parse_value
 from dyknow.manager.specifications.xml_reader import ANY, Attribute, Element, XmlNode
 from dyknow.model.transformation import (
     IN,
@@ -34,7 +35,7 @@ _SETTINGS = {
     "exact": ("bool", "false"),
     "max_nodes": ("int", "1000"),
 }
-_NUMBER = re.compile(r"\d{1,9}(\.\d{0,9})?\Z")
+_NUMBER = re.compile(r"[0-9]{1,9}(\.[0-9]{0,9})?\Z")
 
 FORMULA = Element(
     "formula",
@@ -123,8 +124,9 @@ class FormulaParts:
         values = {}
         for name, (type_, default) in _SETTINGS.items():
             text = self._element.get(name, default)
-            if type_ != "bool" and not _NUMBER.match(text):
-                self._problem(self._element, f'{name}="{shorten(text)}": expected a number')
+            problem = "" if type_ == "bool" else _problem(type_, text)
+            if problem:
+                self._problem(self._element, f'{name}="{shorten(text)}": {problem}')
                 text = default
             values[name] = text
             if text != default:
@@ -135,7 +137,8 @@ class FormulaParts:
                     float(values["period"]),
                     float(values["hold"]) or None,
                     float(values["delay"]),
-                    max_nodes=int(float(values["max_nodes"])),
+                    values["exact"] == "true",
+                    int(values["max_nodes"]),
                 )
             except BadParameter as error:
                 self._problem(self._element, str(error))
@@ -212,6 +215,16 @@ def requirements_of(node: XmlNode, problem: Note) -> tuple[Requirement, ...]:
                 problem(each, f"<requires> '{shorten(each.text)}': {error.expected}")
             found.append(Requirement(each.text, each.get("initially", "true") == "true"))
     return tuple(dict.fromkeys(found))
+
+
+def _problem(type_: str, text: str) -> str:
+    if not _NUMBER.match(text):
+        return "expected a number"
+    try:
+        parse_value(type_, text)
+    except BadValue as error:
+        return str(error)
+    return ""
 
 
 def _written(values: dict[str, str]) -> str:

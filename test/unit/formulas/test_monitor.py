@@ -399,6 +399,11 @@ def test_exact_reasoning_decides_more() -> None:
         ),
         (lambda: parse("once[0, 30 h] p").monitor(), FormulaError, "1080000 states of 0.100 s"),
         (lambda: parse("rate(p, 30 h) > 1").monitor(), FormulaError, "1080000 states of 0.100 s"),
+        (
+            lambda: parse("q and every ?c (eventually[0, 1] p)").monitor(exact=True),
+            FormulaError,
+            "column 7: exact cannot reason about a quantifier that looks ahead",
+        ),
     ],
 )
 def test_what_a_monitor_refuses(make: Any, error: Any, text: str) -> None:
