@@ -24,6 +24,9 @@ _Diagram = int
 
 _ALL = ("always", "historically")
 _FIRST = 4  # diagrams are numbered after the truths
+_NEGATED = -1  # of the results, the one that has no other side
+#: Most atoms that diagrams ask at a time: functions of diagrams call themselves for each.
+_MOST_ASKED = 300
 
 
 class _Diagrams:
@@ -35,22 +38,32 @@ class _Diagrams:
         self._numbers: Dict[Tuple[int, _Diagram, _Diagram], _Diagram] = {}
         self._results: Dict[Tuple[_Diagram, _Diagram], _Diagram] = {}
         self._asked = 0
+        self._alive = 0  # atoms asked since, or kept by, the last ``keep``
 
     def __len__(self) -> int:
         return len(self._nodes)
 
+    @property
+    def is_full(self) -> bool:
+        """Whether no further atom is asked."""
+        return len(self._nodes) >= self.limit or self._alive >= _MOST_ASKED
+
     def ask(self) -> _Diagram:
         """Return a diagram of a new atom; Kleene's truth if it is full."""
-        if len(self._nodes) >= self.limit:
+        if self.is_full:
             return UNKNOWN
         self._asked += 1
+        self._alive += 1
         return self._make(self._asked, FALSE, TRUE)
 
     def negate(self, diagram: _Diagram) -> _Diagram:
         if diagram < _FIRST:
             return NOT[diagram]
-        atom, low, high = self._nodes[diagram - _FIRST]
-        return self._make(atom, self.negate(low), self.negate(high))
+        key = (diagram, _NEGATED)
+        if key not in self._results:
+            atom, low, high = self._nodes[diagram - _FIRST]
+            self._results[key] = self._make(atom, self.negate(low), self.negate(high))
+        return self._results[key]
 
     def least(self, left: _Diagram, right: _Diagram) -> _Diagram:
         """Return ``and`` of two diagrams."""
@@ -66,9 +79,10 @@ class _Diagrams:
         if key not in self._results:
             atoms = [self._nodes[e - _FIRST][0] if e >= _FIRST else None for e in key]
             first = min(each for each in atoms if each is not None)
-            halves = [self._halves(each, first) for each in key]
-            low, high = (self.least(one, two) for one, two in zip(*halves))
-            self._results[key] = self._make(first, low, high)
+            (low, high), (other_low, other_high) = (self._halves(each, first) for each in key)
+            self._results[key] = self._make(
+                first, self.least(low, other_low), self.least(high, other_high)
+            )
         return self._results[key]
 
     def _halves(self, diagram: _Diagram, atom: int) -> Tuple[_Diagram, _Diagram]:
@@ -101,6 +115,7 @@ class _Diagrams:
 
         for root in roots:
             moved(root)
+        self._alive = len({atom for atom, _, _ in self._nodes})
         return new
 
 
@@ -152,7 +167,7 @@ class ExactEvaluator:
         for table in tables:
             for key in [key for key in table if (key[1] if type(key) is tuple else key) < oldest]:
                 del table[key]
-        if len(self._diagrams) >= self._diagrams.limit:
+        if self._diagrams.is_full:
             new = self._diagrams.keep([each for table in tables for each in table.values()])
             for table in tables:
                 table.update({key: new[value] for key, value in table.items()})

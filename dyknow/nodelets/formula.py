@@ -85,10 +85,13 @@ class FormulaNodelet(dyknow.Nodelet):
 
     def on_timer(self, event: Any) -> None:
         """Close the states that are due."""
-        now = self.nh.Time.now()
-        if self.note_individuals(now):
-            self.publish(self.monitor.advance(now))
-        self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
+        try:
+            now = self.nh.Time.now()
+            if self.note_individuals(now):
+                self.publish(self.monitor.advance(now))
+        finally:
+            wait = self.nh.Duration(self.wait())
+            self.timer = self.nh.Timer(wait, self.on_timer, oneshot=True)
 
     def note_individuals(self, now: Any) -> bool:
         """Note the individuals that are present; False before the first look for them."""

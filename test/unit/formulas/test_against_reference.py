@@ -9,6 +9,7 @@ import itertools
 import random
 from typing import Any, Dict, List, Optional, Tuple
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
@@ -21,6 +22,7 @@ from unit.formulas.random_formulas import (
 )
 
 import dyknow.formulas
+from dyknow.formulas import exact
 from dyknow.formulas.compiler import Evaluator
 from dyknow.formulas.exact import ExactEvaluator
 from dyknow.formulas.look_ahead import horizon, looks_ahead
@@ -276,6 +278,31 @@ def test_exact_without_room_is_between_kleene_and_the_truth(seed: int) -> None:
         for least, value, most in zip(kleene, found, expected):
             assert value in (UNKNOWN, most)
             assert least in (UNKNOWN, value)
+
+
+def test_exact_takes_few_steps_for_values_that_stay_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    make = exact._Diagrams._make
+    made = []
+
+    def counted(*arguments: Any) -> int:
+        made.append(arguments)
+        return make(*arguments)
+
+    monkeypatch.setattr(exact._Diagrams, "_make", counted)
+    formula = dyknow.formulas.parse("p since[0 s, 100 s] q").tree
+    nothing: State = dict.fromkeys("pq")
+    assert set(completed(ExactEvaluator(formula, SECOND, None, 1000), [nothing] * 15)) == {UNKNOWN}
+    assert len(made) < 2000
+
+
+def test_exact_survives_values_that_stay_unknown() -> None:
+    formula = dyknow.formulas.parse("once p").tree
+    unknown: State = {"p": None}
+    states = [unknown] * 1100 + [{"p": True}]
+    truths = completed(ExactEvaluator(formula, SECOND, None, 10**6), states)
+    assert truths == [UNKNOWN] * 1100 + [TRUE]
 
 
 def test_a_quantifier_may_look_ahead() -> None:
