@@ -11,10 +11,18 @@ name the part and the state that decided.
 from __future__ import annotations
 
 from bisect import bisect_right
-from itertools import islice
 from typing import Callable, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
-from dyknow.formulas.semantics import FALSE, NOT, TRUE, Trace, steps, truth, window
+from dyknow.formulas.semantics import (
+    FALSE,
+    NOT,
+    TRUE,
+    UNKNOWN,
+    Trace,
+    steps,
+    truth,
+    window,
+)
 from dyknow.formulas.tree import (
     FUTURE,
     Atom,
@@ -25,11 +33,11 @@ from dyknow.formulas.tree import (
     Unary,
     children,
     temporal,
-    temporals,
+    walk,
 )
 
 #: Most truths that are computed in order to explain one verdict.
-_PATIENCE = 10_000
+_PATIENCE = 50_000
 
 
 class ChangedValue(NamedTuple):
@@ -40,10 +48,35 @@ class ChangedValue(NamedTuple):
     values: Tuple[str, ...]
 
 
+_FORGOTTEN = ChangedValue(0, UNKNOWN, ())
+
+
+class _TooLong(Exception):
+    """An explanation takes more truths than there is patience for."""
+
+
+class _Patience:
+    """Counts the truths that are computed to explain a verdict, of individuals too."""
+
+    __slots__ = ("_left",)
+
+    def __init__(self) -> None:
+        self._left = _PATIENCE
+
+    def spend(self) -> None:
+        """Count one."""
+        self._left -= 1
+        if self._left < 0:
+            raise _TooLong
+
+
 class Log:
     """The truths of the atoms of a formula, and of its individuals': a ``Trace``."""
 
-    __slots__ = ("_atoms", "_back", "_changes", "_formula", "_named", "_seen", "period")
+    __slots__ = (
+        *("period", "_atoms", "_back", "_changes", "_formula", "_named", "_oldest", "_patience"),
+        "_seen",
+    )
 
     def __init__(
         self,
@@ -67,9 +100,17 @@ class Log:
         self._named = individuals
         self._seen = 0
         self._back = reach(formula, period)
+        self._oldest = 0
+        self._patience = _Patience()
 
     def __len__(self) -> int:
+        self._patience.spend()  # each truth of an atom or quantifier looks here first
         return self._seen
+
+    @property
+    def first(self) -> int:
+        """The first state that operators without bounds look at: a forgotten one for all."""
+        return max(0, self._oldest - 1)
 
     def note(self, number: int, state: int, value: int, values: Tuple[str, ...]) -> None:
         """Add a change of the truth of the atom of a number."""
@@ -81,7 +122,7 @@ class Log:
 
     def forget(self, first: int) -> None:
         """Drop what no verdict about the state ``first`` or a later one depends on."""
-        oldest = first - self._back
+        oldest = self._oldest = first - self._back
         for changes in self._changes:
             while len(changes) > 1 and changes[1].state <= oldest:
                 changes.pop(0)
@@ -90,25 +131,47 @@ class Log:
         return self._change(atom, state).truth
 
     def individuals(self, formula: Quantified, state: int) -> Iterator[Tuple[Trace, int]]:
-        return ((log, number) for _, log, number in self._named(formula, state))
+        return ((log, number) for _, log, number in self._those(formula, state))
+
+    def _those(self, formula: Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
+        """Yield the individuals of a state, whose truths are counted with the formula's."""
+        for name, log, number in self._named(formula, state):
+            log._patience = self._patience
+            yield name, log, number
 
     def _change(self, atom: Atom, state: int) -> ChangedValue:
+        if state < self._oldest:
+            return _FORGOTTEN
         changes = self._changes[self._atoms.index(atom)]
-        found = bisect_right([each.state for each in changes], state) - 1
-        return changes[max(0, found)]
+        return changes[bisect_right(changes, (state + 1,)) - 1]
 
-    def why(self, state: int) -> str:
-        """Write the values that decided the truth of the formula in a state."""
-        decided = truth(self._formula, state, self)
-        found = dict.fromkeys(self._reasons(self._formula, state, decided))
-        return ", ".join(found)
+    def why(self, state: int, value: int) -> str:
+        """Write the values that decided the truth of the formula in a state.
+
+        If they take too long to find, all values in this state are written.
+        """
+        self._patience = _Patience()
+        try:
+            found = list(self._reasons(self._formula, state, value))
+        except _TooLong:
+            found = list(self._values(state))
+        return ", ".join(dict.fromkeys(found))
+
+    def _values(self, state: int) -> Iterator[str]:
+        """Yield the values of all atoms in a state."""
+        for atom in self._atoms:
+            yield from self._change(atom, state).values
+        for each in walk(self._formula):
+            if isinstance(each, Quantified):
+                for name, log, number in self._named(each, state):
+                    yield from (f"{name}: {value}" for value in log._values(number))
 
     def _reasons(self, formula: Node, state: int, value: int) -> Iterator[str]:
         """Yield what made a formula have a truth in a state."""
-        if state >= len(self):
+        if state >= self._seen:
             return
         if isinstance(formula, Quantified):
-            for name, log, number in self._named(formula, state):
+            for name, log, number in self._those(formula, state):
                 if truth(formula.operand, number, log) == value:
                     for each in log._reasons(formula.operand, number, value):
                         yield f"{name}: {each}"
@@ -126,30 +189,51 @@ class Log:
         left = formula.left
         if formula.operator == "implies":
             left = Unary("not", left)
-        found = [(part, truth(part, state, self)) for part in (left, formula.right)]
         alone = FALSE if formula.operator == "and" else TRUE
-        deciding = [part for part, each in found if each == value]
-        for part in deciding[:1] if value == alone else deciding:
-            yield from self._reasons(part, state, value)
+        found: List[Tuple[Node, int]] = []
+        for part in (left, formula.right):
+            each = truth(part, state, self)
+            if each == value == alone:
+                yield from self._reasons(part, state, value)
+                return
+            found.append((part, each))
+        # No part has the truth if ``exact`` decided it: then both parts are unknown.
+        for part, each in [pair for pair in found if pair[1] == value] or found:
+            yield from self._reasons(part, state, each)
 
     def _elsewhere(self, formula: Operator, state: int, value: int) -> Iterator[str]:
         """Of the states that an operator looks at, the nearest one with the truth decides."""
         part = children(formula)[-1]
         found = window(formula.operator, formula.interval, state, self)
-        near_first = iter(found if formula.operator in FUTURE else reversed(found))
-        if _cost(formula, self.period, len(found)) > _PATIENCE:
-            near_first = iter([state])
+        if isinstance(formula, Binary) and value != TRUE:
+            broken = self._broken(formula, state, value, found)
+            if broken is not None:
+                yield from self._reasons(formula.left, broken, value)
+                return
         chosen = None
-        for each in islice(near_first, _PATIENCE):
-            if each < len(self) and truth(part, each, self) == value:
+        for each in found if formula.operator in FUTURE else reversed(found):
+            if each >= self._seen:
+                break
+            if truth(part, each, self) == value:
                 chosen = each
                 break
-        if chosen is None and found.stop > len(self):
+        if chosen is None and found.stop > self._seen:
             yield "no later state"
         elif chosen is None and isinstance(formula, Binary):
             yield from self._reasons(formula.left, state, value)
         else:
             yield from self._reasons(part, state if chosen is None else chosen, value)
+
+    def _broken(self, formula: Binary, state: int, value: int, found: range) -> int | None:
+        """Return the state whose left side rules out all states beyond it; None without one."""
+        way = 1 if formula.operator in FUTURE else -1
+        end = (found[-1] if way > 0 else found[0]) if found else state
+        for each in range(state, end, way):
+            if each >= self._seen or (each in found and truth(formula.right, each, self)):
+                return None
+            if truth(formula.left, each, self) == value:
+                return each
+        return None
 
 
 def reach(formula: Node, period: int) -> int:
@@ -160,12 +244,3 @@ def reach(formula: Node, period: int) -> int:
         near, far = steps(operator.interval, period)
         back += near if far is None else far
     return back
-
-
-def _cost(formula: Operator, period: int, states: int) -> int:
-    """Estimate how many truths are computed to look for one in so many states."""
-    for each in children(formula):
-        for operator in temporals(each):
-            near, far = steps(operator.interval, period)
-            states *= 1 + (_PATIENCE if far is None else far - near)
-    return states

@@ -323,7 +323,7 @@ class Monitor:
             if truth in self._verdicts:
                 stamp, value = state * self._settings.period, _TRUTHS[truth]
                 if self._run is None or self._run.value != value:
-                    self._run = Verdict(stamp, value, stamp, self._states.why(state))
+                    self._run = Verdict(stamp, value, stamp, self._states.why(state, truth))
                 found.append(self._run._replace(stamp=stamp))
 
     def _readers(self, port: str, individual: str) -> Sequence[States]:

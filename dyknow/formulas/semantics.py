@@ -24,6 +24,11 @@ class Trace(Protocol):
 
     period: int
 
+    @property
+    def first(self) -> int:
+        """The first state that operators without bounds look at."""
+        return 0
+
     def __len__(self) -> int: ...
 
     def atom(self, atom: Atom, state: int) -> int:
@@ -78,7 +83,7 @@ def window(operator: str, interval: Interval, state: int, trace: Trace) -> range
     near, far = steps(interval, trace.period)
     if operator in ("always", "eventually", "until"):
         return range(state + near, len(trace) if far is None else state + far + 1)
-    return range(0 if far is None else max(0, state - far), state - near + 1)
+    return range(trace.first if far is None else max(0, state - far), state - near + 1)
 
 
 def between(state: int, other: int) -> range:

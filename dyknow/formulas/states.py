@@ -205,9 +205,9 @@ class States:
         self.log.close(self._state - self.first)
         return found
 
-    def why(self, state: int) -> str:
+    def why(self, state: int, truth: int) -> str:
         """Write the values that decided a truth, which was decided last."""
-        return self.log.why(state - self.first)
+        return self.log.why(state - self.first, truth)
 
     def all_ports(self) -> Iterable[PortValues]:
         """Return the ports that have to pass a state before it closes."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 import weakref
 from types import SimpleNamespace
-from typing import Any, List, Optional
+from typing import Any, Iterable, List, Optional, Tuple
 
 import pytest
 
 from dyknow.errors import BadParameter, FormulaError
 from dyknow.formulas import Truth, Verdict, parse
+from dyknow.formulas.log import Log
 
 
 def message(stamp: float | None = None, **fields: Any) -> Any:
@@ -86,6 +87,109 @@ def test_why_a_formula_is_unknown(formula: str, given: dict[str, Any], why: str)
         verdicts += monitor.feed(port, each, 1.0)
     (verdict,) = verdicts + monitor.finish()
     assert (verdict.value, verdict.why) == (Truth.UNKNOWN, why)
+
+
+def explained(formula: str, values: Iterable[Tuple[Any, int]], **settings: Any) -> List[str]:
+    """The first verdicts of runs about messages with x and y, one a second."""
+    monitor = parse(formula).monitor(1.0, delay=0.0, **settings)
+    verdicts = []
+    for now, (x, y) in enumerate(values):
+        verdicts += monitor.feed("a", message(x=x, y=y), float(now))
+    return runs(verdicts + monitor.finish())
+
+
+@pytest.mark.parametrize(
+    ("formula", "values", "run"),
+    [
+        (
+            "a.y > 0 and once a.x > 0",
+            [(1, -1), (-1, -1), (-1, -1), (-1, -1), (-1, 5)],
+            "4.000 TRUE  a.y = 5 at 4",
+        ),
+        (
+            "not once a.x > 0 or a.y > 0",
+            [(1, -1), (-1, -1), (-1, -1), (-1, -1), (-1, 5)],
+            "4.000 TRUE  a.y = 5 at 4",
+        ),
+        (
+            "a.y > 0 or historically a.x > 0",
+            [(-1, 5), (1, 5), (1, 5), (1, 5), (1, -1)],
+            "4.000 FALSE  a.y = -1 at 4",
+        ),
+        (
+            "a.x > 0 since a.y > 0",
+            [(1, 1), (1, -1), (1, -1), (-9, -1)],
+            "3.000 FALSE  a.x = -9 at 3",
+        ),
+        (
+            "a.x > 0 since[1, 3] a.y > 0",
+            [(1, 1), (1, 1), (1, -1), (-9, -1)],
+            "3.000 FALSE  a.x = -9 at 3",
+        ),
+        (
+            "a.x > 0 since[0, 2] a.y > 0",
+            [(1, 1), (1, -1), (1, -1), (1, -1)],
+            "3.000 FALSE  a.y = -1 at 1",
+        ),
+        (
+            "a.x > 0 until[0, 3] a.y > 0",
+            [(1, 1), (1, -1), (1, -1), (-9, -1), (1, 1)],
+            "1.000 FALSE  a.x = -9 at 3",
+        ),
+    ],
+)
+def test_no_atom_is_named_that_did_not_decide(
+    formula: str, values: List[Tuple[int, int]], run: str
+) -> None:
+    assert run in explained(formula, values)
+
+
+def test_exact_names_the_unknown_atoms() -> None:
+    formula = "a.x > 0 or not a.x > 0"
+    assert explained(formula, [(None, 0)], exact=True) == ["0.000 TRUE  a.x = unknown at 0"]
+
+
+@pytest.mark.parametrize(
+    ("formula", "run"),
+    [
+        ("a.x > 0 since a.y > 0", "700.000 FALSE  a.x = -1 at 700"),
+        ("a.x > 0 or (a.x < 9 since a.x > 9)", "700.000 FALSE  a.x = -1 at 700"),
+        ("a.x > 0 and once a.y > 0", "700.000 FALSE  a.x = -1 at 700"),
+    ],
+)
+def test_an_explanation_takes_few_steps_however_long_it_runs(
+    formula: str, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = []
+    atom = Log.atom
+
+    def counted(log: Log, wanted: Any, state: int) -> int:
+        looked.append(state)
+        return atom(log, wanted, state)
+
+    monkeypatch.setattr(Log, "atom", counted)
+    values = [(1, 1 if number == 0 else -1) for number in range(700)]
+    assert explained(formula, [*values, (-1, -1)])[-1] == run
+    assert len(looked) < 100
+
+
+def test_an_explanation_that_takes_too_long_names_all_values() -> None:
+    deep = "once[0 s, 9 s] " * 40
+    values = [(number + 1, 1) for number in range(30)]
+    found = explained(f"a.y < 0 or not {deep} a.x > 0", values)
+    assert found == ["0.000 FALSE  a.y = 1 at 0, a.x = 1 at 0"]
+    found = explained(f"{deep} a.x < 0 or a.y < 0", [*values, (31, -1)])
+    assert found[-1] == "30.000 TRUE  a.x = 1 at 0, a.y = -1 at 30"
+
+
+def test_individuals_that_take_too_long_to_explain_name_all_values() -> None:
+    deep = "once[0 s, 9 s] " * 40
+    monitor = parse(f"every ?c (not {deep} a.x > 5)").monitor(1.0, delay=0.0)
+    verdicts = monitor.individuals("?c", ["left", "right"], 0.0)
+    for now in range(20):
+        verdicts += monitor.feed("a", message(x=now), float(now), "left")
+        verdicts += monitor.feed("a", message(x=0), float(now), "right")
+    assert runs(verdicts)[-1] == "6.000 FALSE  left: a.x = 6 at 6, right: a.x = 0 at 0"
 
 
 def test_a_message_has_a_value_for_as_long_as_it_is_held() -> None:
