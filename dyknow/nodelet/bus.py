@@ -73,6 +73,7 @@ class _Part:
         awaited: takes its place until then, for a publication that does not latch.
         drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
+        before: number of messages that a publication had published at the switch.
     """
 
     endpoint: Any
@@ -84,6 +85,7 @@ class _Part:
     awaited: AwaitedPublisher | None = None
     drained: Connection | None = None
     old: Any = None
+    before: int = 0
 
     @property
     def is_publication(self) -> bool:
@@ -399,6 +401,8 @@ class Bus:
                 current = endpoint.topic == part.topic and not endpoint.closed
                 if current:
                     owed = endpoint.set_outside(made)
+                    if not part.is_late and endpoint.traffic.messages != part.before:
+                        owed = NOTHING  # it went through the registration when it was published
         if made is None:
             return
         if not current and awaited is not None and awaited.drain(_RELEASE_DRAIN):
@@ -569,7 +573,7 @@ class Bus:
         if part.is_late and not publication.latch:
             part.awaited = AwaitedPublisher(part.topic, publication.queue_size)
         outside = part.registration or part.awaited
-        publication.connect(part.topic, outside, route, fence)
+        part.before = publication.connect(part.topic, outside, route, fence)
 
 
 def _is_registered(publication: Publication) -> bool:

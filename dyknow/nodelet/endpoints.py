@@ -411,14 +411,20 @@ class Publication:
         outside: OutsidePublisher | None,
         route: tuple[Connection, ...] | None,
         fence: Fence | None = None,
-    ) -> None:
-        """Publish on another topic from now on; nowhere, if ``route`` is None."""
+    ) -> int:
+        """Publish on another topic from now on; nowhere, if ``route`` is None.
+
+        Returns:
+            How many messages were published before.
+        """
         with message_lock:
             self._fence = fence
             self.topic = topic
             self._set_outside(outside)
             self._reroute(route, newcomers=route or ())
+            before = self.traffic.messages
         self._changed()
+        return before
 
     def reroute(
         self, route: tuple[Connection, ...], newcomers: tuple[Connection, ...] = ()

@@ -111,6 +111,20 @@ def test_the_last_latched_message_stays_outside(bench, alive):
     assert numbers(got)[-1] == 2
 
 
+def test_a_latched_message_published_at_the_switch_goes_outside_once(bench):
+    """As when the reconfigure callback publishes while the in-port is being registered."""
+    bench.probe.Publisher("/y", Message, queue_size=1)  # so that this is done after the switch
+    state, got = Message("state"), []
+    bench.out.publish(state)
+    bench.transport.listen("/b", lambda message: got.append(message.number))
+    bench.transport.on_register = lambda topic: topic == "/y" and bench.out.publish(state)
+    bench.connect(into="/y", out="/b")
+    assert got == ["state"]
+    bench.connect(into="/x", out="/a")
+    bench.connect(out="/b")
+    assert got == ["state", "state"], "one that is not published again is owed"
+
+
 def test_a_handle_that_goes_amid_the_switch_goes_alone(bench):
     bench.drained_by(lambda: join(in_thread(bench.spare.unregister)))
     bench.connect(out="/b", into="/y")
