@@ -9,7 +9,7 @@ expected value. ``dyknow.ros`` alone turns exceptions into answers of services.
 ::
 
     DyKnowError
-    ├── InvalidName, BadParameter, NoMessageClass, TypeMismatch, RemappedTopic
+    ├── InvalidName, BadParameter, NoMessageClass, BadQueueSize, TypeMismatch, RemappedTopic
     ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError, FormulaError
     ├── BadImage
     ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
@@ -82,6 +82,15 @@ class NoMessageClass(DyKnowError, ValueError):
         super().__init__(
             f"'{name}' expects a message class such as std_msgs.msg.String, not {given!r}"
         )
+
+
+class BadQueueSize(DyKnowError, ValueError):
+    """The given bound of a queue is not a number."""
+
+    def __init__(self, name: str, given: object) -> None:
+        self.name = name
+        self.given = given
+        super().__init__(f"'{name}' expects a number or None as queue_size, not {given!r}")
 
 
 class CannotLaunch(DyKnowError):

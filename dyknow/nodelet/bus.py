@@ -563,6 +563,8 @@ class Bus:
 
     def _move(self, part: _Part) -> None:
         publication: Publication = part.endpoint
+        if part.is_late and not publication.latch:
+            part.awaited = AwaitedPublisher(part.topic, publication.queue_size)
         self._leave(publication)
         route = None
         if part.topic:
@@ -570,8 +572,6 @@ class Bus:
             topic.publications.append(publication)
             route = topic.route
         fence = self._fences.get(part.topic)
-        if part.is_late and not publication.latch:
-            part.awaited = AwaitedPublisher(part.topic, publication.queue_size)
         outside = part.registration or part.awaited
         part.before = publication.connect(part.topic, outside, route, fence)
 

@@ -17,7 +17,7 @@ import traceback
 from typing import Any, Callable, Mapping, Sequence, TypeVar
 
 from dyknow import names
-from dyknow.errors import NoMessageClass
+from dyknow.errors import BadQueueSize, NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
@@ -42,6 +42,14 @@ def check_message_class(what: str, datatype: Any) -> None:
     """Raise NoMessageClass unless ``datatype`` is a class of messages."""
     if not isinstance(datatype, type) or not hasattr(datatype, "_md5sum"):
         raise NoMessageClass(what, datatype)
+
+
+def _bound(what: str, queue_size: Any) -> int | None:
+    """Return the bound of a queue as a whole number; rospy takes 10.0 and -1 (for none) too."""
+    try:
+        return None if queue_size is None else max(0, math.ceil(queue_size))
+    except (TypeError, ValueError, OverflowError):
+        raise BadQueueSize(what, queue_size) from None
 
 
 class Runtime:
@@ -198,7 +206,7 @@ class Context:
         publication = Publication(
             datatype,
             latch,
-            queue_size,
+            _bound(what, queue_size),
             runtime.transport,
             runtime.clock,
             lambda: runtime.node.closed(f"publisher '{what}' of {self.name}"),
@@ -229,7 +237,13 @@ class Context:
         if codec is not None:
             adapt, datatype = codec.decoding, codec.datatype
         subscription = Subscription(
-            datatype, queue_size, strand, failed, options, self.name, adapt
+            datatype,
+            _bound(what, queue_size),
+            strand,
+            failed,
+            options,
+            self.name,
+            adapt,
         )
         self._keep(subscription)
         return subscription

@@ -13,7 +13,7 @@ import pytest
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import Idle, Message, numbers, pool_world
 
-from dyknow.errors import DyKnowError, HandleClosed, InvalidName, NoMessageClass
+from dyknow.errors import BadQueueSize, DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 
@@ -58,6 +58,14 @@ class TestSignatures:
             with pytest.raises(NoMessageClass, match="'t' expects a message class") as caught:
                 make("t", given)
             assert isinstance(caught.value, ValueError)
+        assert world.registrations == []
+
+    @pytest.mark.parametrize("given", ["10", float("nan"), float("inf"), [1]])
+    def test_a_queue_size_that_is_no_number_is_refused(self, world, given):
+        nh = world.handle()
+        for make in (nh.Publisher, nh.Subscriber):
+            with pytest.raises(BadQueueSize, match="'t' expects a number or None as queue_size"):
+                make("t", Message, queue_size=given)
         assert world.registrations == []
 
     def test_handles_have_the_members_of_rospys(self, world):

@@ -244,6 +244,18 @@ def test_messages_during_a_registration_go_outside_after_it_in_order(live):
     assert waits == [(0.0, [])], "before anything is sent"
 
 
+@pytest.mark.parametrize(("size", "kept"), [(-1, [0, 1, 2]), (2.0, [1, 2]), (0.5, [2])])
+def test_a_port_moves_with_each_queue_size_that_rospy_takes(live, size, kept):
+    live.moving.unregister()
+    live.moving = live.nh.Publisher("plain", Message, queue_size=size)
+    live.nh.Subscriber("into", Message, print, queue_size=size)
+    live.transport.on_register = lambda topic: live.publish(*range(3))
+    live.connect(plain="/b")
+    assert live.outside["/b"] == kept
+    live.context.close()
+    assert [kind for kind, _ in live.world.registrations] == ["subscriber"] * 2, "of the probe"
+
+
 def test_a_port_that_moves_on_during_its_registration_loses_nothing_outside(live):
     publication = live.moving.publication
 
