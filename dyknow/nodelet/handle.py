@@ -113,13 +113,15 @@ class PlainNodeHandle:
             name, data_class, callback, callback_args, queue_size, self.concurrent, **options
         )
 
-    def wait_for_message(self, topic: str, topic_type: Any, timeout: float | None = None) -> Any:
+    def wait_for_message(self, topic: str, topic_type: Any, timeout: Any = None) -> Any:
         """Block until one message arrives; the nodelet's queue is not needed for it.
 
         Raises:
-            ROSException: nothing came within ``timeout`` seconds.
+            ROSException: nothing came within ``timeout`` (seconds, or a Duration).
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
+        if timeout is not None:
+            timeout = max(0.0, self.context.runtime.timers.ticker.seconds_of(timeout))
         inbox = Inbox(self.context)
         subscriber = self._make_subscriber(
             topic, topic_type, inbox.put, None, 1, overlaps=True, at_once=True

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
@@ -184,6 +185,13 @@ class TestWaitForMessage:
         join(thread)
         assert raised.is_set()
         assert pool.registrations == []
+
+    @pytest.mark.parametrize("timeout", [0, -0.1, SimpleNamespace(to_sec=lambda: 0.0)])
+    def test_takes_durations_and_timeouts_that_are_over(self, world, timeout):
+        nh = world.handle()
+        with pytest.raises(DyKnowError, match="'t' did not come within 0 s"):
+            nh.wait_for_message("t", Message, timeout)
+        assert world.registrations == []
 
     def test_works_in_a_callback_and_in_on_init(self, pool):
         nh, got, done = pool.handle(), [], threading.Event()
