@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 import dyknow
-from dyknow.errors import BadParameter, PeerTimeout
+from dyknow.errors import BadParameter, DyKnowError, PeerTimeout
 from dyknow.locks import turn_lock
 from dyknow.nodelets.recording import KeptMessage, Recording, remove_all_but, write_bag
 from dyknow.periodic import in_background
@@ -100,7 +100,11 @@ class BlackBox(dyknow.Nodelet):
             is_named = any(fnmatchcase(topic, pattern) for pattern in self.patterns)
             is_wanted = is_named or datatype == Verdict._type
             if is_wanted and topic not in self.subscribers and datatype != "*":
-                self.keep(topic, get_message_class(datatype) or rospy.AnyMsg)
+                try:
+                    self.keep(topic, get_message_class(datatype) or rospy.AnyMsg)
+                except DyKnowError as error:  # a topic that is denied, say: the others are kept
+                    self.subscribers[topic] = None
+                    self.nh.logwarn("%s: %s is not kept: %s", self.name, topic, error)
         self.read_model()
 
     def read_model(self) -> None:

@@ -16,7 +16,7 @@ from geometry_msgs.msg import TransformStamped
 from hypothesis import example, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import String
+from std_msgs.msg import Int32, String
 from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
 
@@ -153,6 +153,17 @@ def test_a_violated_formula_writes_what_was_before_and_after(box):
     (bag,) = box.bags()
     assert [m.data for topic, m in bag if topic == "/kept/a"] == ["before", "after"]
     assert box.causes() == [["the formula of /v is violated: speed = 3.1 at 0.5"]]
+
+
+def test_a_topic_that_cannot_be_kept_is_skipped(box, nodelet_harness):
+    nodelet_harness.publish("/kept/a", Int32(1))  # of another type than the master says
+    box = box()
+    box.pass_time(3.0)
+    (told,) = [each.text for each in nodelet_harness.log if "is not kept" in each.text]
+    assert "/kept/a is not kept: topic '/kept/a' carries std_msgs/Int32" in told
+    box.send("/v", verdict(Verdict.FALSE))
+    box.pass_time(3.0)
+    assert len(box.causes()) == 1
 
 
 def test_a_repair_and_a_lost_nodelet_are_causes(box):
