@@ -159,13 +159,17 @@ class Context:
         return strand
 
     def drop_strand(self, strand: Strand) -> None:
-        """End a strand that ``new_strand`` made; the nodelet's own stays."""
+        """End a strand that ``new_strand`` made; the nodelet's own stays.
+
+        It counts until its running callback has returned.
+        """
         if strand is self.strand:
             return
         strand.kill()
         with self._lock:
-            if strand in self._strands:
-                self._strands.remove(strand)
+            self._strands = [
+                each for each in self._strands if each is self.strand or each.alive or each.busy
+            ]
 
     def note_error(self, text: str, now: float) -> None:
         """Count an error of a callback."""

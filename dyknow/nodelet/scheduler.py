@@ -140,6 +140,8 @@ class Strand:
             self._is_end_logged = True
         with message_lock:
             self.alive = False
+            if self._held:
+                self._held = self._busy = False
             dropped, self._tasks = self._tasks, collections.deque()
         del dropped  # without the lock: finalizers of the tasks may call anything
 

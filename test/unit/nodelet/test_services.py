@@ -9,7 +9,7 @@ import logging
 import threading
 
 import pytest
-from clocks import PATIENCE, in_thread, join, wait_for
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import FakeClock, make_pool_world, pool_world
 
 from dyknow.errors import DyKnowError
@@ -131,6 +131,7 @@ def test_calls_of_a_concurrent_handle_leave_nothing_behind(world, caplog):
     before = len(nh.context._strands)
     for number in range(200):
         assert world.services.call("/s", number) == number
-    world.drain()
-    assert len(nh.context._strands) == before
+    eventually(lambda: not nh.context.is_busy())
+    world.services.call("/s", 0)
+    assert len(nh.context._strands) <= before + 1, "that of the last call may run yet"
     assert "unload" not in caplog.text, "nothing was unloaded"

@@ -14,10 +14,12 @@ from clocks import eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 
 import dyknow
-from dyknow.errors import UnloadedMeanwhile
+from dyknow.errors import DyKnowError, UnloadedMeanwhile
+from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.pubsub import Subscriber
 
 
 class Hanging(Nodelet):
@@ -25,11 +27,13 @@ class Hanging(Nodelet):
 
     started: threading.Event
     release: threading.Event
+    beside: Subscriber
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.nh.Subscriber("in", Message, self.on_message)
-        self.mt_node_handle.Subscriber("beside", Message, self.on_message)
+        Hanging.beside = self.mt_node_handle.Subscriber("beside", Message, self.on_message)
+        self.mt_node_handle.Service("ask", object, self.on_message)
 
     def on_message(self, message):
         self.started.set()
@@ -110,6 +114,31 @@ def test_a_callback_that_outlives_its_nodelet_is_named_until_it_ends(
     loader.close()
 
 
+@pytest.mark.parametrize("kind", ["service", "subscriber"])
+def test_a_callback_that_overlaps_with_others_outlives_its_strand(
+    world: World, loader: Loader, clock: FakeClock, kind: str
+) -> None:
+    context, freed = loader.get("/n").context, []
+    context.last_hooks.append(lambda: freed.append(Hanging.release.is_set()))
+    if kind == "service":
+        calling = in_thread(lambda: pytest.raises(DyKnowError, world.services.call, "/ask", None))
+        wait_for(Hanging.started)
+    else:
+        world.transport.send("/beside", Message())
+        wait_for(Hanging.started)
+        calling = in_thread(Hanging.beside.unregister)
+        join(calling)
+    assert context.is_busy()
+    loader.unload("/n")
+    join(calling)
+    clock.seconds += 12.0
+    assert loader.leftovers.running() == {"/n": 12.0}
+    Hanging.release.set()
+    eventually(lambda: freed)
+    assert freed == [True]
+    loader.close()
+
+
 def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(world: World) -> None:
     entered, opened = threading.Event(), threading.Event()
 
@@ -134,3 +163,12 @@ def test_callbacks_that_got_no_thread_are_started_at_the_next_check(world: World
     world.executor.catch_up = lambda: caught_up.append(True)
     StuckCallbacks(world.loader(), "/manager", 10.0, print).check()
     assert caught_up == [True]
+
+
+def test_a_strand_that_is_dropped_during_on_init_leaves_nothing(world: World) -> None:
+    context = Context(world.runtime, "/starting")
+    strand = context.new_strand("test")
+    strand.post(lambda: None)
+    context.drop_strand(strand)
+    assert context._strands == [context.strand]
+    assert not strand.busy
