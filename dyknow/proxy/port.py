@@ -28,6 +28,7 @@ from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import NOTHING, Publication, Traffic
 from dyknow.nodelet.middleware import Codec
 from dyknow.nodelet.pubsub import Publisher, Subscriber
+from dyknow.nodelet.timers import Timer
 from dyknow.proxy.encoding import EncodingPublication
 
 #: Seconds without a message after which an in-port with a companion looks for publishers.
@@ -212,12 +213,13 @@ class PortSubscriber(Subscriber):
         self._received: int | None = 0
         #: The topic that was warned of.
         self._told = ""
+        self._looks: Timer | None = None
         port.handles.append(self)
         port.count(self.subscription)
         if port.codec is not None:
             strand = context.new_strand(f"looks of '{port.name}'")
             look = partial(self._look, port.codec.form)
-            context.timer(_SILENCE, look, strand, oneshot=False)
+            self._looks = context.timer(_SILENCE, look, strand, oneshot=False)
 
     @property
     def name(self) -> str:
@@ -251,3 +253,6 @@ class PortSubscriber(Subscriber):
         super().unregister()
         if joined:
             self._port.leave(self.subscription)
+        if self._looks is not None:
+            self._looks.shutdown()
+            self._context.drop_strand(self._looks.strand)

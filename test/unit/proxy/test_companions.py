@@ -304,3 +304,14 @@ def test_an_in_port_warns_once_of_a_topic_without_the_form(bench, caplog):
     assert warnings() == [told]
     form.unregister()
     assert len(warnings()) == 2
+
+
+def test_a_handle_that_is_unregistered_looks_no_more(bench):
+    kept = bench.nh.Subscriber("in", Message, print)
+    for _ in range(3):
+        bench.nh.Subscriber("in", Message, print).unregister()
+    assert len(bench.world.runtime.timers._heap) == 1
+    assert len(bench.context._strands) == 2, "the nodelet's own, and that of the timer"
+    kept.unregister()
+    kept.unregister()
+    assert bench.world.runtime.timers._heap == []
