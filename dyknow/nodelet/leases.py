@@ -122,10 +122,12 @@ class Leases:
                 self._leases[manager] = _Lease(uri, until, dict(producers), frozenset(still))
             topics = frozenset(t for each in self._leases.values() for t in each.producers)
             is_new, self._topics = topics != self._topics, topics
-        if is_new:
+        while is_new:
             fences = {t: functools.partial(self.may_publish, topic=t) for t in topics}
             forms = {names.below(t, form): fences[t] for t in fences for form in names.FORMS}
             self._guard({**forms, **fences})
+            with self._state_lock:  # the fences of another renewal may have come before these
+                is_new, topics = topics != self._topics, self._topics
         return self._clock()
 
     def may_publish(self, nodelet: str, topic: str) -> bool:

@@ -28,7 +28,9 @@ class Process:
         self.sight = Sight.SILENT
         self.looks = 0
         self.leases = Leases(
-            lambda topic: self.publishing.get(topic, ()), self.take, lambda: self.now
+            lambda topic: self.publishing.get(topic, ()),
+            lambda fences: self.take(fences),
+            lambda: self.now,
         )
 
     def take(self, fences: Mapping[str, Fence]) -> None:
@@ -126,6 +128,22 @@ def test_two_managers_have_a_lease_each(process: Process) -> None:
     process.now += 1.0
     assert process.may("/old", TOPIC)
     assert not process.may("/their", other)
+
+
+def test_renewals_at_the_same_moment_leave_the_fences_of_both(process: Process) -> None:
+    other, take = "/claims/robot", process.take
+
+    def take_late(fences: Mapping[str, Fence]) -> None:
+        process.take = take  # type: ignore[method-assign]
+        process.renew(process.now)
+        take(fences)
+
+    process.leases.renew(MANAGER, URI, process.now, DURATION, {})
+    process.take = take_late  # type: ignore[method-assign]
+    process.leases.renew("/other", URI, process.now, DURATION, {other: "/their"})
+    assert {TOPIC, other} <= set(process.fences)
+    process.now += 10.0
+    assert not process.may("/old", TOPIC) and not process.may("/their", other)
 
 
 step = st.sampled_from(["ask", "arrive", "answer", "send", "stop", "look", "kill"])
