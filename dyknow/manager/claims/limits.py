@@ -237,7 +237,8 @@ class Rate(Limit):
         window = self.watch(limit).window
         found = {place: flows[place].span(window) for place in stream.topics if place in flows}
         spans = {place: span for place, span in found.items() if span is not None}
-        is_below = self.falls_short(flows.get(stream.goal), limit)
+        is_there = stream.goal in spans  # not so if its nodelet is lost
+        is_below = self.falls_short(flows.get(stream.goal), limit) if is_there else None
         if is_below is False:
             stream.note_good(self, now)
             for place, span in spans.items():

@@ -18,9 +18,10 @@ import logging
 import time
 import uuid
 from dataclasses import replace
+from functools import partial
 from typing import Callable, Collection, Hashable
 
-from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
+from dyknow.errors import NoPlanFound, StreamTypeMismatch
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.answers import CheaperPlans, refusal
@@ -42,7 +43,7 @@ from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.periodic import PAUSE, STEADY, Clock
+from dyknow.periodic import PAUSE, STEADY, Clock, attempt
 
 #: Rounds in the ``max_silence`` of a claim.
 _ROUNDS = 4
@@ -99,7 +100,7 @@ class StreamReconciler:
         self._planner.look(at_once=True)
         if dry_run:
             return self._explained(*self._drafted(claim))
-        for attempt in itertools.count(1):
+        for number in itertools.count(1):
             known = self._table.same(request)
             claim, proposal = (known, None) if known is not None else self._drafted(claim)
             with self._lock.request():
@@ -109,7 +110,7 @@ class StreamReconciler:
                 if known is not None:
                     return Acquired(known, None, (), known.nodelets)
                 if proposal is None or (
-                    attempt < _ATTEMPTS and not self._is_current(claim, proposal)
+                    number < _ATTEMPTS and not self._is_current(claim, proposal)
                 ):
                     continue
                 answer = proposal.answer
@@ -133,14 +134,14 @@ class StreamReconciler:
         """
         if not dry_run:
             self.manager.guards.check_writable(f"replanning claim '{claim_id}'")
-        for attempt in itertools.count(1):
+        for number in itertools.count(1):
             self._planner.look(at_once=True)
             claim, proposal = self._redrafted(claim_id)
             if dry_run:
                 return self._explained(claim, proposal)
             with self._lock.request(claim_id):
                 claim = self._table.get(claim_id)
-                if attempt < _ATTEMPTS and not self._planner.still_fits(claim, proposal):
+                if number < _ATTEMPTS and not self._planner.still_fits(claim, proposal):
                     continue
                 answer = proposal.answer
                 if isinstance(answer, NoPlan):
@@ -274,15 +275,14 @@ class StreamReconciler:
             self._context.connector.ask()
             self._context.connector.remember()
             self._collector.disconnect()
-            self._monitor.read(self._repair.hold())
+            attempt("judging streams", partial(self._monitor.read, self._repair.hold()), _log)
             self._repair.keep(self._table.living)
             for claim in sorted(self._table.living, key=_small_streams_first):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
-                try:
-                    self._repair.repair(claim.claim_id)
-                except DyKnowError as error:
-                    _log.warning("claim %s: %s", claim.claim_id, error)
+                # No fault of one stream is to keep another one from its repair.
+                repair = partial(self._repair.repair, claim.claim_id)
+                attempt(f"claim {claim.claim_id}", repair, _log)
             self._repair.follow_bindings()
             self._collector.clear_topics()
             self._collector.collect()

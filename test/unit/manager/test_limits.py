@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, transformation
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
+from dyknow.model.graph import State
 from dyknow.model.streams import UNKNOWN_AGE, ClaimState, StreamRequest
 
 #: Seconds between two messages of a source that is fast enough, and between two looks.
@@ -299,6 +300,29 @@ def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
     field.host.fail = take_long
     field.pass_time(30.0)
     assert field.reasons() == ["requested", FIRST_MESSAGE]
+
+
+def test_a_lost_nodelet_that_was_too_slow_leaves_other_streams_to_be_repaired(
+    field: LimitField,
+) -> None:
+    field.host.add("/robot")
+    field.manager.look()
+    field.spawn("bottom camera", "/eye", manager="/robot", config={"image": "/eye/image"})
+    lidar = transformation("lidar", "soccer/Ceiling", "out image", "image Scan(here)")
+    alone = lidar.replace("<transformation", '<transformation isolated="true"')
+    field.manager.add_transformation(alone)
+    slow = field.acquire("YUV(field)", exclude=("ceiling camera",), min_rate=20.0).claim
+    field.manager.remove_transformation("bottom camera")
+    other = field.acquire("Scan(here)").claim
+    field.pass_time(10.0)
+    assert "/eye is too slow" in field.claim(slow.claim_id).detail
+    field.host.kill("/robot")
+    field.pass_time(5.0)
+    assert field.manager.graph.get("/eye").state is State.LOST
+    field.host.vanish(other.goal[0])
+    field.pass_time(5.0)
+    field.check_flows(other)
+    assert field.state(slow.claim_id) is ClaimState.PENDING
 
 
 def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: LimitField) -> None:

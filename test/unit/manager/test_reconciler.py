@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Dict
+from typing import Callable, Dict, Optional
 from unittest import mock
 
 import pytest
@@ -22,8 +22,11 @@ from dyknow.errors import (
     UnknownClaim,
 )
 from dyknow.guards import Guards
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.repair import Fault
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.periodic import attempt
 
 # Requests
 
@@ -321,6 +324,31 @@ def test_only_so_many_ended_claims_are_remembered(field: Field) -> None:
     assert len(field.reconciler.claims()) == 100
     field.tidy()
     assert field.host.running == []
+
+
+@pytest.mark.parametrize("fails", ["judging", "the repair of another"])
+def test_a_defect_about_one_stream_leaves_the_others_to_be_repaired(
+    field: Field, fails: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("dyknow.manager.claims.reconciler.attempt", attempt)
+    good, bad = field.acquire().claim, field.acquire("Joints(nao)").claim
+    field.settle()
+    repair, monitor = field.reconciler._repair, field.reconciler._monitor
+    diagnose = repair.diagnose
+
+    def raise_for_bad(claim: Claim) -> Optional[Fault]:
+        if claim.claim_id == bad.claim_id:
+            raise KeyError("a defect")
+        return diagnose(claim)
+
+    if fails == "judging":
+        monkeypatch.setattr(monitor, "read", mock.Mock(side_effect=KeyError("a defect")))
+    else:
+        monkeypatch.setattr(repair, "diagnose", raise_for_bad)
+    field.host.vanish(good.goal[0])
+    field.settle()
+    field.check_flows(good)
+    assert "KeyError: 'a defect'" in caplog.text
 
 
 # The manager
