@@ -392,14 +392,24 @@ class ClaimPlanner:
 
         These are its own, those that no claim needs, and described external nodes. Parts that
         other claims share are among them, and have to go on supplying the same, unless these
-        claims exclude other labels or have other wishes. They are of the ``known``
-        transformations; by default these are those of now.
+        claims exclude other labels or parts, have other wishes, or demand more. They are of the
+        ``known`` transformations; by default these are those of now.
         """
         known, world = self.transformations() if known is None else known, self._world()
-        sharing = [each for each in self._table.living if each.claim_id != claim.claim_id]
+        sharing = [
+            each
+            for each in self._table.living
+            if each.claim_id != claim.claim_id and not each.wiring.keys().isdisjoint(claim.wiring)
+        ]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
         unfit = self._monitor.unfit(self._table.together(claim)).keys() | without
+        kept_back = {
+            name
+            for each in sharing
+            if not (_may_lend(each, claim) and self._monitor.unfit([each]).keys() <= unfit)
+            for name in each.wiring
+        }
         found: list[OwnNodelet] = []
         for name in reversed((*idle, *claim.nodelets)):
             record = world.records.get(name)
@@ -407,8 +417,8 @@ class ClaimPlanner:
             if (
                 record is None
                 or name in unfit
+                or name in kept_back
                 or not _is_connectable(record, known)
-                or not all(_may_lend(each, claim) for each in users)
             ):
                 continue
             exposed = exposed_variables(known[record.label])
@@ -609,8 +619,13 @@ def _is_connectable(record: Record, transformations: Mapping[str, Transformation
 
 def _may_lend(user: Claim, claim: Claim) -> bool:
     """Whether a claim may connect elsewhere what another one uses."""
-    excluded = set(user.request.exclude)
-    return excluded <= set(claim.request.exclude) and user.wishes == claim.wishes
+    has, needs = user.request, claim.request
+    return (
+        set(has.exclude) <= set(needs.exclude)
+        and user.wishes == claim.wishes
+        and has.min_rate <= needs.min_rate
+        and (not has.max_age or 0 < needs.max_age <= has.max_age)
+    )
 
 
 def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> dict[Instance, str]:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, transformation
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
+from dyknow.manager.claims.requirements import topic_of_verdicts
 from dyknow.model.graph import State
 from dyknow.model.streams import UNKNOWN_AGE, ClaimState, StreamRequest
 
@@ -261,6 +262,83 @@ def test_bad_values_are_refused(field: LimitField, name: str, value: float) -> N
     with pytest.raises(BadParameter, match=f"parameter '{name}' is {value}"):
         field.acquire("YUV(field)", **{name: value})
     assert not field.living()
+
+
+# Claims with different limits that share a part
+
+
+RAW, SEEN = "Raw(field)", "Seen(field)"
+
+
+@pytest.fixture
+def two_cameras(field: LimitField) -> LimitField:
+    """Two cameras, the second of which is slow, for one filter, which a viewer needs."""
+    one, two = [("image", "out", IMAGE)], [("in", "in", IMAGE), ("out", "out", IMAGE)]
+    new = {"soccer/Fast": one, "soccer/Slow": one, "soccer/Filter": two, "soccer/Viewer": two}
+    field.host.sources.update(new)
+    field.delays.update(dict.fromkeys(new, 0.01))
+    field.dividers["soccer/Slow"] = 4
+    for label, source, ports, tags, cost in (
+        ("fast", "soccer/Fast", "out image", f"image {RAW}", 3),
+        ("slow", "soccer/Slow", "out image", f"image {RAW}", 4),
+        ("filter", "soccer/Filter", "in in, out out", f"in {RAW}; out {SEEN}", 2),
+        ("viewer", "soccer/Viewer", "in in, out out", f"in {SEEN}; out View(field)", 2),
+    ):
+        field.manager.add_transformation(transformation(label, source, ports, tags, cost))
+    return field
+
+
+def state_rates(field: LimitField) -> None:
+    for label, rate in (("fast", 20.0), ("slow", 5.0)):
+        known = field.manager.library.get(label)
+        field.manager.add_transformation(
+            known._replace(ports=(known.ports[0]._replace(rate=rate),)).to_xml()
+        )
+
+
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_two_claims_do_not_take_a_part_from_each_other(
+    two_cameras: LimitField, is_stated: bool
+) -> None:
+    """One camera is too slow for the first claim, and the other gets too old for the second."""
+    field = two_cameras
+    if is_stated:
+        state_rates(field)
+    first = field.acquire(SEEN, min_rate=15.0).claim
+    second = field.acquire("View(field)", max_age=0.2).claim
+    assert set(first.nodelets) < set(second.nodelets)
+    field.pass_time(8.0)
+    field.delays["soccer/Fast"] = 1.0
+    field.pass_time(30.0)
+    events, calls = len(field.events), len(field.host.calls)
+    field.pass_time(60.0)
+    assert field.events[events:] == []
+    assert {"connect", "load"}.isdisjoint(name for name, _ in field.host.calls[calls:])
+    assert {each.state for each in field.living()} == {ClaimState.ACTIVE}
+    assert field.parts()["fast"] in field.claim(first.claim_id).nodelets
+
+
+def test_two_claims_with_formulas_do_not_take_a_part_from_each_other(
+    two_cameras: LimitField,
+) -> None:
+    """Each formula is FALSE with another one of the two cameras."""
+    field = two_cameras
+    first = field.acquire(SEEN, require="present(it)").claim
+    second = field.acquire("View(field)", require="present(it)").claim
+
+    def judge(seconds: float) -> None:
+        for _ in range(round(2 * seconds)):
+            for each, bad in ((first, "/slow_1"), (second, "/fast_1")):
+                claim = field.claim(each.claim_id)
+                field.host.decide(topic_of_verdicts(claim), bad not in claim.nodelets)
+            field.pass_time(0.5)
+
+    field.pass_time(5.0)
+    judge(30.0)
+    events = len(field.events)
+    judge(60.0)
+    assert field.events[events:] == []
+    assert {each.state for each in field.living()} == {ClaimState.ACTIVE}
 
 
 # Rates
