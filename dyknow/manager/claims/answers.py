@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Callable, Hashable, Sequence
 
@@ -124,26 +125,36 @@ class CheaperPlans:
 
         Each call compares one claim again, if there is a new offer.
         """
-        offers, now = self._planner.offers(), self._clock()
+        offers, now = self._offers(), self._clock()
         claims = [each for each in self._table.living if each.state is ClaimState.ACTIVE]
         for claim in claims:
             known = self._compared.get(claim.claim_id)
             if known is None or known.nodelets != claim.nodelets:
                 known = _Comparison(claim.nodelets)
-            elif known.offers == offers:
+            elif known.offers == offers[claim.claim_id]:
                 continue
             way = self._way(claim)
             since = known.since if way == known.way else now
-            self._compared[claim.claim_id] = replace(known, offers=offers, way=way, since=since)
+            known = replace(known, offers=offers[claim.claim_id], way=way, since=since)
+            self._compared[claim.claim_id] = known
             break
         for claim_id, known in list(self._compared.items()):
-            is_settled = known.offers == offers and now - known.since >= _SETTLED
+            is_settled = known.offers == offers.get(claim_id) and now - known.since >= _SETTLED
             if known.way and known.way not in known.reported and is_settled:
                 self._table.report(claim_id, known.way)
                 reported = known.reported | {known.way}
                 self._compared[claim_id] = replace(known, reported=reported)
         living = {claim.claim_id for claim in self._table.living}
         self._compared = {key: each for key, each in self._compared.items() if key in living}
+
+    def _offers(self) -> dict[str, Hashable]:
+        """Return a value for each claim that differs when a plan may have become cheaper."""
+        common, living = self._planner.offers(), self._table.living
+        users = Counter([name for claim in living for name in claim.wiring])
+        return {
+            claim.claim_id: (common, tuple([users[name] for name in claim.nodelets]))
+            for claim in living
+        }
 
     def _way(self, claim: Claim) -> str:
         """Say how a claim's stream would cost less; empty if there is no such way."""

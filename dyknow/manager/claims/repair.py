@@ -50,8 +50,9 @@ class Repair:
         self._failures = Backoff(context.clock, _FIRST_PAUSE)
         #: Transformation of which no nodelet could be made since the present repair began.
         self._failed_label = ""
-        #: Claims without a plan: the planner's signature at the time, and the fault.
-        self._unplannable: dict[str, tuple[Hashable, str]] = {}
+        #: Claims without a plan: the planner's signature at the time, the fault, and the requests
+        #: that the plan had to satisfy.
+        self._unplannable: dict[str, Hashable] = {}
         #: Claims with nodelets that are being restarted.
         self._held: frozenset[str] = frozenset()
 
@@ -186,7 +187,8 @@ class Repair:
                 whole = {"state": ClaimState.ACTIVE, "detail": self._monitor.restart(claim)}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
-        situation = (self._planner.signature(), fault.what)
+        requests = tuple([each.request for each in self._table.together(claim)])
+        situation = (self._planner.signature(), fault.what, requests)
         if self._unplannable.get(claim_id) == situation:
             return
         answer = self._proposed(claim)

@@ -76,6 +76,20 @@ def test_what_all_clients_of_a_stream_share_is_saved(field: Field) -> None:
     assert claims[0].topic in field.moving
 
 
+def test_what_only_others_needed_is_saved_once_they_have_gone(field: Field) -> None:
+    for label, cost in (("dear", 9), ("cheap", 1)):
+        text = transformation(label, "soccer/Camera", "out image", "image Eye(field)", cost)
+        field.manager.add_transformation(text)
+    other = field.acquire("Eye(field)", exclude=("cheap",)).claim
+    claim = field.acquire("Eye(field)").claim
+    assert set(other.nodelets) < set(claim.nodelets)
+    field.settle(10.0)
+    assert news(field) == []
+    field.reconciler.release(other.claim_id)
+    field.settle(10.0)
+    assert news(field) == ["a cheaper way has appeared, with cheap; replanning takes it"]
+
+
 def test_what_is_protected_is_not_saved(field: Field) -> None:
     field.acquire("RelativePosition(ball)")
     for name in ("/bottom_camera_1", "/subsampler_1"):

@@ -267,6 +267,23 @@ def test_an_excluded_part_does_not_come_to_a_claim_through_others(field: Field) 
     assert field.state(picky.claim_id) is ClaimState.ACTIVE
 
 
+def test_a_claim_waits_no_longer_than_the_claim_that_rules_out_its_plan(field: Field) -> None:
+    for label, rate in (("fast", 30), ("slow", 9)):
+        text = transformation(label, "soccer/Camera", "out image", "image Eye(field)")
+        field.manager.add_transformation(text.replace("<port ", f'<port rate="{rate}" '))
+    keen = field.acquire("Eye(field)", min_rate=10.0).claim
+    easy = field.acquire("Eye(field)").claim
+    assert easy.topic == keen.topic and field.labels() == ["fast"]
+    field.manager.remove_transformation("fast")
+    field.host.vanish(keen.goal[0])
+    field.settle(5.0)
+    assert {each.state for each in field.living()} == {ClaimState.PENDING}
+    field.reconciler.release(keen.claim_id)
+    field.settle(5.0)
+    field.check_flows(easy)
+    assert field.labels() == ["slow"]
+
+
 # Clients
 
 
