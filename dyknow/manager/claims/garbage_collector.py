@@ -109,27 +109,30 @@ class GarbageCollector:
         return done
 
     def clear_topics(self) -> None:
-        """Leave one publisher on the topic of each claim that is made, and none on the others."""
+        """Leave the publishers of claims on their topics, and none where no stream is made.
+
+        Claims on one topic have one publisher, but for a moment while the others follow the first.
+        """
         claims = self._table.living
-        goals = {claim.topic: "" for claim in claims if claim.topic and not claim.is_made}
-        goals.update(
-            (claim.topic, claim.goal[0])
-            for claim in claims
-            if claim.state is ClaimState.ACTIVE and claim.goal[0]
-        )
+        goals: dict[str, set[str]] = {}
+        for claim in claims:
+            if claim.topic and not claim.is_made:
+                goals.setdefault(claim.topic, set())
+            elif claim.state is ClaimState.ACTIVE and claim.goal[0]:
+                goals.setdefault(claim.topic, set()).add(claim.goal[0])
         # A publisher that cannot be reached was replaced: it is disconnected when it is back.
         self._replaced = {each for each in self._replaced if each[2] in goals} | {
             (record.name, port, topic)
             for record in self._world().records.values()
             if record.state is not State.RUNNING
             for port, topic in record.topics.items()
-            if goals.get(topic, "") not in ("", record.name)
+            if goals.get(topic) and record.name not in goals[topic]
         }
-        for topic, goal in sorted(goals.items()):
+        for topic, ours in sorted(goals.items()):
             for record, ports in self._world().publishers(topic):
-                is_ours = record.claimed or (record.is_described and goal)
+                is_ours = record.claimed or (record.is_described and ours)
                 wires = self._replaced & {(record.name, port, topic) for port in ports}
-                if record.name != goal:
+                if record.name not in ours:
                     self._disconnect(
                         record, ports if is_ours else [port for _, port, _ in sorted(wires)]
                     )

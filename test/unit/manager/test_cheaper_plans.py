@@ -11,7 +11,15 @@ import random
 from typing import Any, List, Optional
 
 import pytest
-from unit.manager.field import IMAGE, LIBRARY, POINT, Field, specification, transformation
+from unit.manager.field import (
+    IMAGE,
+    LIBRARY,
+    POINT,
+    Field,
+    counted_ids,
+    specification,
+    transformation,
+)
 
 from dyknow.errors import BadParameter, InvalidParameters, NoPlanFound, UnknownTransformation
 from dyknow.manager.claims.claim_planner import OwnNodelet, assigned
@@ -74,6 +82,20 @@ def test_what_all_clients_of_a_stream_share_is_saved(field: Field) -> None:
     assert total(field) == 2
     assert {field.claim(each.claim_id).topic for each in claims} == {claims[0].topic}
     assert claims[0].topic in field.moving
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_stream_is_replanned_for_all_its_clients_without_a_gap(field: Field, which: int) -> None:
+    with counted_ids():
+        claims = [field.acquire("RelativePosition(ball)").claim for _ in range(2)]
+    topic = claims[0].topic
+    field.manager.add_transformation(ALONE)
+    field.settle()
+    field.reconciler.replan(claims[which].claim_id)
+    assert field.host.publishers(topic) == ["/alone_1"]
+    field.settle()
+    field.check_flows(*claims)
+    assert {field.claim(each.claim_id).goal[0] for each in claims} == {"/alone_1"}
 
 
 def test_what_only_others_needed_is_saved_once_they_have_gone(field: Field) -> None:
