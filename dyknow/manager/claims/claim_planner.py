@@ -332,7 +332,7 @@ class ClaimPlanner:
         """Find the names that a demand's variables can stand for, and whether these are all."""
         streams = self._without_relays(self._streams(NO_LABELS, self._monitor.unfit().keys()))
         with self._planning(self.transformations()) as (planner, _):
-            return planner.bindings(demand, streams)
+            return planner.bindings(demand, streams, self._monitor.requirements.verdicts)
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""

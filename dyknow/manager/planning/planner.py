@@ -214,13 +214,18 @@ class Planner:
         return found
 
     def bindings(
-        self, demand: Demand, live: Iterable[TaggedStream] = (), budget: float = BUDGET
+        self,
+        demand: Demand,
+        live: Iterable[TaggedStream] = (),
+        verdicts: Verdicts | None = NO_VERDICTS,
+        budget: float = BUDGET,
     ) -> tuple[list[Bindings], bool]:
         """Find all that the variables of a demand can stand for.
 
         Args:
             demand: tags and type of the stream.
             live: streams that exist, with their tags.
+            verdicts: those that transformations require; None to disregard them.
             budget: seconds that this may take, counted in steps.
 
         Returns:
@@ -228,7 +233,7 @@ class Planner:
             one if the stream can be made.
         """
         variables = sorted({each for term in demand.tags for each in term.variables})
-        request = Request(self._library, demand, list(live), wanted=variables)
+        request = Request(self._library, demand, list(live), wanted=variables, verdicts=verdicts)
         reach = Reach(request)
         least, _, _ = reach.cheapest(reach.costs, use_sum=True)
         search = Search(request, reach, least)

@@ -19,6 +19,7 @@ from dyknow.formulas import Truth, parse
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.requirements import CLIENT, is_own
 from dyknow.manager.host import HeardVerdict
+from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import VERDICT
 
@@ -258,6 +259,24 @@ def test_verdicts_are_heard_again_after_a_restart(field: Field, tmp_path: object
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.tidy()
     assert cameras(field) == ["ceiling camera"]
+
+
+@pytest.mark.parametrize("initially", [True, False])
+def test_bindings_are_found_by_the_verdicts_that_hold(field: Field, initially: bool) -> None:
+    eye = transformation("eye", "soccer/Camera", "out image", "image Eye(left)")
+    field.manager.add_transformation(requiring("eye", CHARGED, initially=initially, library=eye))
+
+    def found() -> List[Bindings]:
+        return field.reconciler.find_bindings("Eye(?which)")[0]
+
+    left: List[Bindings] = [(("?which", "left"),)]
+    assert found() == (left if initially else [])
+    field.acquire()
+    field.settle()
+    for is_true in (False, True):
+        decide(field, is_true)
+        field.settle(5.0)
+        assert found() == (left if is_true else [])
 
 
 CALM = "Holds(calm, nao)"
