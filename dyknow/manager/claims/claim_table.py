@@ -133,11 +133,16 @@ class ClaimTable:
             self._write(claim)
         return claim
 
-    def end(self, claim_id: str, state: ClaimState, reason: str) -> None:
-        """End a claim; one that has ended, or is unknown, is left as it is."""
+    def end(
+        self, claim_id: str, state: ClaimState, reason: str, late_at: float | None = None
+    ) -> None:
+        """End a claim; one that has ended, or is unknown, is left as it is.
+
+        With ``late_at`` one whose lease is not over by then is left as well.
+        """
         with self._turn:
             before = self.find(claim_id)
-            if before is None:
+            if before is None or (late_at is not None and not _is_late(before, late_at)):
                 return
             after = replace(before, state=state, detail=reason)
             self._store.write({("claims", claim_id): None})
@@ -161,9 +166,8 @@ class ClaimTable:
         if running < self._pardon_until:
             return
         for claim in self.living:
-            present = self.find(claim.claim_id)  # a renewal may have come meanwhile
-            if present is not None and present.deadline is not None and now >= present.deadline:
-                self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended")
+            if _is_late(claim, now):  # a renewal may come first
+                self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended", now)
 
     def _write(self, claim: Claim) -> None:
         body = claim.body(Moment.now(self._clock))
@@ -176,6 +180,10 @@ class ClaimTable:
         """Find the claims that have not ended; with the lock of the state held."""
         claims = (self._claims[claim_id] for claim_id in sorted(self._claims))
         self.living = tuple(claim for claim in claims if not claim.state.ended)
+
+
+def _is_late(claim: Claim, now: float) -> bool:
+    return claim.deadline is not None and now >= claim.deadline
 
 
 class ClaimLock:

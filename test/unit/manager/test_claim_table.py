@@ -10,7 +10,7 @@ import json
 import threading
 from contextlib import closing
 from pathlib import Path
-from typing import List
+from typing import Iterator, List
 
 import pytest
 from faulty_disk import kept_aside
@@ -126,6 +126,30 @@ def test_a_lease_that_ended_without_a_manager_can_still_be_renewed(
         now[0] += 1.0
         claims.expire_late()
         assert [each.claim_id for each in claims.living] == ["renewed"]
+
+
+def test_a_lease_that_is_renewed_while_its_end_waits_is_not_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [0.0]
+    claims = ClaimTable(Store(":memory:"), lambda: now[0], lambda: now[0])
+    claims.add(Claim("a", StreamRequest("A", lease=30.0), "/a"), "requested")
+    now[0] = 30.0
+    turn = claims._turn
+
+    @contextlib.contextmanager
+    def after_a_renewal() -> Iterator[None]:
+        monkeypatch.setattr(claims, "_turn", turn)
+        claims.renew("a", 30.0)
+        with turn:
+            yield
+
+    monkeypatch.setattr(claims, "_turn", after_a_renewal())
+    claims.expire_late()
+    assert [each.deadline for each in claims.living] == [60.0]
+    now[0] = 60.0
+    claims.expire_late()
+    assert not claims.living
 
 
 # Leases across the death of the manager: they go on, and never get longer
