@@ -50,9 +50,10 @@ class Connector:
         self._guards = context.guards
         self._namespace = context.namespace
         self._clock = context.clock.now
-        self._world = World(context.library.ontology, {})
-        self._world_at: Hashable = None
-        self._basis: Hashable = None
+        #: The world that was read last, when, and what it is based on; threads read the three as
+        #: one, and replace them as one.
+        nothing = World(context.library.ontology, {})
+        self._known: tuple[World, Hashable, Hashable] = nothing, None, None
         #: Topics that a port was sent to without an answer, and until when it may arrive there;
         #: replaced as a whole by every change.
         self._late: Mapping[tuple[str, str], Mapping[str, float]] = {}
@@ -60,15 +61,15 @@ class Connector:
         self.unknown: dict[str, float] = {}
 
     def world(self) -> World:
-        """Return the world of this moment; only changes are read again."""
+        """Return the world of this moment; only changes are read again. Safe from any thread."""
         # The revisions come first: a change meanwhile is read the next time.
         at = (self._library.revision, self._late, self._graph.revision, self._table.living)
-        if self._world_at == at:
-            return self._world
+        world, known_at, basis = self._known
+        if known_at == at:
+            return world
         records = self._graph.records
-        if self._basis != at[:2]:
-            self._basis = at[:2]
-            self._world = World(self._library.ontology, self._descriptions(), self._late)
+        if basis != at[:2]:
+            world = World(self._library.ontology, self._descriptions(), self._late)
         lost = [each for each in records.values() if each.state is State.LOST]
         states = self._host.states() if lost else {}
         gone = {name for name, each in records.items() if each.state is State.FAILED}
@@ -76,9 +77,9 @@ class Connector:
             state = states.get(each.manager)
             if state is None or state.incarnation != each.incarnation:
                 gone.add(each.name)
-        self._world = self._world.read(records, at[3], records.keys() - gone)
-        self._world_at = None if lost else at
-        return self._world
+        world = world.read(records, at[3], records.keys() - gone)
+        self._known = world, None if lost else at, at[:2]
+        return world
 
     def _descriptions(self) -> dict[str, tuple[Transformation, ...]]:
         found: dict[str, tuple[Transformation, ...]] = {}

@@ -14,6 +14,7 @@ from unit.manager.field import GOAL, LINGER, Field, transformation
 from dyknow.errors import DyKnowError, HostError, NoPlanFound
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.claim_table import ClaimLock
+from dyknow.manager.claims.world import World
 from dyknow.manager.planning.planner import Planner
 from dyknow.model.streams import ClaimState, StreamRequest
 
@@ -300,3 +301,28 @@ def test_a_plan_without_a_transformation_keeps_the_claims_own_limits(field: Fiel
         field.reconciler.plan(claim_id, ("bottom camera",))
     assert field.host.running == before
     assert field.state(claim_id) is ClaimState.ACTIVE
+
+
+# The world is read by any thread, without the lock
+
+
+def test_a_slow_reader_of_the_world_hides_no_change_of_the_library(
+    field: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = transformation("scan", "/scan", "out scan", "scan Scan(here)")
+    read, world = World.read, field.reconciler._context.connector.world
+    field.host.topics.add("/scan")
+    field.spawn("bottom camera", "/camera", config={"image": "/image"})
+
+    def read_late(self: World, *args: Any) -> World:
+        """Another thread adds a topic, and reads the world of it, in between."""
+        monkeypatch.setattr(World, "read", read)
+        kind = '<transformation type="topic"'
+        field.manager.add_transformation(text.replace("<transformation", kind))
+        assert "/scan" in world().described
+        return read(self, *args)
+
+    monkeypatch.setattr(World, "read", read_late)
+    assert "/scan" not in world().described, "it is as at the beginning"
+    assert "/scan" in world().described
+    assert field.acquire("Scan(here)").claim.topic == "/scan"
