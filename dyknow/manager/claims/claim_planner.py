@@ -82,6 +82,7 @@ class Situation(NamedTuple):
         budget: seconds that the improvement of the plan may take.
         known: transformations by label.
         verdicts: those that transformations require; None to disregard them.
+        refused: ROS types that the stream must not have.
     """
 
     demand: Demand
@@ -97,6 +98,7 @@ class Situation(NamedTuple):
     budget: float
     known: Mapping[str, Transformation]
     verdicts: Verdicts | None
+    refused: frozenset[str] = NO_LABELS
 
     def tags(self, live: Live) -> frozenset[Term] | None:
         """Return the tags of a stream; None if it is not there."""
@@ -187,16 +189,24 @@ class ClaimPlanner:
         """
         moment = self._moment()
         situation = self.situation(claim, avoid, without)
-        answer = self._solved(situation)
-        if isinstance(answer, NoPlan) and lenient and situation.paused:
-            answer = self._solved(situation._replace(paused=NO_LABELS))
+        answer = stamped = self._found(situation, lenient)
         if isinstance(answer, NoPlan):
             answer = self._unavailable(claim, situation, without) or answer
-        if isinstance(answer, Plan) and self._unstamped_type(claim, answer):
-            stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
-            if isinstance(stamped.answer, Plan):
-                return stamped
+        refused = NO_LABELS
+        while isinstance(stamped, Plan):
+            unstamped = self._unstamped_type(claim, stamped)
+            if not unstamped:
+                return Proposal(situation, stamped, moment)
+            refused |= {unstamped}
+            stamped = self._found(situation._replace(refused=refused), lenient)
         return Proposal(situation, answer, moment)
+
+    def _found(self, situation: Situation, lenient: bool) -> Answer:
+        """Plan; ``lenient`` as for `propose`."""
+        answer = self._solved(situation)
+        if isinstance(answer, NoPlan) and lenient and situation.paused:
+            return self._solved(situation._replace(paused=NO_LABELS))
+        return answer
 
     def _unavailable(
         self, claim: Claim, situation: Situation, without: AbstractSet[str]
@@ -504,7 +514,7 @@ class ClaimPlanner:
         demand, topic = situation.demand, situation.topic
         for stream, terms in sorted(situation.streams) if topic else ():
             is_good = demand.is_fast(stream.rate) and demand.is_soon(stream.latency)
-            if stream.topic == topic and is_good:
+            if stream.topic == topic and is_good and stream.datatype not in situation.refused:
                 ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
                 for way in ways:
                     bindings = tuple(sorted(way.items()))
@@ -527,6 +537,7 @@ class ClaimPlanner:
                 situation.wishes,
                 situation.upstream,
                 situation.verdicts,
+                situation.refused,
             )
 
     @contextlib.contextmanager

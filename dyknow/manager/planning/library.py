@@ -79,9 +79,10 @@ class Head:
     def is_ground(self) -> bool:
         return not [arg for atom in self.atoms for arg in atom if isinstance(arg, int)]
 
-    def has_type(self, datatype: str) -> bool:
-        """Whether messages of a type may come from it."""
-        return self.port.datatype == datatype or types_fit(self.port.datatype, datatype)
+    def has_type(self, pattern: Pattern) -> bool:
+        """Whether messages of a type that a pattern demands may come from it."""
+        has, wanted = self.port.datatype, pattern.datatype
+        return (has == wanted or types_fit(has, wanted)) and has not in pattern.refused
 
 
 @dataclass(eq=False)
@@ -280,7 +281,7 @@ class OperatorIndex:
         wanted = [pattern.atoms[0].index(each) for each in pattern.wanted if pattern.is_plain]
         for head in candidates(self.makers, pattern, known, self.names):
             atoms, action = head.atoms, head.action
-            if not head.has_type(pattern.datatype):
+            if not head.has_type(pattern):
                 continue
             types = pushed(atoms, pattern, action.types, self.names)
             if types is None:
@@ -362,7 +363,7 @@ def matching(
 ) -> Iterator[tuple[Head, Theta]]:
     """Yield the out-ports without variables that supply a pattern, with its wanted variables."""
     for head in heads:
-        if head.has_type(pattern.datatype):
+        if head.has_type(pattern):
             for theta in solutions(head.atoms, pattern, names):
                 if names.agrees(theta, known):
                     yield head, theta

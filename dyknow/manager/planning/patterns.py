@@ -10,6 +10,7 @@ acts as a type: it subsumes the supplied name in its place.
 from __future__ import annotations
 
 from typing import (
+    AbstractSet,
     FrozenSet,
     Iterable,
     Sequence,
@@ -46,6 +47,7 @@ class Pattern:
             others, the cheapest will do.
         is_plain: whether it has one atom, in which no variable occurs twice.
         slow: the same pattern without a rate, if this one demands a rate.
+        refused: ROS types that do not do; of a request's own pattern alone.
         uses: how many in-ports of the library have it; a request's own pattern has none.
     """
 
@@ -53,6 +55,7 @@ class Pattern:
         "atoms",
         "datatype",
         "is_plain",
+        "refused",
         "slow",
         "types",
         "uses",
@@ -66,12 +69,14 @@ class Pattern:
         types: tuple[Types, ...],
         wanted: tuple[int, ...] = (),
         slow: Pattern | None = None,
+        refused: AbstractSet[str] = NO_TYPES,
     ) -> None:
         self.atoms = atoms
         self.datatype = datatype
         self.types = types
         self.wanted = wanted
         self.slow = slow
+        self.refused = refused
         self.uses = 0
         variables = [arg for arg in atoms[0] if isinstance(arg, int)]
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)

@@ -24,7 +24,7 @@ from typing import (
 from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
 from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, Improved, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
-from dyknow.manager.planning.patterns import Names
+from dyknow.manager.planning.patterns import NO_TYPES, Names
 from dyknow.manager.planning.problem import (
     AVOIDED,
     NO_FREE,
@@ -113,6 +113,7 @@ class Planner:
         wishes: Wishes = NO_WISHES,
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
         verdicts: Verdicts | None = NO_VERDICTS,
+        refused: AbstractSet[str] = NO_TYPES,
     ) -> Answer:
         """Find the cheapest way to a stream.
 
@@ -130,11 +131,21 @@ class Planner:
             wishes: preferred and avoided parts.
             feeders: labels of the feeders of live streams, by their nodelets.
             verdicts: those that transformations require; None to disregard them.
+            refused: ROS types that the stream must not have.
         """
         library, streams = self._library, list(live)
         charges = _charges(library, demand, streams, exclude, wishes)
         request = Request(
-            library, demand, streams, exclude, paused, free, charges, feeders, verdicts=verdicts
+            library,
+            demand,
+            streams,
+            exclude,
+            paused,
+            free,
+            charges,
+            feeders,
+            verdicts=verdicts,
+            refused=refused,
         )
         answer = self._answer(request, budget)
         if isinstance(answer, Plan) and _has_twins(answer):

@@ -221,7 +221,7 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
             _EXCLUDED: is_excluded,
             _PAUSED: not is_excluded and is_new and label in request.paused,
             _VERDICT: not head.action.inputs and request.is_barred(head.action, ()),
-            _DATATYPE: not head.has_type(pattern.datatype),
+            _DATATYPE: not head.has_type(pattern),
             _RATE: pattern.slow is not None and 0 < head.port.rate < request.demand.min_rate,
         }
         found.append(_Alike(head, lacking, {cause for cause, fails in checks.items() if fails}))

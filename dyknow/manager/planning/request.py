@@ -94,6 +94,7 @@ class Request:
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
         wanted: Sequence[str] = (),
         verdicts: Verdicts | None = NO_VERDICTS,
+        refused: AbstractSet[str] = NO_TYPES,
     ) -> None:
         """Set it up; the arguments are those of `Planner.plan`.
 
@@ -106,6 +107,7 @@ class Request:
         self._fast: dict[Pattern, Pattern] = {}
         self._fast_actions: dict[Operator, Operator] = {}
         self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)
+        self.goal.refused = refused
         if demand.min_rate:
             self.goal = self._faster(self.goal)
         actions = library.actions
@@ -201,7 +203,7 @@ class Request:
         """Return the out-port with which an instance supplies names: of several the soonest."""
         found = []
         for head in action.heads:
-            if head.has_type(pattern.datatype) and self._is_fast(pattern, action, head):
+            if head.has_type(pattern) and self._is_fast(pattern, action, head):
                 atoms = [ground(atom, theta) for atom in head.atoms]
                 if names in solutions(atoms, pattern, self.names):
                     found.append(head)
@@ -286,7 +288,12 @@ class Request:
         found = self._fast.get(pattern)
         if found is None:
             found = self._fast[pattern] = Pattern(
-                pattern.atoms, pattern.datatype, pattern.types, pattern.wanted, pattern
+                pattern.atoms,
+                pattern.datatype,
+                pattern.types,
+                pattern.wanted,
+                pattern,
+                pattern.refused,
             )
         return found
 

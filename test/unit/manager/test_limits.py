@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Tuple
+from unittest import mock
 
 import pytest
 from hypothesis import example, given, settings
@@ -16,6 +17,7 @@ from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, transf
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claims.requirements import topic_of_verdicts
+from dyknow.manager.planning.planner import Planner
 from dyknow.model.graph import State
 from dyknow.model.streams import UNKNOWN_AGE, ClaimState, StreamRequest
 
@@ -511,3 +513,44 @@ def test_a_type_that_the_spawn_shows_is_checked_too(field: LimitField) -> None:
     field.host.sources["soccer/Ceiling"] = [("image", "out", POINT)]
     claim = field.acquire("YUV(field)", max_age=AGE).claim
     assert (claim.nodelets, claim.datatype) == (("/ceiling_camera_1",), POINT)
+
+
+def stating(label: str, *ports: Tuple[str, str], cost: int = 1) -> str:
+    """Write a specification whose out-ports, which state their types, have one tag."""
+    lines = [f'<port type="out" datatype="{datatype}">{name}</port>' for name, datatype in ports]
+    tags = [f'<tag port="{name}">Pose({label})</tag>' for name, _ in ports]
+    return (
+        f'<transformation cost="{cost}"><label>{label}</label><source>soccer/Pose</source>'
+        f"<ports>{''.join(lines)}</ports><tags>{''.join(tags)}</tags></transformation>"
+    )
+
+
+def test_a_stamped_port_is_found_beside_one_without_a_stamp(field: LimitField) -> None:
+    ports = [("pose", "geometry_msgs/Pose"), ("pose_stamped", POINT)]
+    field.host.sources["soccer/Pose"] = [(name, "out", datatype) for name, datatype in ports]
+    field.host.unstamped.add("geometry_msgs/Pose")
+    field.manager.add_transformation(stating("robot", *ports))
+    claim = field.acquire("Pose(robot)", max_age=AGE).claim
+    assert (claim.datatype, claim.goal[1]) == (POINT, "pose_stamped")
+
+
+def test_a_stream_without_a_stamp_may_feed_the_part_that_stamps_it(field: LimitField) -> None:
+    field.host.sources["soccer/Pose"] = [("pose", "out", IMAGE)]
+    field.host.sources["soccer/Stamp"] = [("in", "in", IMAGE), ("out", "out", POINT)]
+    field.host.unstamped.add(IMAGE)
+    field.manager.add_transformation(stating("robot", ("pose", IMAGE)))
+    stamp = transformation("stamp", "soccer/Stamp", "in in, out out", "in Pose(?x); out Pose(?x)")
+    for way, datatype in (("in", IMAGE), ("out", POINT)):
+        stamp = stamp.replace(f'type="{way}"', f'type="{way}" datatype="{datatype}"')
+    field.manager.add_transformation(stamp)
+    assert field.acquire("Pose(robot)", max_age=AGE).spawned == ("/robot_1", "/stamp_1")
+
+
+def test_very_many_streams_without_a_stamp_are_refused_at_once(field: LimitField) -> None:
+    field.host.unstamped.add("geometry_msgs/Pose")
+    found = [stating(f"robot{n}", ("pose", "geometry_msgs/Pose")) for n in range(50)]
+    field.manager.add_transformation(f"<transformations>{''.join(found)}</transformations>")
+    plan = mock.patch.object(Planner, "plan", autospec=True, side_effect=Planner.plan)
+    with plan as counted, pytest.raises(StreamTypeMismatch, match="begins with a header"):
+        field.acquire("Pose(?robot)", max_age=AGE)
+    assert counted.call_count <= 4
