@@ -521,10 +521,14 @@ class StreamTypeMismatch(StreamError):
 
     Attributes:
         label: the transformation that supplies it.
+        consumer: the transformation of which an in-port turned out to have the other type.
     """
 
-    def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
+    def __init__(
+        self, tag: str, wanted: str, found: str, label: str = "", consumer: str = ""
+    ) -> None:
         self.label = label
+        self.consumer = consumer
         super().__init__(f"the stream {tag} carries {found}, but {wanted} was requested")
 
 

@@ -221,11 +221,12 @@ class Assembly(Transaction):
     def _check_types(self, name: str, step: PlanStep, supplies: Mapping[str, _Supply]) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers."""
         types = {port.name: port.datatype for port in self.world.get(name).ports}
+        label = step.action.label
         for port, supply in supplies.items():
-            wanted = types.get(port, "")
-            if not types_fit(wanted, supply.datatype):
-                what = f"for port '{port}' of transformation '{step.action.label}'"
-                raise StreamTypeMismatch(what, wanted, supply.datatype, supply.source.label)
+            wanted, found = types.get(port, ""), supply.datatype
+            if not types_fit(wanted, found):
+                what = f"for port '{port}' of transformation '{label}'"
+                raise StreamTypeMismatch(what, wanted, found, supply.source.label, label)
 
     def _publish(self, goal: _Supply) -> Claim:
         """Let the goal be published where the client listens."""

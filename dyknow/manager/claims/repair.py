@@ -105,12 +105,15 @@ class Repair:
         """Make a claim's stream by a plan.
 
         Another plan is made where types turn out wrong, parts went while others came up, or a
-        nodelet manager does not answer. An error that is raised has undone every change.
+        nodelet manager does not answer. Where two types differ it is the supplier that has no
+        part in it, or the consumer if nothing else supplies that. An error that is raised has
+        undone every change.
         """
         wrong: dict[str, StreamTypeMismatch] = {}
         late: frozenset[str] = frozenset()
         attempts = 0
         while True:
+            consumer = ""
             own = self._planner.own(claim, late)
             try:
                 return self._assemble(claim, plan, own)
@@ -118,6 +121,7 @@ class Repair:
                 if error.label in wrong:
                     raise
                 wrong[error.label] = error
+                consumer = error.consumer
                 failure: DyKnowError = next(iter(wrong.values()))
             except DyKnowError as error:
                 attempts += 1
@@ -130,6 +134,9 @@ class Repair:
                     late |= self._context.connector.unknown.keys()
                 failure = error
             answer = self._planner.propose(claim, lenient, frozenset(wrong), late).answer
+            if isinstance(answer, NoPlan) and consumer:
+                wrong[consumer] = wrong.popitem()[1]
+                answer = self._planner.propose(claim, lenient, frozenset(wrong), late).answer
             if isinstance(answer, NoPlan):
                 raise failure
             plan = answer

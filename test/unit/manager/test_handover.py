@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Callable, List
 
 import pytest
-from unit.manager.field import CHAIN, GOAL, LIBRARY, POINT, Field, transformation
+from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, POINT, Field, transformation
 
 from dyknow.errors import HostError, NoPlanFound, SpawnFailed, StreamTypeMismatch
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -155,6 +155,23 @@ def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:
         with pytest.raises(StreamTypeMismatch, match="port 'yuv' of transformation 'subsampler'"):
             field.acquire(exclude=("bottom camera", "ceiling camera"))
     assert (field.host.running, field.living()) == ([], [])
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_an_in_port_of_another_type_leaves_its_supplier_to_others(
+    field: Field, cameras: int
+) -> None:
+    if cameras == 1:
+        field.manager.remove_transformation("ceiling camera")
+    field.host.sources["soccer/Cloud"] = [("yuv", "in", POINT), ("planes", "out", IMAGE)]
+    text = "in yuv, out planes", "yuv YUV(?where); planes Planes(field)"
+    field.manager.add_transformation(transformation("cloud", "soccer/Cloud", *text, cost=0))
+    request = StreamRequest("Planes(field)")
+    assert "cloud" in field.reconciler.acquire(request, dry_run=True).spawned
+    claim = field.acquire("Planes(field)").claim
+    field.settle()
+    field.check_flows(claim)
+    assert "subsampler" in field.labels() and "cloud" not in field.labels()
 
 
 def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
