@@ -31,7 +31,9 @@ class DyKnowPlugin(Plugin):
         context.add_widget(self._widget)
         self._widget.start()
         # Later: rqt restores its own size after this.
-        QTimer.singleShot(_AFTER_RQT, lambda: make_room(self._widget))
+        later = QTimer(self._widget, singleShot=True, interval=_AFTER_RQT)
+        later.timeout.connect(lambda: make_room(self._widget))
+        later.start()
 
     def shutdown_plugin(self) -> None:
         self._widget.shut_down()

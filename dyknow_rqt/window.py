@@ -273,6 +273,6 @@ def make_room(widget: QWidget) -> None:
     if widget.width() >= _LEAST.width() and widget.height() >= _LEAST.height():
         return
     more = widget.sizeHint() - widget.size()
-    screen = window.screen().availableGeometry().size()
+    screen = QApplication.desktop().availableGeometry(window).size()
     wanted = window.size() + QSize(max(0, more.width()), max(0, more.height()))
     window.resize(wanted.boundedTo(screen))

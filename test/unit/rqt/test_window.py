@@ -9,12 +9,13 @@ import os
 import subprocess
 import sys
 import threading
+from unittest.mock import Mock
 
 import pytest
 from clocks import PATIENCE
-from python_qt_binding.QtCore import QSize, QTimer
+from python_qt_binding.QtCore import QEvent, QObject, QSize, QTimer
 from python_qt_binding.QtGui import QPalette
-from python_qt_binding.QtWidgets import QMainWindow, QWidget
+from python_qt_binding.QtWidgets import QApplication, QMainWindow, QWidget
 from unit.rqt.hands import TRACKER, click, create, pauses, until, vertex_keys, window_of
 
 from dyknow.model.graph import SpawnRequest
@@ -199,6 +200,7 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
 @pytest.mark.parametrize(("size", "grows"), [((380, 190), True), ((500, 330), False)])
 def test_a_window_in_which_no_graph_can_be_seen_makes_room(qtbot, size, grows):
     host = QMainWindow()
+    host.screen = None  # new in Qt 5.14
     qtbot.addWidget(host)
     widget = QWidget()
     widget.sizeHint = lambda: QSize(700, 500)
@@ -207,8 +209,32 @@ def test_a_window_in_which_no_graph_can_be_seen_makes_room(qtbot, size, grows):
     host.show()
     make_room(widget)
     assert (host.width() > size[0]) is grows
-    screen = host.screen().availableGeometry()
+    screen = QApplication.desktop().availableGeometry(host)
     assert host.width() <= screen.width() and host.height() <= screen.height()
+
+
+class Plugin(QObject):
+    """As rqt's own, which is not installed everywhere."""
+
+    def __init__(self, context):
+        super().__init__()
+
+
+def test_a_plugin_that_is_closed_at_once_makes_no_room(qtbot, remote, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rqt_gui_py", Mock())
+    monkeypatch.setitem(sys.modules, "rqt_gui_py.plugin", Mock(Plugin=Plugin))
+    from dyknow_rqt import plugin
+
+    monkeypatch.setattr(plugin, "RosRemote", lambda manager: remote)
+    monkeypatch.setattr(plugin, "spare_imports", lambda: None)
+    monkeypatch.setattr(plugin, "_AFTER_RQT", 0)
+    context = Mock(**{"argv.return_value": [], "serial_number.return_value": 1})
+    closed, turns = plugin.DyKnowPlugin(context), []
+    closed.shutdown_plugin()
+    closed._widget.deleteLater()
+    QApplication.sendPostedEvents(closed._widget, QEvent.DeferredDelete)
+    QTimer.singleShot(1, lambda: turns.append(1))
+    until(qtbot, lambda: turns)
 
 
 def test_without_a_screen_it_says_so() -> None:
