@@ -80,6 +80,7 @@ class DyKnowWidget(QWidget):
         self.parts.addWidget(self.tabs)
         self.parts.addWidget(self.graph)
         self.parts.setStretchFactor(1, 1)
+        self.parts.setChildrenCollapsible(False)
         self.parts.setSizes([480, 1120])
         self.tabs.setMinimumSize(160, 120)  # less than its pages would like
         bare_column_in(self, self.parts, self.line).setStretch(0, 1)
@@ -142,10 +143,10 @@ class DyKnowWidget(QWidget):
         state = {name: value for name, value in state.items() if value is not None}
         self.graph.restore(state)
         tab = str(state.get("tab", ""))
-        if tab.isdigit() and int(tab) < self.tabs.count():
+        if tab.isdecimal() and int(tab) < self.tabs.count():
             self.tabs.setCurrentIndex(int(tab))
         sizes = str(state.get("parts", "")).split(",")
-        if len(sizes) == 2 and all(size.isdigit() for size in sizes):
+        if len(sizes) == 2 and all(size.isdecimal() and int(size) for size in sizes):
             self.parts.setSizes([int(size) for size in sizes])
         if state.get("panel") in ("0", "1"):
             self._choose_panel(state["panel"] == "1")

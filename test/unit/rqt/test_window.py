@@ -174,6 +174,21 @@ def test_settings_are_kept(qtbot, window, remote):
     assert other.state()["mode"] == "0" and other.tabs.currentIndex() == 2
 
 
+@pytest.mark.parametrize("is_shown", [False, True])
+def test_a_hidden_control_panel_comes_back_after_a_restart(qtbot, window, remote, is_shown):
+    click(qtbot, window.graph.bar.panel)
+    until(qtbot, lambda: window.parts.sizes()[0] == 0)
+    other = DyKnowWidget(remote)
+    qtbot.addWidget(other, before_close_func=lambda w: w.shut_down())
+    other.resize(window.size())
+    other.setVisible(is_shown)  # as in rqt, which restores what it has shown
+    other.restore(window.state())
+    other.show()
+    assert not other.tabs.isVisible()
+    click(qtbot, other.graph.bar.panel)
+    until(qtbot, lambda: not other.tabs.visibleRegion().isEmpty())
+
+
 @pytest.mark.long
 def test_five_hundred_nodelets_stay_usable(qtbot):
     remote = tree(500)
