@@ -24,7 +24,7 @@ from typing import (
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_connected
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Transformation
@@ -34,7 +34,8 @@ from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
 
 Do = Callable[[], object]
-DoAndUndo = Tuple[Do, Do]
+#: Functions that do and undo; a third one may check that no other client has changed it since.
+DoAndUndo = Tuple[Do, ...]
 
 
 class CannotLoad(DyKnowError):
@@ -116,7 +117,7 @@ class Steps(Change):
 
 
 def _one_step(text: str, make: Callable[[Present], DoAndUndo]) -> Change:
-    """Return a change of one step; `make` returns the functions that do and undo it."""
+    """Return a change of one step; `make` returns the functions that do, undo and check it."""
     return Steps(text, lambda present: [ReversibleStep(text, "", *make(present))])
 
 
@@ -179,15 +180,32 @@ def _check(client: BaseManagerClient, topics: Sequence[Tuple[PortRef, str]]) -> 
         check_connected(client, nodelet, config)
 
 
+def _nodelet(client: BaseManagerClient, name: str) -> NodeletStatus:
+    found = client.get_graph().nodelet(name)
+    if found is None:
+        raise CannotUndo(f"{name} is gone")
+    return found
+
+
 def spawn(request: SpawnRequest) -> Change:
     """Make a nodelet."""
-    return _one_step(
-        f"create {request.name}",
-        lambda present: (
-            lambda: present.client.spawn_nodelet(request),
-            lambda: present.client.destroy(request.name),
-        ),
-    )
+    name = request.name
+
+    def make(present: Present) -> DoAndUndo:
+        client = present.client
+
+        def check() -> None:
+            if not name.startswith("/"):
+                return  # it began in the manager's namespace
+            found = _nodelet(client, name)
+            if found.transformation != request.label:
+                raise CannotUndo(f"another client has made {name} from {found.transformation}")
+            if found.is_protected and not request.is_protected:
+                raise CannotUndo(f"another client has protected {name}")
+
+        return partial(client.spawn_nodelet, request), partial(client.destroy, name), check
+
+    return _one_step(f"create {name}", make)
 
 
 def destroy(name: str) -> Change:
@@ -225,6 +243,7 @@ def isolate(names: Sequence[str], on: bool) -> Change:
                 name,
                 partial(client.spawn_nodelet, after),
                 partial(client.destroy, name),
+                partial(check_connected, client, name, before.config),
             ),
         ]
 
@@ -263,8 +282,15 @@ def set_parameters(
         undo: Do = _no_way(f"{name} had no {parameter.name} before")
         if parameter.name in before:
             undo = partial(put, before[parameter.name])
+
+        def check() -> None:
+            given = {each.name: each.text for each in _nodelet(present.client, name).parameters}
+            now = given.get(parameter.name, "")
+            if now != parameter.text:
+                raise CannotUndo(f"another client has set {parameter.name} of {name} to '{now}'")
+
         text = f"set {parameter.name} of {name}"
-        return ReversibleStep(text, name, partial(put, parameter), undo)
+        return ReversibleStep(text, name, partial(put, parameter), undo, check)
 
     what = ", ".join(f"{each.name}={each.text}" for each in wanted)
     return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in wanted])
@@ -272,13 +298,19 @@ def set_parameters(
 
 def protect(name: str, on: bool) -> Change:
     """Protect a nodelet from being destroyed, or release it."""
-    return _one_step(
-        f"{'protect' if on else 'release'} {name}",
-        lambda present: (
-            lambda: present.client.set_protection(name, on),
-            lambda: present.client.set_protection(name, not on),
-        ),
-    )
+
+    def make(present: Present) -> DoAndUndo:
+        client = present.client
+
+        def check() -> None:
+            if _nodelet(client, name).is_protected is not on:
+                what = "released" if on else "protected"
+                raise CannotUndo(f"another client has {what} {name}")
+
+        put = partial(client.set_protection, name)
+        return partial(put, on), partial(put, not on), check
+
+    return _one_step(f"{'protect' if on else 'release'} {name}", make)
 
 
 def add_transformations(specification: str, origin: str = "a specification") -> Change:

@@ -13,6 +13,7 @@ from dyknow.errors import DyKnowError, InvalidName
 from dyknow.manager.steps import StepFailed
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.hosts import pins
+from dyknow.model.transformation import Parameter
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.example_graphs import soccer
@@ -26,6 +27,7 @@ from dyknow_rqt.graph.changes import (
     protect,
     release,
     remove_transformations,
+    set_parameters,
     spawn,
 )
 from dyknow_rqt.graph.history import UndoHistory
@@ -156,6 +158,49 @@ def test_what_others_changed_is_not_taken_back(remote):
         done.undo()
     with pytest.raises(CannotUndo, match="/theirs"):
         change.check(remote.client)
+
+
+MODE = Parameter("mode", "string", "fast")
+
+
+@pytest.mark.parametrize(
+    ("change", "other", "why"),
+    [
+        (spawn(SpawnRequest("tracker", "/x")), lambda c: c.destroy("/x"), "/x is gone"),
+        (
+            spawn(SpawnRequest("tracker", "/x")),
+            lambda c: (c.destroy("/x"), c.spawn("resize", "/x", {})),
+            "another client has made /x from resize",
+        ),
+        (
+            spawn(SpawnRequest("tracker", "/x")),
+            lambda c: c.set_protection("/x", True),
+            "another client has protected /x",
+        ),
+        (
+            isolate(["/nao1/resize", "/field/tracker"], True),
+            lambda c: c.set_config("/field/tracker", {"position": "/theirs"}),
+            "/field/tracker:position has been connected to /theirs by another client",
+        ),
+        (
+            set_parameters("/nao1/resize", [MODE], {"mode": MODE._replace(text="slow")}),
+            lambda c: c.set_parameter("/nao1/resize", MODE._replace(text="theirs")),
+            "another client has set mode of /nao1/resize to 'theirs'",
+        ),
+        (
+            protect("/field/tracker", True),
+            lambda c: c.set_protection("/field/tracker", False),
+            "another client has released /field/tracker",
+        ),
+    ],
+)
+def test_what_another_client_changed_since_is_left_as_it_is(remote, change, other, why):
+    done = apply(remote, change)
+    other(remote.client)
+    theirs = seen(remote)
+    with pytest.raises(CannotUndo, match=why):
+        done.undo()
+    assert seen(remote) == theirs
 
 
 def test_a_change_without_a_way_back_says_why(remote):
