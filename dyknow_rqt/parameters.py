@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Dict, Optional
 
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QWidget
 
 from dyknow.model.graph import NodeletStatus
+from dyknow.model.placeholders import fill
 from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import set_parameters
@@ -33,9 +35,14 @@ class ParametersDialog(QDialog):
         self.setWindowTitle(f"Parameters of {nodelet.name}")
         self.report = monitor.report
         self._monitor, self._name = monitor, nodelet.name
-        written = transformation.parameters if transformation is not None else ()
-        self._before: Dict[str, Parameter] = {each.name: each for each in written}
-        self._before.update((each.name, each) for each in nodelet.parameters)
+        given = {each.name: each for each in nodelet.parameters}
+        bound = {name: each.text for name, each in given.items()}
+        self._before: Dict[str, Parameter] = {}
+        for each in transformation.parameters if transformation is not None else ():
+            with contextlib.suppress(KeyError, ValueError):  # it has been replaced since
+                each = each._replace(text=fill(each.text, bound))
+            self._before[each.name] = each
+        self._before.update(given)
         self.fields: Dict[str, QLineEdit] = {}
         self.more = field_of("rate=5", "A parameter that is not named here: NAME=VALUE")
         form = form_in()

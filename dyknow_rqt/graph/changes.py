@@ -271,7 +271,10 @@ def restart(names: Sequence[str]) -> Change:
 def set_parameters(
     name: str, wanted: Sequence[Parameter], before: Mapping[str, Parameter]
 ) -> Change:
-    """Set private parameters of a nodelet; those that had no value ``before`` keep the new one."""
+    """Set private parameters of a nodelet; those that had no value ``before`` keep the new one.
+
+    They are set first, so that all others are set back when it is undone.
+    """
 
     def make(parameter: Parameter, present: Present) -> ReversibleStep:
         def put(value: Parameter) -> None:
@@ -293,7 +296,8 @@ def set_parameters(
         return ReversibleStep(text, name, partial(put, parameter), undo, check)
 
     what = ", ".join(f"{each.name}={each.text}" for each in wanted)
-    return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in wanted])
+    in_turn = sorted(wanted, key=lambda each: each.name in before)
+    return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in in_turn])
 
 
 def protect(name: str, on: bool) -> Change:

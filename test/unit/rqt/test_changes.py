@@ -160,7 +160,7 @@ def test_what_others_changed_is_not_taken_back(remote):
         change.check(remote.client)
 
 
-MODE = Parameter("mode", "string", "fast")
+MODE, SLOW = (Parameter("mode", "string", text) for text in ("fast", "slow"))
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ MODE = Parameter("mode", "string", "fast")
             "/field/tracker:position has been connected to /theirs by another client",
         ),
         (
-            set_parameters("/nao1/resize", [MODE], {"mode": MODE._replace(text="slow")}),
+            set_parameters("/nao1/resize", [MODE], {"mode": SLOW}),
             lambda c: c.set_parameter("/nao1/resize", MODE._replace(text="theirs")),
             "another client has set mode of /nao1/resize to 'theirs'",
         ),
@@ -201,6 +201,14 @@ def test_what_another_client_changed_since_is_left_as_it_is(remote, change, othe
     with pytest.raises(CannotUndo, match=why):
         done.undo()
     assert seen(remote) == theirs
+
+
+def test_parameters_without_a_former_value_do_not_keep_others_from_being_set_back(remote):
+    rate = Parameter("rate", "", "5")
+    done = apply(remote, set_parameters("/nao1/resize", [MODE, rate], {"mode": SLOW}))
+    with pytest.raises(CannotUndo, match="had no rate before"):
+        done.undo()
+    assert SLOW in seen(remote).nodelet("/nao1/resize").parameters
 
 
 def test_a_change_without_a_way_back_says_why(remote):

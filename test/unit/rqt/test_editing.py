@@ -277,6 +277,7 @@ def test_parameters_are_shown_and_set(qtbot, window, remote):
     context_menu(qtbot, window, item)["Para&meters …"].trigger()
     (dialog,) = window.findChildren(ParametersDialog)
     assert dialog.fields["?robot"].isReadOnly() and dialog.fields["colour"].text() == "orange"
+    assert dialog.fields["mount"].text() == "nao1_bottom_camera"
     dialog.fields["colour"].setText("yellow")
     dialog.more.setText("rate")
     dialog.buttons.accepted.emit()
@@ -288,8 +289,8 @@ def test_parameters_are_shown_and_set(qtbot, window, remote):
         nodelet = remote.graph().nodelet("/nao1/ball_detector")
         return {each.name: each.text for each in nodelet.parameters}
 
-    until(qtbot, lambda: given().get("rate") == "5")
-    assert given()["colour"] == "yellow" and given()["?robot"] == "nao1"
+    until(qtbot, lambda: given().get("colour") == "yellow")
+    assert given()["rate"] == "5" and given()["?robot"] == "nao1"
     until(qtbot, lambda: "colour is read at the next restart" in window.line.text)
 
 
