@@ -296,7 +296,8 @@ def set_parameters(
         return ReversibleStep(text, name, partial(put, parameter), undo, check)
 
     what = ", ".join(f"{each.name}={each.text}" for each in wanted)
-    in_turn = sorted(wanted, key=lambda each: each.name in before)
+    last = {each.name: each for each in wanted}.values()
+    in_turn = sorted(last, key=lambda each: each.name in before)
     return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in in_turn])
 
 

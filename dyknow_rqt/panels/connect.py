@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QEvent, QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
@@ -42,6 +42,8 @@ class _PortChoice:
 
     def __init__(self, what: str) -> None:
         self.nodelet, self.port = QComboBox(), QComboBox()
+        #: The nodelet whose ports were offered last.
+        self._owner = ""
         for box, name in ((self.nodelet, "nodelet"), (self.port, "port")):
             box.setAccessibleName(f"{what} {name}")
             box.setMinimumContentsLength(10)
@@ -52,11 +54,16 @@ class _PortChoice:
         port = self.port.currentData()
         return PortRef(self.nodelet.currentText(), port) if port is not None else None
 
-    def offer(self, ports: Mapping[str, Sequence[PortState]]) -> None:
-        """Offer nodelets with these ports; choices that are still there are kept."""
-        _refill(self.nodelet, [(name, name) for name in sorted(ports) if ports[name]])
-        found = ports.get(self.nodelet.currentText(), ())
-        _refill(self.port, [(_words(port), port.name) for port in found])
+    def offer(
+        self, ports: Mapping[str, Sequence[PortState]], every: Mapping[str, Sequence[PortState]]
+    ) -> None:
+        """Offer nodelets with these ports of ``every`` one; choices are kept, also when away."""
+        offered = [(name, name) for name in sorted(ports) if ports[name]]
+        _refill(self.nodelet, offered, lambda name: not every.get(name))
+        name = self.nodelet.currentText()
+        found = [(_words(port), port.name) for port in ports.get(name, ())]
+        _refill(self.port, found, lambda port: name == self._owner)
+        self._owner = name or self._owner
 
     def choose(self, ref: PortRef) -> None:
         self.nodelet.setCurrentText(ref.nodelet)
@@ -157,12 +164,11 @@ class ConnectPanel(Panel):
         snapshot = self._monitor.snapshot
         every = {nodelet.name: nodelet.ports for nodelet in snapshot.nodelets}
         outs = {name: [p for p in ports if p.direction == OUT] for name, ports in every.items()}
-        self.source.offer(outs)
+        self.source.offer(outs, every)
         fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()
-        self.sink.offer(
-            {n: [p for p in ports if PortRef(n, p.name) in fitting] for n, ports in every.items()}
-        )
-        self.single.offer(every)
+        ins = {n: [p for p in ps if PortRef(n, p.name) in fitting] for n, ps in every.items()}
+        self.sink.offer(ins, every)
+        self.single.offer(every, every)
         self._show_choice(snapshot)
         ref = self.single.ref
         port = snapshot.port(ref) if ref is not None else None
@@ -206,13 +212,21 @@ def _words(port: PortState) -> str:
     return f"{arrow} {port.name}" + (f"  [{port.datatype}]" if port.datatype else "")
 
 
-def _refill(box: QComboBox, wanted: Sequence[Tuple[str, str]]) -> None:
-    """Replace the entries of a box; the chosen one stays chosen if it is among them."""
+def _refill(
+    box: QComboBox, wanted: Sequence[Tuple[str, str]], is_away: Callable[[str], bool]
+) -> None:
+    """Replace the entries of a box; the chosen one stays chosen if it is among them.
+
+    If not, none is chosen until it returns, where it is away, or else the first.
+    """
     if [(box.itemText(i), box.itemData(i)) for i in range(box.count())] == wanted:
         return
-    chosen = box.currentData()
+    chosen = box.currentData() or box.property("awaited")
     with QSignalBlocker(box):
         box.clear()
         for text, data in wanted:
             box.addItem(text, data)
-        box.setCurrentIndex(max(box.findData(chosen), 0 if wanted else -1))
+        found = box.findData(chosen)
+        awaits = chosen is not None and found < 0 and (not wanted or is_away(chosen))
+        box.setProperty("awaited", chosen if awaits else None)
+        box.setCurrentIndex(found if awaits else max(found, 0))

@@ -7,10 +7,20 @@ from __future__ import annotations
 
 import time
 
+import pytest
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import TRACKER, cells_of, click, no_boxes, topic, until, vertex_keys
+from unit.rqt.hands import (
+    CEILING,
+    TRACKER,
+    cells_of,
+    click,
+    no_boxes,
+    topic,
+    until,
+    vertex_keys,
+)
 
-from dyknow.model.graph import OUTDATED
+from dyknow.model.graph import OUTDATED, PortRef
 
 
 def test_active_lists_and_destroys(qtbot, window, remote):
@@ -183,3 +193,28 @@ def test_connect_takes_a_topic_by_name(qtbot, window, remote):
     click(qtbot, panel.connect_topic)
     until(qtbot, lambda: panel.now.text() == "/somewhere")
     assert topic(remote, TRACKER) == "/somewhere"
+
+
+@pytest.mark.parametrize("lost", [TRACKER, CEILING])
+def test_connect_waits_for_a_chosen_nodelet_that_goes(qtbot, window, remote, lost):
+    window.tabs.setCurrentWidget(window.connect_)
+    panel = window.connect_
+    panel.begin(CEILING.nodelet, CEILING.port)
+    panel.sink.choose(TRACKER)
+    panel.single.choose(TRACKER)
+    request = remote.graph().nodelet(lost.nodelet).request
+    remote.client.destroy(lost.nodelet)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet(lost.nodelet) is None)
+    assert (panel.single.ref is None) is (lost == TRACKER)
+    assert panel.disconnect_port.isEnabled() is (lost == CEILING)
+    assert panel.sink.ref is None and not panel.connect.isEnabled()
+    resize = window.monitor.snapshot.nodelet("/nao1/resize")
+    panel.single.offer(*[{TRACKER.nodelet: (), resize.name: resize.ports}] * 2)  # it is loaded
+    assert panel.single.ref is None
+    remote.client.spawn_nodelet(request)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet(lost.nodelet) is not None)
+    chosen = [choice.ref for choice in (panel.source, panel.sink, panel.single)]
+    assert chosen == [CEILING, TRACKER, TRACKER]
+    panel.source.choose(PortRef("/nao1/resize", "resized"))
+    panel.single.nodelet.setCurrentText("/nao1/resize")
+    assert panel.sink.ref is not None and panel.single.ref == PortRef("/nao1/resize", "image")
