@@ -210,7 +210,7 @@ class GraphView(QGraphicsView):
                 way = self.mapToScene(event.pos()) - self.mapToScene(self._pressed)
                 self.scene().move(self._starts, way)
             return
-        start = self.wire.start
+        start = self._drag_start()
         if start is None:
             pans = self._ground is not None and self.dragMode() == QGraphicsView.ScrollHandDrag
             if pans and event.buttons() & Qt.LeftButton:  # a click leaves the view as it is
@@ -222,7 +222,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
-        start = self.wire.start
+        start = self._drag_start()
         if start is None:
             super().mouseReleaseEvent(event)
             self._end_band()
@@ -361,6 +361,13 @@ class GraphView(QGraphicsView):
         if was_moved:
             items = self.scene().vertices.items()
             self.moved.emit({k: Point(item.x(), item.y()) for k, item in items if k in starts})
+
+    def _drag_start(self) -> Optional[PortItem]:
+        """The port that a connection is drawn from; the drag ends if it has gone."""
+        start = self.wire.start
+        if start is not None and self.scene().port_item(start.ref) is not start:
+            self._end_drag()
+        return self.wire.start
 
     def _end_drag(self) -> None:
         self.wire.end()

@@ -111,9 +111,11 @@ def splice(snapshot: Snapshot, ref: PortRef, edge: Edge) -> Rewire:
     """Lead an arrow through the nodelet of a port, or raise CannotConnect.
 
     The nodelet receives the arrow's messages, and its own go to the arrow's target.
-    Where it has no free port for its other side, only the port is connected to the arrow.
+    Where it has no free port for its other side, or the arrow ends at no port that is known, as
+    between closed boxes, only the port is connected to the arrow.
     """
-    port, ends = snapshot.port(ref), {end.nodelet: end for end in edge_refs(edge)}
+    port, refs = snapshot.port(ref), edge_refs(edge)
+    ends = {end.nodelet: end for end in refs if snapshot.port(end) is not None}
     if port is None:
         raise CannotConnect(f"{ref} is gone")
     if ref.nodelet in ends:
@@ -130,7 +132,7 @@ def splice(snapshot: Snapshot, ref: PortRef, edge: Edge) -> Rewire:
     other = replace(here, direction=port.direction)
     free = (p for p in nodelet.ports if not p.topic and p.name != ref.port and fit(p, other))
     match = next(free, None)
-    if match is None:
+    if match is None or not ends:
         if port.direction == OUT and sink is not None:
             return connect(snapshot, ref, sink)
         return connect_topic(snapshot, ref, edge.topic)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
 from python_qt_binding.QtTest import QTest
@@ -25,8 +27,11 @@ from unit.rqt.hands import (
 )
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point
 from dyknow_rqt.graph.places import Places
+from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.wiring import splice
 from dyknow_rqt.parameters import ParametersDialog
 
 MOVED, RESIZE = "n_/nao1/resize", PortRef("/nao1/resize", "image")
@@ -205,6 +210,30 @@ def middle_of(view, head, tail):
     edge = next(e for e in view.scene().edges if (e.head, e.tail) == (head, tail))
     path = view.scene().edges[edge].path
     return view.mapFromScene(path.pointAtPercent(0.5))
+
+
+@pytest.mark.parametrize("ends", [("b_/nao1", f"t_{YUV}"), (f"t_{YUV}", "x_/viewer")])
+def test_an_arrow_that_ends_at_no_port_is_connected_with_one(remote, ends):
+    remote.client.spawn("resize", "/half", {})
+    snapshot, edge = Snapshot(remote.graph().nodelets), Edge(ends[0], "", ends[1], "", YUV)
+    for port in ("image", "resized"):
+        change = splice(snapshot, PortRef("/half", port), edge)
+        assert change.topics == ((PortRef("/half", port), YUV),)
+
+
+def test_a_wire_ends_with_the_nodelet_that_it_begins_at(qtbot, window, remote):
+    start, view = spare(qtbot, window, remote)[1], window.graph.view
+    place = view.place_of(start)
+    QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, place)
+    assert view.wire.start is view.scene().port_item(start)
+    remote.client.destroy(start.nodelet)
+    until(qtbot, lambda: view.scene().port_item(start) is None)
+    view.scene().marks.clear()
+    gc.collect()
+    move(view, place + QPoint(60, 60))
+    assert view.wire.start is None and window.line.text == ""
+    QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, place + QPoint(60, 60))
+    assert window.line.text == ""
 
 
 @pytest.mark.parametrize("side", [0, 1])
