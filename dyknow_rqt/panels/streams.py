@@ -83,6 +83,8 @@ class StreamsPanel(Panel):
         self.plan = WayTree("Plan")
         #: The claim whose present plan is shown; empty for another text.
         self._explained = ""
+        #: The number of the last question; answers to those before it are not shown.
+        self._question = 0
         #: A tag that is being acquired, and the claims before.
         self._awaited: Tuple[str, FrozenSet[str]] = ("", frozenset())
         self._say("How the stream would be made is shown here")
@@ -139,18 +141,20 @@ class StreamsPanel(Panel):
         self._explain(request, act)
 
     def _explain(self, request: StreamRequest, then: Callable[[Way], None]) -> None:
-        """Show how a stream would be made, or why it cannot be."""
+        """Show how a stream would be made, or why it cannot be, and go on in any case."""
         for field in (self.tag, self.datatype):
             field.completer().popup().hide()
 
         def show(text: str) -> None:
             way = read_way(text)
-            self._show_plan(way)
+            if number == self._question:
+                self._show_plan(way)
             then(way)
 
         if request.tag:
             self._explained, self._awaited = "", ("", frozenset())
             self._say("…")
+            number = self._begin_question()
             self._monitor.ask(
                 lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
             )
@@ -185,7 +189,11 @@ class StreamsPanel(Panel):
             self._ask_to_replan(stream)
 
     def _ask_to_replan(self, stream: StreamStatus) -> None:
+        number = self._begin_question()
+
         def ask(found: Replanned) -> None:
+            if number != self._question:
+                return
             way = read_way(found.plan)
             ways = way, dropped_by(way, found, stream, self._monitor.snapshot)
             self._explained = ""
@@ -234,10 +242,16 @@ class StreamsPanel(Panel):
 
     def _show_plan(self, *ways: Way) -> None:
         self.plan.show_ways(*ways)
-        self.planned.emit([part for way in ways for part in way])
+        if self.isVisible():
+            self.planned.emit([part for way in ways for part in way])
 
     def _say(self, text: str) -> None:
         self._show_plan(read_way(text))
+
+    @qt_slot
+    def _begin_question(self) -> int:
+        self._question += 1
+        return self._question
 
     @qt_slot
     def _forget_plan(self) -> None:
@@ -253,6 +267,7 @@ class StreamsPanel(Panel):
     def choose(self, claims: Sequence[str]) -> None:
         self._selection.choose_claims(claims)
         for claim in claims[:1]:
+            self._begin_question()
             self._show_way(claim)
 
     @qt_slot
@@ -302,6 +317,7 @@ class StreamsPanel(Panel):
         self.table.picked.connect(self.choose)
         self.plan.picked.connect(self._selection.choose_nodelets)
         self.tag.textEdited.connect(self._forget_plan)
+        self.tag.textEdited.connect(self._begin_question)
         self._monitor.changed.connect(self._show_present_way)
         self.tag.textEdited.connect(self._complete_tag)
         self._selection.changed.connect(self._follow)

@@ -251,6 +251,33 @@ def test_what_a_new_plan_drops_is_struck_out(qtbot, window, remote):
     assert dropped.tone is Tone.NONE
 
 
+def test_an_answer_that_comes_late_is_not_shown(qtbot, window, monkeypatch):
+    panel, asked, done, planned = _ask_for(qtbot, window, "Track(ball)"), [], [], []
+    monkeypatch.setattr(window.monitor, "ask", lambda question, then, *failed: asked.append(then))
+    monkeypatch.setattr(window.monitor, "do", lambda change: done.append(change.text))
+    panel.planned.connect(planned.append)
+
+    def question(button):
+        click(qtbot, button)
+        return asked[-1]
+
+    first, second = question(panel.preview), question(panel.preview)
+    second("newer: cost 1")
+    first("older: cost 1")
+    assert panel.plan.text.startswith("newer")
+    for go_on in (
+        lambda: qtbot.keyClicks(panel.tag, "x"),
+        lambda: panel.choose(["a claim"]),
+        lambda: window.tabs.setCurrentWidget(window.active),
+    ):
+        third = question(panel.acquire)
+        go_on()
+        planned.clear()
+        third("oldest: cost 1")
+        assert not any(planned)
+    assert done == ["acquire Track(ball)", "acquire Track(ball)x", "acquire Track(ball)x"]
+
+
 def test_a_tag_is_completed_within_its_parentheses():
     tags = [
         "FieldPosition(ball)",
