@@ -10,7 +10,7 @@ import time
 from collections import deque
 from typing import Any, Callable, Deque, List, Optional, Sequence, Tuple
 
-from python_qt_binding.QtCore import QPointF, QRect, QSignalBlocker, QSize, Qt, QTimer
+from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
 from python_qt_binding.QtGui import (
     QFontMetrics,
     QImage,
@@ -231,16 +231,8 @@ class TopicCard(QWidget):
             return
         is_first = self._sample is None
         self._sample, self._came = sample, time.monotonic()
-        names = [self.field.itemText(number) for number in range(self.field.count())]
-        if list(sample.numbers) != names:
-            chosen = self.field.currentText()
-            with QSignalBlocker(self.field):
-                self.field.clear()
-                self.field.addItems(list(sample.numbers))
-                if chosen in sample.numbers:
-                    self.field.setCurrentText(chosen)
-            if self.field.currentText() != chosen:
-                self.curve.clear()
+        # A number that a message lacks, as one that is NaN, stays chosen.
+        self.field.addItems([name for name in sample.numbers if self.field.findText(name) < 0])
         value = sample.numbers.get(self.field.currentText())
         if value is not None:
             self.curve.add(self._came, value)
@@ -253,7 +245,7 @@ class TopicCard(QWidget):
         if is_first:
             lines = min(sample.text.count("\n") + 2, _LINES)
             self.text.setFixedHeight(lines * self.text.fontMetrics().height() + 12)
-            self._show_parts()
+        if self._show_parts():
             self.place()
         self._tell()
 
@@ -272,12 +264,16 @@ class TopicCard(QWidget):
             self.image.setPixmap(QPixmap.fromImage(picture).scaled(size, Qt.KeepAspectRatio))
         self.image.setToolTip(image.note)
 
-    def _show_parts(self) -> None:
-        sample = self._sample
-        self.image.setVisible(sample is not None and sample.image is not None)
-        for part in (self.curve, self.field):
-            part.setVisible(sample is not None and bool(sample.numbers) and not sample.image)
-        self.text.setVisible(sample is not None)
+    def _show_parts(self) -> bool:
+        """Show what there is to see; returns whether these are other parts than before."""
+        is_image = self._sample is not None and self._sample.image is not None
+        is_curve = self.field.count() > 0 and not is_image
+        seen = {self.image: is_image, self.curve: is_curve, self.field: is_curve}
+        seen[self.text] = self._sample is not None
+        has_changed = any(part.isHidden() is on for part, on in seen.items())
+        for part, on in seen.items():
+            part.setVisible(on)
+        return has_changed
 
     @qt_slot
     def _tell(self) -> None:

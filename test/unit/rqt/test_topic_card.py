@@ -19,7 +19,7 @@ from unit.rqt.hands import centre_of, click, drag, until
 
 from dyknow.errors import HostError
 from dyknow.model.graph import State
-from dyknow_rqt.graph.samples import HIGHEST, MOST_LINES, WIDEST, Sample, sample_of
+from dyknow_rqt.graph.samples import HIGHEST, MOST_LINES, WIDEST, Sample, SmallImage, sample_of
 
 BALL, YUV = "/field/ball", "/nao1/bottom_camera/yuv"
 
@@ -153,7 +153,31 @@ def test_the_curve_goes_on_while_other_numbers_come_and_go(qtbot, window, remote
     assert [value for _, value in card.curve.points] == [0, 1, 2, 3, 4, 5]
     remote.send(BALL, Sample("6", {"y": 7.0}, None, 8))
     until(qtbot, lambda: card.text.toPlainText() == "6")
-    assert [value for _, value in card.curve.points] == [7]
+    assert [value for _, value in card.curve.points] == [0, 1, 2, 3, 4, 5]
+    card.field.setCurrentText("y")
+    remote.send(BALL, Sample("7", {"x": 7.0}, None, 8))
+    remote.send(BALL, Sample("8", {"x": 8.0, "y": 8.0, "z": 8.0}, None, 8))
+    until(qtbot, lambda: card.text.toPlainText() == "8")
+    assert [value for _, value in card.curve.points] == [8] and card.field.currentText() == "y"
+
+
+def test_a_curve_and_an_image_are_shown_from_the_first_that_comes_on(qtbot, window, remote):
+    card, places = window.graph.card, []
+    card.show_topic(BALL)
+    until(qtbot, lambda: remote.listeners.get(BALL))
+    remote.send(BALL, Sample("nan", {}, None, 4))
+    until(qtbot, lambda: card.text.toPlainText() == "nan")
+    assert not card.curve.isVisible() and not card.field.isVisible()
+    place, card.place = card.place, lambda: places.append(place())
+    remote.send(BALL, Sample("1", {"data": 1.0}, None, 4))
+    until(qtbot, lambda: card.text.toPlainText() == "1")
+    assert card.curve.isVisible() and card.field.isVisible() and len(places) == 1
+    remote.send(BALL, Sample("nan again", {}, None, 4))
+    until(qtbot, lambda: card.text.toPlainText() == "nan again")
+    assert card.curve.isVisible() and len(places) == 1
+    remote.send(BALL, Sample("image", {}, SmallImage(1, 1, b"rgb", "tiny"), 3))
+    until(qtbot, lambda: card.text.toPlainText() == "image")
+    assert card.image.isVisible() and not card.curve.isVisible() and len(places) == 2
 
 
 def test_it_listens_only_while_it_is_shown(qtbot, window, remote):
