@@ -13,7 +13,9 @@ from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAbstractButton,
+    QAbstractSpinBox,
     QApplication,
+    QComboBox,
     QLineEdit,
     QSplitter,
     QTabWidget,
@@ -183,9 +185,9 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def _follow_focus(self, before: Optional[QWidget], now: Optional[QWidget]) -> None:
-        if isinstance(before, QLineEdit):
+        if before is not None and _line_of(before) is not None:
             before.removeEventFilter(self)
-        if isinstance(now, QLineEdit) and self.isAncestorOf(now):
+        if now is not None and _line_of(now) is not None and self.isAncestorOf(now):
             now.installEventFilter(self)
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
@@ -195,10 +197,11 @@ class DyKnowWidget(QWidget):
         """
         if event.type() == QEvent.Shortcut:
             QTimer.singleShot(0, self._begin_tab)
-        if event.type() != QEvent.ShortcutOverride or not isinstance(watched, QLineEdit):
+        line = _line_of(watched) if event.type() == QEvent.ShortcutOverride else None
+        if line is None:
             return False
         is_undo, is_redo = event.matches(QKeySequence.Undo), event.matches(QKeySequence.Redo)
-        is_own = watched.isUndoAvailable() if is_undo else watched.isRedoAvailable()
+        is_own = line.isUndoAvailable() if is_undo else line.isRedoAvailable()
         if is_own or not (is_undo or is_redo):
             return False
         event.ignore()
@@ -257,6 +260,13 @@ class DyKnowWidget(QWidget):
     def _begin_connection(self, nodelet: str, port: str) -> None:
         self._show_tab(self.connect_)
         self.connect_.begin(nodelet, port)
+
+
+def _line_of(widget: object) -> Optional[QLineEdit]:
+    """The line that is edited in a field, a spin box or a combo box; None if there is none."""
+    if isinstance(widget, (QAbstractSpinBox, QComboBox)):
+        widget = widget.findChild(QLineEdit)
+    return widget if isinstance(widget, QLineEdit) else None
 
 
 def spare_imports() -> None:

@@ -178,6 +178,29 @@ def test_undo_is_the_graphs_unless_a_field_has_something_to_undo(qtbot, window, 
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first"))
 
 
+def test_undo_is_the_graphs_in_spin_boxes_and_combo_boxes_too(qtbot, window):
+    rate, label = window.streams.rate, window.create_.label
+    for name in ("/n0", "/n1"):
+        create(qtbot, window, name)
+    window.tabs.setCurrentWidget(window.create_)
+    label.setFocus()
+    until(qtbot, label.hasFocus)
+    before = label.currentText()
+    label.lineEdit().selectAll()
+    qtbot.keyClicks(label, "7")
+    assert label.currentText() == "7"
+    qtbot.keyClick(label, Qt.Key_Z, Qt.ControlModifier)
+    assert label.currentText() == before and not window.monitor.is_changing
+    qtbot.keyClick(label, Qt.Key_Z, Qt.ControlModifier)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/n1") is None)
+    until(qtbot, lambda: not window.monitor.is_changing)
+    window.tabs.setCurrentWidget(window.streams)
+    rate.setFocus()
+    until(qtbot, rate.hasFocus)
+    qtbot.keyClick(rate, Qt.Key_Z, Qt.ControlModifier)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/n0") is None)
+
+
 def test_a_look_that_began_at_another_manager_says_nothing_about_this_one(qtbot, window, remote):
     create(qtbot, window, "/first")
     graph, has_read, goes_on = remote.graph, Event(), Event()
