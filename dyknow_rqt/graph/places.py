@@ -46,6 +46,7 @@ class Places:
         self._keep()
 
     def to_text(self) -> str:
+        self._keep()  # also what was taken over
         return json.dumps(self._kept) if self._kept else ""
 
     def read(self, text: str) -> None:

@@ -162,6 +162,10 @@ def test_places_belong_to_a_wiring_and_are_taken_over_by_the_next():
     read.follow(["/c", "/b", "/a"])
     read.read(places.to_text())
     assert read.present == {"n_/a": Point(3, 4)}
+    places.follow(["/a", "/d"])
+    read.follow(["/a", "/d"])
+    read.read(places.to_text())
+    assert read.present == {"n_/a": Point(1, 2)}
     for text in ("", "no", "[1]", '{"x": {"n_/a": [1]}}'):
         read.read(text)
     read.forget()
