@@ -12,6 +12,7 @@ from python_qt_binding.QtCore import (
     QEvent,
     QItemSelection,
     QModelIndex,
+    QSignalBlocker,
     Qt,
     Signal,
 )
@@ -120,7 +121,7 @@ class _Rows(QAbstractTableModel):
     def _arranged(self) -> List[Row]:
         def key(row: Row) -> Tuple[bool, Union[int, str], str]:
             cell = row[0][self._column]
-            return (False, int(cell), row[0][0]) if cell.isdigit() else (True, cell, row[0][0])
+            return (False, int(cell), row[0][0]) if cell.isdecimal() else (True, cell, row[0][0])
 
         wanted = self._filter
         rows = [row for row in self.all if any(wanted in cell.lower() for cell in row[0])]
@@ -136,7 +137,7 @@ class KeyedTable(QTableView):
     def __init__(self, titles: Sequence[str], name: str) -> None:
         super().__init__()
         self._rows = _Rows(titles, self)
-        self._has_widths = self._refilling = False
+        self._has_widths = False
         self.setModel(self._rows)
         self.setSelectionBehavior(QAbstractItemView.SelectRows)
         self.setSelectionMode(QAbstractItemView.ExtendedSelection)
@@ -183,16 +184,15 @@ class KeyedTable(QTableView):
             return
         chosen, top = self.chosen(), self.verticalScrollBar().value()
         current = self._name(self.currentIndex().row()) if self.currentIndex().isValid() else None
-        self._refilling = True
-        self._rows.replace(rows)
-        if rows and not self._has_widths:
-            self._has_widths = True
-            for column, widest in enumerate(_WIDEST):
-                contents = min(widest, self.sizeHintForColumn(column) + 12)
-                title = self.horizontalHeader().sectionSizeHint(column)
-                self.setColumnWidth(column, max(contents, title))
-        self.choose(chosen, current)
-        self._refilling = False
+        with QSignalBlocker(self):
+            self._rows.replace(rows)
+            if rows and not self._has_widths:
+                self._has_widths = True
+                for column, widest in enumerate(_WIDEST):
+                    contents = min(widest, self.sizeHintForColumn(column) + 12)
+                    title = self.horizontalHeader().sectionSizeHint(column)
+                    self.setColumnWidth(column, max(contents, title))
+            self.choose(chosen, current)
         self.verticalScrollBar().setValue(top)
 
     def chosen(self) -> List[str]:
@@ -221,9 +221,8 @@ class KeyedTable(QTableView):
     def follow(self, names: Iterable[str]) -> None:
         """Select the rows of these keys only, as the user has done elsewhere."""
         if set(names) != set(self.chosen()):
-            self._refilling = True
-            self.choose(names)
-            self._refilling = False
+            with QSignalBlocker(self):
+                self.choose(names)
             if self.chosen():
                 self.scrollTo(self.selectionModel().selectedRows()[0])
 
@@ -231,16 +230,14 @@ class KeyedTable(QTableView):
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
         """Tell which rows are selected."""
         super().selectionChanged(now, before)
-        if not self._refilling:
-            self.picked.emit(self.chosen())
+        self.picked.emit(self.chosen())
 
     @qt_slot
     def _filter_rows(self, text: str) -> None:
         chosen = self.chosen()
-        self._refilling = True
-        self._rows.set_filter(text)
-        self.choose(chosen)
-        self._refilling = False
+        with QSignalBlocker(self):
+            self._rows.set_filter(text)
+            self.choose(chosen)
 
     def _name(self, row: int) -> str:
         return self._rows.shown[row][0][0]

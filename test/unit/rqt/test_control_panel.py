@@ -21,6 +21,7 @@ from unit.rqt.hands import (
 )
 
 from dyknow.model.graph import OUTDATED, PortRef
+from dyknow_rqt.panels.tables import KeyedTable
 
 
 def test_active_lists_and_destroys(qtbot, window, remote):
@@ -35,6 +36,19 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     click(qtbot, window.active.destroy)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: "/nao1/bottom_camera" not in table.names())
+
+
+def test_a_table_tells_of_picks_after_rows_that_it_could_not_show(qtbot, monkeypatch):
+    table, picked = KeyedTable(("Name", "Count"), "Things"), []
+    qtbot.addWidget(table)
+    table.picked.connect(picked.append)
+    table.show_rows([(("²", "10"), ""), (("10", ""), ""), (("9", ""), "")])
+    assert table.names() == ["9", "10", "²"]
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+        patch.setattr(table._rows, "replace", lambda rows: 1 / 0)
+        table.show_rows([])
+    table.choose(["10"])
+    assert picked == [["10"]]
 
 
 def test_active_marks_what_is_outdated(qtbot, window, remote):
