@@ -312,7 +312,9 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _grey(self) -> None:
-        self.view.scene().set_palette(self.view.palette(), not self._monitor.is_linked)
+        scene = self.view.scene()
+        scene.set_palette(self.view.palette(), not self._monitor.is_linked)
+        scene.show_past(self.timeline.moment is not None)
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
         """Keep the message in the middle, and follow changes of the palette."""

@@ -294,7 +294,6 @@ class GraphScene(QGraphicsScene):
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
         """Use the colours of another palette, or its greys for stale contents."""
         self.colours = greys_of(palette) if is_stale else colours_of(palette)
-        self.setBackgroundBrush(self.colours.paper)
         for item in self._items():
             item.set_colours(self.colours)
 

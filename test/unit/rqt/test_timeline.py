@@ -17,6 +17,7 @@ from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.screenshots import dark_palette
 
 BALL = "/field/ball"
 
@@ -185,6 +186,13 @@ def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track):
     before = view.scene().vertices["n_/nao1/resize"].pos()
     drag(view, centre_of(view, "n_/nao1/resize"), QPoint(300, 300))
     assert view.scene().vertices["n_/nao1/resize"].pos() == before
+    past = view.scene().backgroundBrush().color()
+    window.monitor.heart.linked.emit(True)
+    assert view.scene().backgroundBrush().color() == past
+    window.setPalette(dark_palette())
+    until(qtbot, lambda: view.scene().backgroundBrush().color().lightness() < 100)
+    colours = view.scene().colours
+    assert view.scene().backgroundBrush().color() == colours.topic != colours.paper
     window.graph.view.menu_wanted.emit(None, QPoint(50, 50))
     assert "this is the past" in window.line.text and topic(remote, TRACKER) == BALL
     window.graph.bar.timeline.trigger()
