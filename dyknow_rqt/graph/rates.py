@@ -161,7 +161,7 @@ class Meter:
         for each in counts:
             _, counted = self._last.get(each.nodelet, (now, deque([each], _LOADS)))
             before = counted[-1]
-            is_paused = not 0.0 <= each.uptime - before.uptime < _PAUSE
+            is_paused = not 0.0 <= each.uptime - before.uptime < _PAUSE or _is_less(each, before)
             if is_paused or each.reconfigurations != before.reconfigurations:
                 self._forget({each.nodelet})
             if is_paused:
@@ -206,6 +206,15 @@ class Meter:
         for ref in refs:
             self._tracks.pop(ref, None)
             self.traffic.pop(ref, None)
+
+
+def _is_less(now: NodeletCount, before: NodeletCount) -> bool:
+    """Whether messages were counted before that are not now: the nodelet was loaded again."""
+    return any(
+        now.ports[port].messages < count.messages
+        for port, count in before.ports.items()
+        if port in now.ports
+    )
 
 
 def _number(value: float) -> str:

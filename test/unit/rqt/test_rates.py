@@ -137,6 +137,15 @@ def test_a_nodelet_that_was_loaded_again_begins_anew():
     assert source.shown() == pytest.approx((30.0, 0.0))
 
 
+def test_a_nodelet_that_was_loaded_again_at_once_begins_anew():
+    source = Source()
+    source.up_since = 0.0
+    source.passes(PERIOD, 30)
+    source.up_since, source.messages = source.time, 0.0
+    assert source.rates(PERIOD, 10) == [None]
+    assert {round(rate) for rate in source.rates(4.0, 10)} == {10}
+
+
 def test_drops_are_counted_over_seconds():
     source = Source()
     source.passes(5.0, 7)
