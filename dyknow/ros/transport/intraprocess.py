@@ -160,17 +160,20 @@ class OrdinaryHandles:
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             publisher.acquire()  # nothing is published between missed and later messages
             try:
-                added = add_with_queue(connection)
+                made = self._outbound(connection, publisher.queue_size)
+                added = add_with_own_queue(made)
                 for message in self.backlog.missed_by(address):
-                    outwards(message, publisher.connections[-1])
+                    if made.done:  # it has died meanwhile
+                        break
+                    outwards(message, made)
                 return added
             finally:
                 publisher.release()
 
-        def add_with_queue(connection: Any) -> Any:
+        def add_with_own_queue(made: Any) -> Any:
             size, publisher.queue_size = publisher.queue_size, None  # rospy would add its own
             try:
-                return add(self._outbound(connection, size))
+                return add(made)
             finally:
                 publisher.queue_size = size
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 from rospy.impl import registration, tcpros_pubsub
-from rospy.topics import _SubscriberImpl
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.topics import _PublisherImpl, _SubscriberImpl
 from std_msgs.msg import Header
 
 from dyknow.errors import PeerTimeout
@@ -26,6 +27,7 @@ from dyknow.ros.transport.late_subscribers import (
     LateSubscribers,
     Reminders,
 )
+from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.shared_memory import SharedMemory, connect_once
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 
@@ -160,6 +162,38 @@ def test_a_master_that_is_away_is_asked_again(around):
     assert around.wait(10.0) > 2
     around.subscribed = frozenset((ONE, TWO))
     assert around.wait(10.0) > 0
+
+
+@pytest.mark.parametrize("has_other", [True, False])
+def test_what_a_subscriber_missed_that_dies_while_it_connects_goes_to_no_other(has_other):
+    publisher = _PublisherImpl("/t", Header)
+    publisher.set_queue_size(100)
+    outbound = lambda connection, size: Outbound(connection, size, None)  # noqa: E731
+    handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), outbound)
+    handles.adopt(publisher)
+    handles.widen(100)
+
+    def connected(node):
+        connection = TCPROSTransport(tcpros_pubsub.TCPROSPub("/t", Header), "/t")
+        here, there = socket.socketpair()
+        connection.set_socket(here, node)
+        return connection, there
+
+    other, far = connected(ONE)
+    if has_other:
+        publisher.add_connection(other)
+    handles.expect({TWO})
+    for number in range(5):
+        handles.outwards(Header(frame_id=str(number)))
+        handles.backlog.keep(Header(frame_id=str(number)))
+    dying, gone = connected(TWO)
+    gone.close()
+    publisher.add_connection(dying)
+    assert dying.done
+    assert other.stat_num_msg == (5 if has_other else 0)
+    publisher.close()
+    other.close()
+    far.close()
 
 
 # How long a port that is connected elsewhere waits for its new peers
