@@ -12,6 +12,7 @@ import queue
 import re
 import xmlrpc.client
 from typing import Any, Callable, Iterable, Sequence, Tuple
+from xml.parsers.expat import ExpatError
 
 from dyknow import names
 from dyknow.errors import PeerTimeout
@@ -100,13 +101,13 @@ class _Server:
             transport = self._idle.get_nowait()
         except queue.Empty:
             transport = self._transport(self._timeout)
-        server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
         try:
+            server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
             answer = read(getattr(server, question)(*args))
         except (OSError, http.client.HTTPException) as error:
             transport.close()
             raise PeerTimeout(self._peer, self._timeout) from error
-        except (xmlrpc.client.Error, ValueError, TypeError) as error:
+        except (xmlrpc.client.Error, ExpatError, ValueError, TypeError, LookupError) as error:
             transport.close()
             raise LookupError(f"{self._peer}: {error}") from error
         try:

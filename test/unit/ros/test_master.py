@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.server
 import itertools
 import logging
 import os
@@ -18,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 from urllib.parse import urlsplit
-from xmlrpc.client import Binary
+from xmlrpc.client import Binary, dumps
 
 import pytest
 import rosmaster.master
@@ -475,6 +476,47 @@ def test_a_master_that_does_not_know_the_caller_is_new(uri):
     asking.ask("registerPublisher", "/rosout", "rosgraph_msgs/Log", "http://localhost:10/")
     assert asking.publications() == {"/topic": ["/node"], "/rosout": ["/asking"]}
     assert asking.bearer("/unknown") == ""
+
+
+class Page(http.server.BaseHTTPRequestHandler):
+    """Answers every question with the text of its class."""
+
+    text = ""
+
+    def do_POST(self):  # noqa: N802
+        self.rfile.read(int(self.headers["Content-Length"]))
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(self.text)))
+        self.end_headers()
+        self.wfile.write(self.text.encode())
+
+    def log_message(self, *unused):
+        pass
+
+
+@pytest.mark.parametrize("compares", [False, True])
+@pytest.mark.parametrize(
+    "text",
+    ["", "<html>Hello<br></html>", dumps(([[]],), methodresponse=True), "<fault></fault>"],
+)
+def test_a_server_that_is_no_ros_node_answers_with_an_error(text, compares, monkeypatch):
+    """It has the port of a node that has ended."""
+    monkeypatch.setattr(Page, "text", text)
+    with http.server.HTTPServer(("127.0.0.1", 0), Page) as server:
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        asking = Master("/asking", f"http://127.0.0.1:{server.server_port}/", PATIENCE, compares)
+        assert asking.node("/node") == ""
+        with pytest.raises(LookupError, match="the ROS master"):
+            asking.ask_all([("getParam", "/asking", "/")])
+        server.shutdown()
+
+
+def test_an_address_that_is_none_does_not_answer(uri):
+    for wrong in ("localhost:11311", "rosrpc://localhost:11311"):
+        with pytest.raises(PeerTimeout):
+            Master("/asking", wrong).node("/node")
+        with pytest.raises(PeerTimeout):
+            Master("/asking", uri).pid("/node", wrong, 1.0)
 
 
 def test_an_answer_like_the_one_before_is_not_parsed(uri):
