@@ -29,6 +29,8 @@ _AGAIN = 0.5
 _READING = 1.0
 #: Seconds from one message to the next where only the last one counts.
 _PAUSE = 0.2
+#: Seconds in which the last message is looked for, while others follow.
+_CATCHING_UP = 0.05
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -81,8 +83,10 @@ class TopicReader:
         """
         frame = self._frame(time.monotonic() + timeout)
         later = frame if last_only else None
+        end = time.monotonic() + _CATCHING_UP
         while later is not None:
-            frame, later = later, self._frame(time.monotonic())
+            now = time.monotonic()
+            frame, later = later, self._frame(now) if now < end else None
         return None if frame is None else self._class().deserialize(frame)
 
     def interrupt(self) -> None:

@@ -10,15 +10,18 @@ import queue
 import socket
 import threading
 from io import BytesIO
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import rosgraph.network
 from clocks import PATIENCE
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt32
 from unit.ros.small_graph import SmallManager, small_graph
 
+from dyknow.ros.wire import topic_reader as module
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.topic_reader import TopicFollower
+from dyknow.ros.wire.topic_reader import TopicFollower, TopicReader
 
 
 class SmallPublisher(SmallManager):
@@ -104,6 +107,22 @@ def test_messages_are_handed_on_in_order_or_the_last_alone(graph, publisher, las
         send(reader, "four")
         assert following.next() == ["four"]
     assert is_left(reader)
+
+
+def test_the_last_message_is_not_looked_for_for_ever(monkeypatch):
+    """On a fast topic, or a link that is full, the next one is always there."""
+    now, numbers = [0.0], iter(range(1000))
+
+    def next_frame(deadline):
+        now[0] += 0.001
+        return next(numbers).to_bytes(4, "little")
+
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    reader: Any = object.__new__(TopicReader)
+    reader._class = UInt32
+    reader._connection = SimpleNamespace(receive_frame=next_frame)
+    first, second = (reader.read(1.0, last_only=True) for _ in range(2))
+    assert 0 < first.data < second.data == next(numbers) - 1
 
 
 def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(graph):
