@@ -222,12 +222,16 @@ class ArenaReader:
     def read(self, offset: int, number: int, size: int) -> bytes | None:
         """Copy a message; None if its region is used for another one by now."""
         begin, pages = offset + _NUMBER.size, self._pages
-        if pages is None or begin + size > len(pages):
-            length = os.fstat(self._file).st_size
-            self._pages = pages = mmap.mmap(self._file, length, prot=mmap.PROT_READ)
-        data = pages[begin : begin + size]
-        is_it = pages[offset:begin] == _NUMBER.pack(number)
-        return data if is_it and len(data) == size else None
+        try:
+            if pages is None or begin + size > len(pages):
+                length = os.fstat(self._file).st_size
+                self._pages = pages = mmap.mmap(self._file, length, prot=mmap.PROT_READ)
+        except (OSError, ValueError):  # it takes a descriptor and address space
+            data = os.pread(self._file, size, begin)
+            found = os.pread(self._file, _NUMBER.size, offset)
+        else:
+            data, found = pages[begin : begin + size], pages[offset:begin]
+        return data if found == _NUMBER.pack(number) and len(data) == size else None
 
     def __del__(self, close: Callable[[int], None] = os.close) -> None:
         if self._file >= 0:  # at the end of the interpreter the module may have no ``os`` any more

@@ -132,6 +132,8 @@ class InboundTransport(rospy.impl.tcpros_base.TCPROSTransport):
 
     def read_header(self) -> None:
         """Read the publisher's header, and let it know that its memory is at hand."""
+        self.read_buff.seek(0)  # a frame that could not be read may be in it
+        self.read_buff.truncate()
         super().read_header()
         self.protocol.owed = 0  # to the connection before, if this one takes its place
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import io
+import mmap
 import os
 import socket
 import struct
@@ -19,6 +20,7 @@ from types import SimpleNamespace
 import genpy.dynamic
 import numpy as np
 import pytest
+import rosgraph.network
 import rospy
 import rospy.msg
 from clocks import eventually
@@ -79,6 +81,26 @@ def test_a_file_that_has_grown_is_mapped_again(arena):
     regions = [arena.write(bytes([number]) * (9 * MB)) for number in range(10)]
     for number, region in enumerate(regions):
         assert copy(reader, region) == bytes([number]) * (9 * MB)
+
+
+@pytest.mark.parametrize("is_mapped", [False, True])
+def test_a_file_that_cannot_be_mapped_now_is_read(arena, monkeypatch, is_mapped):
+    """A mapping takes a descriptor and address space."""
+    reader = ArenaReader(arena.address)
+    if is_mapped:
+        assert copy(reader, arena.write(b"first"))
+    regions = [arena.write(bytes([number]) * (9 * MB)) for number in range(10)]
+
+    def is_refused(*unused, **options):
+        raise OSError(errno.EMFILE, "too many open files")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mmap, "mmap", is_refused)
+        for number, region in enumerate(regions):
+            assert copy(reader, region) == bytes([number]) * (9 * MB)
+        last = regions[-1]
+        assert reader.read(last.offset, last.number + 1, last.size) is None
+    assert copy(reader, regions[-1])[:1] == b"\x09"
 
 
 def test_a_region_is_used_again_when_nobody_has_it(arena):
@@ -585,3 +607,20 @@ def test_a_connection_made_again_owes_no_answers_for_the_one_before(monkeypatch)
         assert [message.seq for message in connection.receive_once()] == [5]
         connection.close()
         assert exactly(peer, 7) + peer.recv(1) == b"address"
+
+
+def test_a_connection_made_again_reads_nothing_of_the_one_before():
+    subscriber = SimpleNamespace(data_class=Header, queue_size=1, buff_size=999, tcp_nodelay=True)
+    reader = ArenaReader(ARENA.address)
+    connection = InboundTransport(Inbound("/topic", subscriber, reader), "/topic", "address")
+    connection.read_buff.write(FRAME.pack(packing.ELSEWHERE, 0, 0, 0, 0, 0, 0))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connection.socket = socket.create_connection(server.getsockname())
+        peer, _ = server.accept()
+    with peer:
+        fields = {"md5sum": Header._md5sum, "type": Header._type, "callerid": "/talker"}
+        rosgraph.network.write_ros_handshake_header(peer, fields)
+        peer.shutdown(socket.SHUT_WR)
+        connection.read_header()
+        assert connection.callerid_pub == "/talker"
+        connection.close()
