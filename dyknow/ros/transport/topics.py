@@ -13,7 +13,7 @@ import sys
 import termios
 import time
 import warnings
-from typing import Any, Callable
+from typing import Any, Callable, Sequence
 
 import genpy
 import rospy
@@ -283,19 +283,18 @@ class RospySubscriber(OutsideSubscriber):
     def drain(self, seconds: float) -> None:
         """Stop reading: rospy's threads deliver what their sockets hold, and end.
 
-        With more subscribers of the topic in this process the threads go on, and are awaited until
-        their sockets are empty.
+        A message of which a part has come is awaited first. With more subscribers of the topic in
+        this process the threads go on.
         """
         deadline = time.monotonic() + seconds
         connections = [each for each in self._implementation.connections or () if each.socket]
-        alone = len(self._implementation.callbacks or ()) == 1
-        for connection in connections if alone else ():
+        _wait_while(_is_receiving, connections, deadline)
+        if len(self._implementation.callbacks or ()) != 1:
+            return
+        for connection in connections:
             with contextlib.suppress(OSError, AttributeError):  # it has ended by itself
                 connection.socket.shutdown(socket.SHUT_RD)
-        while any(not each.done and (alone or _unread(each)) for each in connections):
-            if time.monotonic() >= deadline:
-                return
-            time.sleep(_STEP / 4)
+        _wait_while(lambda each: not each.done, connections, deadline)
 
     def close(self) -> None:
         self._subscriber.unregister()
@@ -329,6 +328,18 @@ def _unread(connection: Any) -> int:
         )
     except (OSError, TypeError, ValueError):
         return 0
+
+
+def _is_receiving(connection: Any) -> bool:
+    """Whether a message has come in part, or waits in the connection's socket."""
+    buffer = connection.read_buff
+    return not connection.done and bool(_unread(connection) or (buffer and buffer.tell()))
+
+
+def _wait_while(holds: Callable[[Any], bool], connections: Sequence[Any], deadline: float) -> None:
+    """Wait until a condition holds for none of the connections, or until the deadline."""
+    while any(map(holds, connections)) and time.monotonic() < deadline:
+        time.sleep(_STEP / 4)
 
 
 def _is_idle(connection: Any) -> bool:
