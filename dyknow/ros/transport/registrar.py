@@ -15,6 +15,7 @@ The hook is two instance attributes of rospy's ``RegManager``, those of its docu
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from typing import Any, Callable, Collection, Tuple
 
@@ -88,6 +89,14 @@ class Registrar:
     def _answer(self, key: Key) -> Addresses | None:
         with self._lock:
             return self._peers.pop(key, None)
+
+    def connect_again(self, topic: str, uris: Collection[str]) -> None:
+        """Connect to publishers of a topic that this process has disconnected from."""
+        # With all others: rospy forgets what the master has told it of the topic just now.
+        with contextlib.suppress(PeerTimeout, LookupError):
+            uris = {*uris, *map(self._master.node, self._master.publishers(topic))} - {""}
+        if self._manager is not None:
+            self._manager.publisher_update(topic, sorted(uris))
 
     def is_subscribed(self, topic: str) -> bool:
         """Whether the master knows the subscription of this process, as far as there is one."""

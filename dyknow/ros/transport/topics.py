@@ -17,6 +17,7 @@ from typing import Any, Callable, Sequence
 
 import genpy
 import rospy
+from rospy.impl.registration import get_topic_manager
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
@@ -231,6 +232,9 @@ class RospySubscriber(OutsideSubscriber):
             receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
+        self._registrar = registrar
+        #: Connections that are read no more.
+        self._shut: list[Any] = []
         self._expected = registrar.publishers(topic)
         self._missing: frozenset[str] = frozenset()
 
@@ -291,6 +295,7 @@ class RospySubscriber(OutsideSubscriber):
         _wait_while(_is_receiving, connections, deadline)
         if len(self._implementation.callbacks or ()) != 1:
             return
+        self._shut = connections
         for connection in connections:
             with contextlib.suppress(OSError, AttributeError):  # it has ended by itself
                 connection.socket.shutdown(socket.SHUT_RD)
@@ -298,6 +303,13 @@ class RospySubscriber(OutsideSubscriber):
 
     def close(self) -> None:
         self._subscriber.unregister()
+        shut, self._shut = self._shut, []
+        if shut and get_topic_manager().get_subscriber_impl(self._topic) is self._implementation:
+            # Another subscriber has joined since, whose connections these are.
+            _wait_while(lambda each: not each.done, shut, time.monotonic() + _LATE)
+            for connection in shut:
+                connection.close()
+            self._registrar.connect_again(self._topic, {each.endpoint_id for each in shut})
 
 
 def _publishers(topic: str) -> frozenset[str]:

@@ -118,3 +118,15 @@ def test_a_message_that_does_not_come_wholly_is_not_awaited_for_ever(topic):
     leaving.drain(0.0)
     eventually(lambda: topic.connection.done)
     assert topic.received == []
+
+
+@pytest.mark.parametrize("joins", [False, True])
+def test_who_joins_a_subscriber_that_leaves_is_connected_again(topic, joins):
+    leaving = topic.subscribe("one")
+    leaving.drain(PATIENCE)
+    if joins:
+        topic.subscribe("other")
+    leaving.close()
+    assert topic.again == ([{PUBLISHER}] if joins else [])
+    leaving.close()
+    assert len(topic.again) == joins

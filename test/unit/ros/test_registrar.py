@@ -8,6 +8,7 @@ from __future__ import annotations
 import socketserver
 import threading
 import xmlrpc.server
+from types import SimpleNamespace
 
 import pytest
 from clocks import PATIENCE, eventually
@@ -83,6 +84,19 @@ def test_the_answer_is_returned_once(master, registrar):
     assert registrar.subscribers("/a") is None
     registrar.reg_removed("/a", STRING, "pub")
     assert master.registered == {}
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+def test_publishers_that_were_left_are_connected_to_again(master, registrar, is_away):
+    updates = []
+    registrar._manager = SimpleNamespace(publisher_update=lambda *update: updates.append(update))
+    state = [[["/a", ["/other"]], ["/b", ["/none"]]], [], []]
+    master.newcomer = "http://newcomer:1/"
+    if not is_away:
+        master.server.register_function(lambda caller: (1, "", state), "getSystemState")
+    registrar.connect_again("/a", {"http://left:1/"})
+    others = [] if is_away else ["http://newcomer:1/"]
+    assert updates == [("/a", ["http://left:1/", *others])]
 
 
 def test_a_dead_master_blocks_no_registration_and_receives_it_later(master, registrar):
