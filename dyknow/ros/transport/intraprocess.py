@@ -24,6 +24,7 @@ first publication until rospy's publisher of that topic is gone.
 
 from __future__ import annotations
 
+import collections
 import copy
 import functools
 from typing import Any, Callable, Collection, Tuple
@@ -37,7 +38,7 @@ from rospy.impl.transport import INBOUND, Transport
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection
-from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.nodelet.scheduler import Executor, Strand, message_lock
 from dyknow.ros.transport.conversions import (
     TypedReceiver,
     connection_header,
@@ -77,6 +78,36 @@ class IntraProcessTransport(Transport):
             self._closed()
 
 
+class _Waiting:
+    """Messages that wait for a callback of an ordinary subscriber: ``entry`` of rospy's list."""
+
+    def __init__(self, strand: Strand, subscriber: Any, entry: Callback) -> None:
+        self.entry = entry
+        self._strand = strand
+        self._subscriber = subscriber
+        self._messages: collections.deque[Any] = collections.deque()
+
+    def is_wanted(self) -> bool:
+        return any(each is self.entry for each in self._subscriber.callbacks or ())
+
+    def post(self, message: Any, queue_size: int) -> None:
+        """Queue a message; when ``queue_size`` wait the oldest is dropped, 0 for any number."""
+        dropped = None  # freed without the lock: finalizers may call anything
+        with message_lock:
+            if 0 < queue_size <= len(self._messages):
+                dropped = self._messages.popleft()
+            else:  # as many tasks as messages
+                self._strand.post_locked(self._call)
+            self._messages.append(message)
+        del dropped
+
+    def _call(self) -> None:
+        with message_lock:
+            message = self._messages.popleft()
+        if self.is_wanted():
+            self._subscriber._invoke_callback(message, *self.entry)
+
+
 class OrdinaryHandles:
     """Ordinary rospy handles of this process on one topic of the bus.
 
@@ -107,6 +138,7 @@ class OrdinaryHandles:
         self._address = address
         self._outbound = outbound
         self._strand = Strand(executor, f"rospy subscribers of {name}")
+        self._waiting: list[_Waiting] = []
         #: The largest queue size of the publications of the bus; None without one.
         self._queue_size: int | None = None
         self._refreshing = state_lock("outside listeners")
@@ -247,7 +279,8 @@ class OrdinaryHandles:
 
         def add_callback(callback: Any, args: Any) -> None:
             add(callback, args)
-            self._catch_up([(callback, args)])
+            same = (e for e in subscriber.callbacks or () if e[0] is callback and e[1] is args)
+            self._catch_up([*same][-1:])
 
         subscriber.add_callback = add_callback
         self.refresh()
@@ -270,6 +303,7 @@ class OrdinaryHandles:
     def refresh(self) -> None:
         """Let the publications of the bus know whether they have listeners outside."""
         with self._refreshing:  # the last thread here has seen all changes
+            self._waiting = [each for each in self._waiting if each.is_wanted()]
             heard = bool(
                 self.foreign
                 or self._connecting
@@ -332,12 +366,20 @@ class OrdinaryHandles:
         if not callbacks or subscriber is None:
             return
         message = self._received(message, subscriber)
-        for callback, args in callbacks:
-            if _is_ours(callback):
-                callback(message)
+        for entry in callbacks:
+            if _is_ours(entry[0]):
+                entry[0](message)
             else:
-                invoke = functools.partial(subscriber._invoke_callback, message, callback, args)
-                self._strand.post(invoke)
+                waiting = self._waiting_for(entry, subscriber)
+                waiting.post(message, subscriber.queue_size or self._queue_size or 0)
+
+    def _waiting_for(self, entry: Callback, subscriber: Any) -> _Waiting:
+        for each in self._waiting:
+            if each.entry is entry:
+                return each
+        made = _Waiting(self._strand, subscriber, entry)
+        self._waiting = [*self._waiting, made]
+        return made
 
     def _received(self, message: Any, subscriber: Any) -> Any:
         """The message as rospy's subscriber would have received it."""

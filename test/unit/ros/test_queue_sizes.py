@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import struct
+import weakref
 from types import SimpleNamespace
 from typing import Any, Iterator
 
@@ -33,11 +35,12 @@ class Topic:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.implementation = rospy.topics._PublisherImpl("/t", String)
+        self.executor = ManualExecutor()
         self.handles = OrdinaryHandles(
             "/t",
             "http://here",
             str,
-            ManualExecutor(),
+            self.executor,
             lambda each, size: Outbound(each, size, None),
         )
         self.sockets: list[socket.socket] = []
@@ -176,3 +179,75 @@ def test_a_subscriber_whose_connection_fails_is_not_heard(topic):
 
 def test_the_larger_size_of_two():
     assert [wider(1, 2), wider(2, 1), wider(0, 1), wider(1, 0), wider(0, 0)] == [2, 2, 0, 0, 0]
+
+
+# Ordinary subscribers in the process itself
+
+
+@pytest.fixture(name="subscriber")
+def _subscriber(topic: Topic) -> Iterator[Any]:
+    topic.advertise(3)
+    subscriber = rospy.topics._SubscriberImpl("/t", String)
+    topic.handles.link(subscriber)
+    yield subscriber
+    subscriber.close()
+
+
+def deliver(topic: Topic, *texts: str) -> None:
+    for text in texts:
+        topic.handles.deliver(String(text))
+
+
+@pytest.mark.parametrize(
+    ("own", "published", "kept"),
+    [(2, 3, "gh"), (4, 3, "efgh"), (None, 3, "fgh"), (None, 0, "abcdefgh")],
+)
+def test_an_ordinary_subscriber_keeps_the_newest_messages_of_its_queue(
+    topic: Topic, subscriber: Any, own: int | None, published: int, kept: str
+) -> None:
+    topic.handles.widen(published)
+    subscriber.set_queue_size(own)
+    received: list[tuple[str, str]] = []
+    for name in ("one", "other"):
+        subscriber.add_callback(lambda message, name: received.append((name, message.data)), name)
+    deliver(topic, *"abcdefgh")
+    assert received == []
+    topic.executor.drain()
+    for name in ("one", "other"):
+        assert "".join(text for each, text in received if each == name) == kept
+    del received[:]
+    deliver(topic, "i")
+    topic.executor.drain()
+    assert received == [("one", "i"), ("other", "i")]
+
+
+def test_a_callback_is_not_called_any_more_once_it_is_removed(
+    topic: Topic, subscriber: Any
+) -> None:
+    received: list[str] = []
+    callbacks = [lambda message: received.append(message.data) for _ in range(2)]
+    for callback in callbacks:
+        subscriber.add_callback(callback, None)
+    deliver(topic, "a", "b")
+    topic.executor.step()
+    subscriber.remove_callback(callbacks[0], None)
+    topic.executor.drain()
+    assert received == ["a", "a", "b"]
+    forgotten = weakref.ref(callbacks.pop(0))
+    del callback
+    gc.collect()
+    assert forgotten() is None
+    subscriber.close()
+    deliver(topic, "c")
+    topic.executor.drain()
+    assert received == ["a", "a", "b"]
+
+
+def test_an_ordinary_subscriber_gets_the_latched_message_once(
+    topic: Topic, subscriber: Any
+) -> None:
+    received: list[str] = []
+    topic.handles.latch(object(), String("latched"))
+    subscriber.add_callback(lambda message: received.append(message.data), None)
+    topic.executor.drain()
+    assert received == ["latched"]
