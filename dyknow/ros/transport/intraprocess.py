@@ -50,6 +50,9 @@ from dyknow.ros.transport.outbound import Outbound, wider
 from dyknow.ros.transport.shared_memory import Answer, SharedMemory, connect_once
 from dyknow.ros.wire.master import Master
 
+#: Messages that wait for a callback of an ordinary subscriber which gives no size, at least.
+_IN_SOCKETS = 100
+
 Callback = Tuple[Callable[..., Any], Any]
 
 
@@ -371,7 +374,14 @@ class OrdinaryHandles:
                 entry[0](message)
             else:
                 waiting = self._waiting_for(entry, subscriber)
-                waiting.post(message, subscriber.queue_size or self._queue_size or 0)
+                waiting.post(message, subscriber.queue_size or self._bound())
+
+    def _bound(self) -> int:
+        """Most messages that wait for a subscriber which gives no size; 0 for any number.
+
+        With rospy they would wait in the publication's queue and, before that, in sockets.
+        """
+        return max(self._queue_size, _IN_SOCKETS) if self._queue_size else 0
 
     def _waiting_for(self, entry: Callback, subscriber: Any) -> _Waiting:
         for each in self._waiting:

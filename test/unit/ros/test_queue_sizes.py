@@ -20,7 +20,7 @@ from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
 
 from dyknow.nodelet.scheduler import ManualExecutor
-from dyknow.ros.transport import topics
+from dyknow.ros.transport import intraprocess, topics
 from dyknow.ros.transport.intraprocess import OrdinaryHandles
 from dyknow.ros.transport.late_subscribers import LateSubscribers
 from dyknow.ros.transport.outbound import Outbound, wider
@@ -200,11 +200,17 @@ def deliver(topic: Topic, *texts: str) -> None:
 
 @pytest.mark.parametrize(
     ("own", "published", "kept"),
-    [(2, 3, "gh"), (4, 3, "efgh"), (None, 3, "fgh"), (None, 0, "abcdefgh")],
+    [(2, 3, "gh"), (4, 3, "efgh"), (None, 6, "cdefgh"), (None, 3, "defgh"), (None, 0, "abcdefgh")],
 )
 def test_an_ordinary_subscriber_keeps_the_newest_messages_of_its_queue(
-    topic: Topic, subscriber: Any, own: int | None, published: int, kept: str
+    topic: Topic,
+    subscriber: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    own: int | None,
+    published: int,
+    kept: str,
 ) -> None:
+    monkeypatch.setattr(intraprocess, "_IN_SOCKETS", 5)
     topic.handles.widen(published)
     subscriber.set_queue_size(own)
     received: list[tuple[str, str]] = []
