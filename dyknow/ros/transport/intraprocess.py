@@ -388,7 +388,9 @@ class OrdinaryHandles:
             if each.entry is entry:
                 return each
         made = _Waiting(self._strand, subscriber, entry)
-        self._waiting = [*self._waiting, made]
+        with self._refreshing:
+            if made.is_wanted():  # else its removal, which takes it off, is over
+                self._waiting = [*self._waiting, made]
         return made
 
     def _received(self, message: Any, subscriber: Any) -> Any:
