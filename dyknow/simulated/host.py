@@ -638,6 +638,7 @@ class FakeHost(Host):
 
     def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
         self.processes[name] = FakeProcess(self._state(name, kind, isolated_for))
+        self._hung.discard(name)  # that was another process
         return name
 
     def _state(
