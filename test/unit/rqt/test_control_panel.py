@@ -226,9 +226,8 @@ def test_connect_waits_for_a_chosen_nodelet_that_goes(qtbot, window, remote, los
     panel.single.offer(*[{TRACKER.nodelet: (), resize.name: resize.ports}] * 2)  # it is loaded
     assert panel.single.ref is None
     remote.client.spawn_nodelet(request)
-    until(qtbot, lambda: window.monitor.snapshot.nodelet(lost.nodelet) is not None)
-    chosen = [choice.ref for choice in (panel.source, panel.sink, panel.single)]
-    assert chosen == [CEILING, TRACKER, TRACKER]
+    choices = (panel.source, panel.sink, panel.single)
+    until(qtbot, lambda: [choice.ref for choice in choices] == [CEILING, TRACKER, TRACKER])
     panel.source.choose(PortRef("/nao1/resize", "resized"))
     panel.single.nodelet.setCurrentText("/nao1/resize")
     assert panel.sink.ref is not None and panel.single.ref == PortRef("/nao1/resize", "image")
