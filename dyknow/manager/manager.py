@@ -242,12 +242,17 @@ class Manager:
         for topic in after.values():  # foreign nodelet managers do not have these guards
             self.guards.check_topic(topic)
         before = {port.name: port.topic for port in self.host.ports(name)}
-        return _Move(name, {port: before.get(port, "") for port in after}, after)
+        return _Move(name, before, after)
 
     def _move_back(self, move: _Move) -> None:
         """Move back those ports that are still where they were moved."""
-        now = {port.name: port.topic for port in self.host.ports(move.name)}
-        back = {p: topic for p, topic in move.before.items() if now.get(p) == move.after[p]}
+        unknown = {topic for port, topic in move.after.items() if port not in move.before}
+        back = {}
+        for port in self.host.ports(move.name):  # some were given by their global names
+            was = move.before.get(port.name, "")
+            is_moved = port.topic == move.after.get(port.name) or port.topic in unknown
+            if is_moved and port.topic != was:
+                back[port.name] = was
         if back:
             self.host.connect(move.name, back)
 

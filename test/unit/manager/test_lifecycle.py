@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Callable
+from typing import Callable, Mapping
 
 import pytest
 from clocks import HandClock
@@ -300,3 +300,22 @@ def test_a_move_that_cannot_be_taken_back_is_reported(world: World) -> None:
         world.manager.connect([("relay", {"in": "/raw"}), ("cam", {"image": "/raw"})])
     assert connected == ["/relay", "/cam", "/relay"]
     assert world.manager.graph.get("/relay").topics == {"in": "/raw"}, "the model is true"
+
+
+def test_ports_that_were_given_by_their_global_names_are_moved_back(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As scripts and C++ nodelets take them."""
+    world.spawn("camera", "a", config={"image": "/one"})
+    world.spawn("relay", "b")
+    connect = world.host.connect
+
+    def by_global_name(name: str, config: Mapping[str, str]) -> None:
+        ports = world.host.nodelet(name).ports
+        connect(name, {p.lstrip("/") if p not in ports else p: t for p, t in config.items()})
+
+    monkeypatch.setattr(world.host, "connect", by_global_name)
+    for port in ("image", "/image"):
+        with pytest.raises(DyKnowError, match="nonsense"):
+            world.manager.connect([("/a", {port: "/two"}), ("/b", {"nonsense": "/x"})])
+        assert world.host.nodelet("/a").ports["image"].topic == "/one"
