@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Meaning of the transformations in the store; 2: a variable is one thing throughout each.
 _SCHEMA = 2
+#: More changes of the library than are made from one backup to the next.
+_AHEAD = 1_000_000
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -58,6 +60,9 @@ class Library:
         self._state_lock = state_lock("transformations")
         self._by_label: dict[str, Transformation] = store.read("transformations", _stored)
         self.revision = store.number("library_revision")
+        if store.complaint:  # a backup took the place of a file that may have had a later one
+            self.revision += _AHEAD
+            store.write({("facts", "library_revision"): str(self.revision)})
         #: The transformations that require verdicts, by label; replaced as a whole by a change.
         self.guarded: Mapping[str, Transformation] = _guarded(self._by_label)
         self._topics: list[Transformation] = []

@@ -23,6 +23,7 @@ from faulty_disk import full, kept_aside, locked, read_only, small_disk
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 from property_tests import examples
+from unit.manager.world import CAMERA, World
 
 from dyknow.errors import StoreError
 from dyknow.manager import store as store_module
@@ -549,3 +550,20 @@ def test_a_file_that_is_damaged_while_it_is_open_is_replaced(tmp_path: Path) -> 
     assert file.trouble == ""
     file.close()
     assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_no_revision_goes_back_where_a_backup_takes_the_place_of_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    world = World(str(path))
+    world.store.back_up()
+    for rate in ("10", "20", "30"):
+        world.manager.add_transformation(CAMERA.replace(">30<", f">{rate}<"))
+    before = world.manager.graph.revision, world.manager.library.revision
+    world.store.close()
+    with path.open("r+b") as file:
+        file.write(b"x" * 4096)
+    for _ in range(2):  # the second life finds nothing damaged
+        world.open()
+        assert world.manager.graph.revision > before[0]
+        assert world.manager.library.revision > before[1]
+        world.store.close()
