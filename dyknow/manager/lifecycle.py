@@ -39,6 +39,7 @@ from dyknow.manager.hosts import HostTable
 from dyknow.manager.library import Library
 from dyknow.manager.record import (
     NOTHING_HEARD,
+    UNSURE,
     Record,
     declared_ports,
     missing_connections,
@@ -220,7 +221,7 @@ class Lifecycle:
             running = replace(starting, detail=error.holder)
         except DyKnowError as error:
             problem = error
-            starting = replace(starting, incarnation="")  # in this process, not its former one
+            starting = replace(starting, incarnation=UNSURE)  # not in its former process
             is_gone = self._take_down(starting)
             _log.warning("%s is not back: %s", record.name, error)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
@@ -231,7 +232,7 @@ class Lifecycle:
                 state=State.FAILED,
                 detail=detail,
                 ports=(),
-                incarnation=record.incarnation if is_gone else "",
+                incarnation=record.incarnation if is_gone else UNSURE,
                 superseded=not is_gone,
             )
         else:
@@ -512,7 +513,7 @@ class Lifecycle:
             return True
         if state.away or not state.alive:
             return not state.away
-        if record.incarnation not in ("", state.incarnation):
+        if record.incarnation not in ("", UNSURE, state.incarnation):
             return True
         return record.name not in self._host.list(record.manager)
 

@@ -247,10 +247,10 @@ class Observer:
                     return True  # it failed, or the manager was killed while it brought it back
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(current)
-            elif fate is Fate.UNLOADED:
+            elif fate is Fate.UNLOADED and current.state in (State.RUNNING, State.LOST):
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(current)
-            elif fate is Fate.DIED:  # if it runs, another operation has just worked on it
+            elif fate in (Fate.DIED, Fate.UNLOADED):  # if it runs, it was just worked on
                 return current.state is not State.RUNNING
             return False
 

@@ -35,6 +35,9 @@ class Heard(NamedTuple):
 NOTHING_HEARD = Heard()
 """A nodelet has received nothing that binds a variable."""
 
+UNSURE = "?"
+"""Incarnation of a nodelet that may be loaded or not; a spawn that never returned has none."""
+
 
 @dataclass(frozen=True)
 class Record:

@@ -437,3 +437,53 @@ def test_a_part_that_does_not_come_up_again_is_replaced(field: Field) -> None:
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert "ceiling camera" in field.labels()
     field.tidy()
+
+
+class Killed(BaseException):
+    """Ends the manager as ``kill -9`` does."""
+
+
+def pass_time(world: World, seconds: float = 40.0) -> None:
+    assert isinstance(world.clock, HandClock)
+    for _ in range(5):
+        world.clock.time += seconds
+        world.manager.look()
+
+
+def test_no_repair_is_taken_for_a_spawn_that_never_returned(world: World) -> None:
+    """Where the repair before it may have loaded the nodelet, and the manager is killed."""
+    world.spawn("camera", "front", config={"image": "/a"}, is_protected=True)
+    world.host.kill(world.manager.graph.get("/front").manager)
+    world.host.slow.add("/front")  # its load fails, and undoing that is late
+    world.manager.look()
+    world.host.slow.clear()
+    world.host.arrive()
+    world.host.fail_at("load", error=Killed())
+    with pytest.raises(Killed):
+        pass_time(world)
+    world.host.recover()
+    world.kill_manager()
+    pass_time(world)
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+
+
+def test_a_process_that_dies_of_the_unload_of_a_restart_is_no_end(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"}, is_protected=True)
+    manager = world.manager.graph.get("/front").manager
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "unload":
+            world.host.crash(manager, ["/front"], unloading=["/front"])
+            raise HostError("the process ended")
+        if operation == "load":
+            raise HostError("no camera")
+
+    world.host.fail = fail
+    with pytest.raises(RestartFailed, match="no camera"):
+        world.manager.restart("front")
+    world.manager.look()
+    assert world.states() == {"/front": "FAILED"}
+    world.host.recover()
+    pass_time(world)
+    assert world.states() == {"/front": "RUNNING"}
