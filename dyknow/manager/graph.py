@@ -133,14 +133,22 @@ class Graph:
             raise LimitExceeded("nodelets", count, most)
 
     @contextlib.contextmanager
-    def restart(self, names: Iterable[str]) -> Iterator[list[Record]]:
-        """Reserve nodelets for a restart; yields the records of those that are there."""
+    def changing_all(self, names: Iterable[str]) -> Iterator[list[Record]]:
+        """Reserve nodelets for one operation; yields the records of those that are there.
+
+        Raises Busy if another operation works on one of them for long.
+        """
         with contextlib.ExitStack() as held:
             found = [
                 held.enter_context(self.changing(name, patience=PATIENCE))
                 for name in sorted(names)
             ]
-            records = [record for record in found if record is not None]
+            yield [record for record in found if record is not None]
+
+    @contextlib.contextmanager
+    def restart(self, names: Iterable[str]) -> Iterator[list[Record]]:
+        """Reserve nodelets for a restart; yields the records of those that are there."""
+        with self.changing_all(names) as records:
             marked = frozenset(record.name for record in records)
             with self._changed:
                 self.restarting |= marked

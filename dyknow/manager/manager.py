@@ -23,7 +23,6 @@ from typing import (
 
 from dyknow import names
 from dyknow.errors import (
-    Busy,
     DyKnowError,
     FixedTopics,
     HostError,
@@ -31,14 +30,14 @@ from dyknow.errors import (
     InvalidParameters,
 )
 from dyknow.manager.graph import PATIENCE
-from dyknow.manager.lifecycle import Lifecycle, ManagerContext, show_ports
+from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.observer import Observer
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, with_present_ports
 from dyknow.manager.restarts import Restarts
 from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
-from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest
+from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest, State
 from dyknow.model.hosts import HostStatus
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 
@@ -208,30 +207,43 @@ class Manager:
             DyKnowError: one could not be connected, and those before it were moved back; the text
                 says so if one could not be.
         """
-        checked = [self._checked(name, config) for name, config in moves]
-        steps = [
-            ReversibleStep(
-                f"connecting '{move.name}'",
-                move.name,
-                partial(self.host.connect, move.name, move.after),
-                partial(self._move_back, move),
-            )
-            for move in checked
-        ]
-        try:
-            carry_out(steps, may_be_done=lambda error: isinstance(error, HostTimeout))
-        except StepFailed as failed:
-            if failed.troubles:
-                raise DyKnowError("; ".join([str(failed.error), *failed.troubles])) from failed
-            raise failed.error from failed
-        finally:
-            for move in checked:  # if that fails, the next look shows the ports
-                with contextlib.suppress(HostError, Busy):
-                    show_ports(self.graph, self.host, move.name, PATIENCE)
+        resolved = [(self.resolve(name), config) for name, config in moves]
+        for name, _ in resolved:
+            self.guards.check_writable(f"connecting '{name}'")
+            self.graph.get(name)
+        with self.graph.changing_all({name for name, _ in resolved}):
+            checked = [self._checked(name, config) for name, config in resolved]
+            steps = [
+                ReversibleStep(
+                    f"connecting '{move.name}'",
+                    move.name,
+                    partial(self.host.connect, move.name, move.after),
+                    partial(self._move_back, move),
+                )
+                for move in checked
+            ]
+            try:
+                carry_out(steps, may_be_done=lambda error: isinstance(error, HostTimeout))
+            except StepFailed as failed:
+                if failed.troubles:
+                    raise DyKnowError("; ".join([str(failed.error), *failed.troubles])) from failed
+                raise failed.error from failed
+            finally:
+                for move in checked:
+                    with contextlib.suppress(HostError):  # the next look shows the ports
+                        self._show(move)
+
+    def _show(self, move: _Move) -> None:
+        """Show the ports of a nodelet after a move; one that is brought back has them so, too."""
+        record = self.graph.get(move.name)
+        ports = self.host.ports(move.name)
+        if record.state is State.RUNNING:
+            self.graph.put(with_present_ports(record, ports))
+            return
+        moved = {p.name: p.topic for p in ports if p.topic != move.before.get(p.name)}
+        self.graph.put(replace(record, topics={**record.topics, **moved}))
 
     def _checked(self, name: str, config: Mapping[str, str]) -> _Move:
-        name = self.resolve(name)
-        self.guards.check_writable(f"connecting '{name}'")
         record = self.graph.get(name)
         if record.is_fixed:
             raise FixedTopics(name, record.manager)

@@ -21,9 +21,9 @@ from dyknow.manager.claims.claim_table import ClaimLock, ClaimTable
 from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.world import Config, World
-from dyknow.manager.lifecycle import ManagerContext, show_ports
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.manager import Manager
-from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports
+from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, with_present_ports
 from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
@@ -136,13 +136,19 @@ class Connector:
             ):
                 self.unknown[name] = now + _PAUSE
                 try:
-                    show_ports(self._graph, self._host, name)
+                    self._show_present(name)
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
                     continue  # it is polled again
                 else:
                     self._settle(name, self._clock())
+
+    def _show_present(self, name: str) -> None:
+        """Show the present ports of a nodelet at once."""
+        with self._graph.changing(name) as record:
+            if record is not None and record.state is State.RUNNING:
+                self._graph.put(with_present_ports(record, self._host.ports(name)))
 
     def _show(self, name: str, config: Config) -> None:
         with self._graph.changing(name, patience=_PATIENCE) as record:

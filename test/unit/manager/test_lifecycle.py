@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Callable, Mapping
 
 import pytest
-from clocks import HandClock
+from clocks import HandClock, SteppedClock, in_thread, join
 from unit.manager.world import World
 
 from dyknow.errors import (
@@ -319,3 +320,44 @@ def test_ports_that_were_given_by_their_global_names_are_moved_back(
         with pytest.raises(DyKnowError, match="nonsense"):
             world.manager.connect([("/a", {port: "/two"}), ("/b", {"nonsense": "/x"})])
         assert world.host.nodelet("/a").ports["image"].topic == "/one"
+
+
+@pytest.mark.parametrize("operation", ["restart", "move"])
+def test_no_connection_is_made_to_a_nodelet_that_is_about_to_go(operation: str) -> None:
+    """It waits for the restart, which ends with the topics from before; then it is made."""
+    clock = SteppedClock()
+    world = World(clock=clock)
+    world.spawn("camera", "front", config={"image": "/old"})
+    world.host.add("/other")
+    connecting: list[threading.Thread] = []
+
+    def fail(what: str, argument: str) -> None:
+        if what in ("unload", "give") and not connecting:
+            move = [("front", {"image": "/new"})]
+            connecting.append(in_thread(lambda: world.manager.connect(move)))
+            clock.settle()
+
+    world.host.fail = fail
+    if operation == "restart":
+        world.manager.restart("front")
+    else:
+        world.manager.move("/front", "/other")
+    join(*connecting)
+    assert world.host.nodelet("/front").ports["image"].topic == "/new"
+    world.manager.look()
+    assert world.manager.graph.get("/front").topics == {"image": "/new"}
+
+
+def test_a_nodelet_that_is_restarted_later_is_connected_as_was_requested_last(
+    world: World,
+) -> None:
+    world.spawn("camera", "front", config={"image": "/old"})
+    world.host.slow.add("/front")
+    with pytest.raises(HostTimeout):
+        world.manager.restart("front")
+    world.host.slow.clear()
+    world.manager.connect([("front", {"image": "/new"})])
+    world.host.arrive()
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/new"
