@@ -45,7 +45,6 @@ from dyknow.manager.record import (
     missing_connections,
     topics_of,
     with_ports,
-    with_present_ports,
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.store import Store
@@ -218,6 +217,7 @@ class Lifecycle:
             starting = replace(starting, topics=self.fitting(starting))
             running = self._bring_up(starting)
         except NameTaken as error:  # if it is a nodelet of ours, the next look finds it
+            problem = error
             running = replace(starting, detail=error.holder)
         except DyKnowError as error:
             problem = error
@@ -287,7 +287,11 @@ class Lifecycle:
         if record.isolated:
             return self._host.ensure(kind, record.name)
         present = self._host.states().get(record.manager)
-        if present is not None and not present.foreign and (present.alive or not record.pinned):
+        if (
+            present is not None
+            and not present.foreign
+            and (present.kind is kind if present.alive else not record.pinned)
+        ):
             if present.own and not present.alive:
                 self._host.ensure(present.kind)
             return record.manager
@@ -488,9 +492,10 @@ class Lifecycle:
 
     def clear(self, record: Record) -> None:
         """Destroy a nodelet in any state, later if it was up and its process does not answer."""
-        is_gone = self._take_down(record)
-        if is_gone or self._host.reported(record.manager, record.name) is None:
+        if self._take_down(record):
             self._graph.remove(record.name)
+        elif self._host.reported(record.manager, record.name) is None:
+            self.forget(record)
         else:
             self._destroy_later(record)
 
@@ -518,14 +523,16 @@ class Lifecycle:
         return record.name not in self._host.list(record.manager)
 
     def _take_down(self, record: Record) -> bool:
-        """Unload a nodelet if that is possible; returns whether it is certainly gone."""
+        """End a nodelet if that is possible; returns whether it is certainly gone.
+
+        While it may still run, it keeps its parameters.
+        """
         try:
             self._unload(record)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
             return False
-        finally:
-            self.dispose(record)
+        self.dispose(record)
         return True
 
     def dispose(self, record: Record) -> None:
@@ -535,13 +542,6 @@ class Lifecycle:
             self._host.forget(record.name, [*declared, *names_of(record.parameters)])
         if record.isolated:
             self._host.retire(record.manager)
-
-
-def show_ports(graph: Graph, host: Host, name: str, patience: float = 0.0) -> None:
-    """Show the present ports of a nodelet at once."""
-    with graph.changing(name, patience=patience) as record:
-        if record is not None and record.state is State.RUNNING:
-            graph.put(with_present_ports(record, host.ports(name)))
 
 
 def _check_ports(

@@ -187,9 +187,14 @@ class Restarts:
         error = self._lifecycle.restore(fresh)
         if error is None:
             return
-        is_new = fresh.transformation != record.transformation
-        former = replace(record, detail=_RESTARTING)
-        is_back = is_new and self._lifecycle.restore(former) is None
+        is_back = False
+        if fresh.transformation != record.transformation:
+            failed = self._graph.get(record.name)
+            if failed.superseded:  # its load may end yet, and is undone first
+                former = replace(record, manager=failed.manager, incarnation=failed.incarnation)
+                self._graph.put(_late(former, failed.detail))
+            else:
+                is_back = self._lifecycle.restore(replace(record, detail=_RESTARTING)) is None
         raise RestartFailed(record.name, error, is_back) from error
 
     def _remarks(self, before: Record) -> Iterator[str]:

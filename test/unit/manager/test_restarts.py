@@ -34,6 +34,10 @@ def world(tmp_path: Any) -> World:
     return World(str(tmp_path / "state"), clock=HandClock())
 
 
+class Killed(BaseException):
+    """Ends the manager as ``kill -9`` does."""
+
+
 def loads(world: World) -> List[str]:
     return [name for operation, name in world.host.calls if operation in ("unload", "load")]
 
@@ -286,6 +290,78 @@ def test_a_repair_whose_undoing_is_late_is_repeated(world: World) -> None:
     assert world.host.nodelet("/front").ports["image"].topic == "/a"
 
 
+def test_a_name_that_is_taken_meanwhile_is_no_success(world: World) -> None:
+    """Another client loads a nodelet of that name as soon as the former one is gone."""
+    world.spawn("camera", "front", config={"image": "/a"})
+    manager = world.manager.graph.get("/front").manager
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load":
+            world.host.recover()
+            world.host.load(manager, LoadRequest("/front", "pkg/Camera"), 1.0)
+
+    world.host.fail = fail
+    with pytest.raises(RestartFailed, match="a nodelet named '/front' is already loaded"):
+        world.manager.restart("front")
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+
+
+def test_a_late_load_of_a_new_specification_gives_way_to_the_former_one(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.sources = {**world.host.sources, "pkg/New": world.host.sources["pkg/Camera"]}
+    world.manager.add_transformation(CAMERA.replace("pkg/Camera", "pkg/New"))
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "loaded":  # it is up, and the answer is late
+            world.host.slow.add("/front")
+            raise HostTimeout("it was not up in time")
+
+    world.host.fail = fail
+    with pytest.raises(RestartFailed, match="not up in time; it is tried again"):
+        world.manager.restart("front")
+    world.host.recover()
+    world.manager.look()
+    assert world.states() != {"/front": "RUNNING"}
+    world.host.slow.clear()
+    world.host.arrive()
+    look_later(world)
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").request.source == "pkg/Camera"
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    world.manager.look()
+    assert world.manager.graph.get("/front").status.outdated, "its specification is the former"
+
+
+def test_a_nodelet_that_may_still_run_keeps_its_parameters(world: World) -> None:
+    """The manager is killed before it notes that undoing a load was late."""
+    world.spawn("camera", "front", config={"image": "/a"})
+    world.host.kill(world.manager.graph.get("/front").manager)
+    world.host.slow.add("/front")
+    put, killed = world.manager.graph.put, []
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "loaded":
+            raise HostTimeout("it was not up in time")
+        if operation == "unload":
+            killed.append(argument)
+
+    def no_more(*records: Any, **kwds: Any) -> None:
+        if killed:
+            raise Killed
+        put(*records, **kwds)
+
+    world.host.fail, world.manager.graph.put = fail, no_more  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        world.manager.look()
+    world.host.recover()
+    world.host.slow.clear()
+    world.kill_manager()
+    world.manager.look()
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.parameters == {"/front/rate": 30.0}
+
+
 def test_a_nodelet_manager_is_restarted_with_all_its_nodelets(world: World) -> None:
     world.spawn("camera", "front", config={"image": "/a"}, is_protected=True)
     world.spawn("relay", "slow", config={"in": "/a"})
@@ -437,10 +513,6 @@ def test_a_part_that_does_not_come_up_again_is_replaced(field: Field) -> None:
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert "ceiling camera" in field.labels()
     field.tidy()
-
-
-class Killed(BaseException):
-    """Ends the manager as ``kill -9`` does."""
 
 
 def pass_time(world: World, seconds: float = 40.0) -> None:
