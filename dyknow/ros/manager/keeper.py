@@ -54,6 +54,7 @@ class MasterKeeper:
     ) -> None:
         """Read the mirror of an earlier life from a file, if there is one."""
         self._master = master
+        self._me = master.caller
         #: For the two questions of each look, whose answers seldom change.
         self._contents, self._names = (
             Master(master.caller, master.uri, compares=True) for _ in range(2)
@@ -82,6 +83,15 @@ class MasterKeeper:
         """Look periodically, as ``MIRROR`` of the loop."""
         loop.add(MIRROR, self.look, 0.0, _PAUSE)
 
+    def leave(self) -> None:
+        """Mirror the master without this node, which leaves; its next life goes on from there."""
+        self.look()
+        if self._kept is not None:
+            nodes = {node: at for node, at in self._kept.nodes.items() if node != self._me}
+            self._kept = replace(self._kept, nodes=nodes)
+            self._save_at = self._clock()
+            self._save()
+
     def close(self) -> None:
         """Forget the mirror: the manager ends on purpose."""
         with contextlib.suppress(OSError):
@@ -95,7 +105,7 @@ class MasterKeeper:
         The types of topics and the addresses of services, of which a node has one for life, are
         looked up once.
         """
-        me, known = self._master.caller, self._kept or MasterMirror(0)
+        me, known = self._me, self._kept or MasterMirror(0)
         asked = ("getPid",), ("getSystemState",), ("getParam", "/")
         pid, state, parameters = self._contents.ask_all((each[0], me, *each[1:]) for each in asked)
         if state is None:
@@ -177,7 +187,8 @@ class MasterKeeper:
     # A new master
 
     def _is_new(self, kept: MasterMirror, present: MasterMirror) -> bool:
-        return self._master.caller not in present.nodes or not present.is_of_the_same_master(kept)
+        is_missing = self._me in kept.nodes and self._me not in present.nodes
+        return is_missing or not present.is_of_the_same_master(kept)
 
     def _heal(self, kept: MasterMirror, present: MasterMirror) -> None:
         missing = {
@@ -190,14 +201,12 @@ class MasterKeeper:
             living = {node: found for node, found in zip(missing, asked) if found is not None}
             if not living:
                 return  # of an earlier session
-            loss = MasterLoss(kept, present, living, self._master.caller)
+            loss = MasterLoss(kept, present, living, self._me)
             services = loss.services()
             there = pool.map(lambda each: self._is_offered(each, kept.addresses[each]), services)
             offered = [service for service, is_there in zip(services, there) if is_there]
             parameters = loss.parameters()
-            self._master.ask_all(
-                ("setParam", self._master.caller, name, value) for name, value in parameters
-            )
+            self._master.ask_all(("setParam", self._me, name, value) for name, value in parameters)
             publishers = loss.publisher_registrations()
             self._master.ask_all([*loss.service_registrations(offered), *publishers])
             subscribers = loss.subscriber_registrations()
@@ -236,7 +245,7 @@ class MasterKeeper:
             return NodeTopics() if may_be_there(error) else None
 
     def _is_offered(self, service: str, address: str) -> bool:
-        return is_offered(service, address, self._master.caller, _PATIENCE)
+        return is_offered(service, address, self._me, _PATIENCE)
 
     def _notify(self, news: tuple[str, str, str, list[str]]) -> None:
         node, uri, topic, publishers = news

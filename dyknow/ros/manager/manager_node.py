@@ -258,7 +258,9 @@ class ManagerNode(Closable):
             self._forget_files()
         self._host.close()
         self._store.close()
-        if not keeps:
+        if keeps:
+            self._keeper.leave()
+        else:
             self._keeper.close()
         self._owner.release()
 
