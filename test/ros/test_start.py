@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 from pathlib import Path
@@ -16,7 +17,7 @@ from manager_suite import LIBRARY, MANAGER, ManagerCase, children_in, counted, g
 from processes import BUSY, NODELET, Done, becomes, eventually, run
 from stream_suite import CAMERA
 
-from dyknow.errors import HostError, PeerTimeout
+from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.wire.master import Master
@@ -97,6 +98,7 @@ class StartTest(ManagerCase):
         claim = client.acquire_stream(StreamRequest("Raw(own)"))
         heard = [self.enter(Heard(t, note=counted)) for t in ("/copies", claim.topic)]
         for end in (signal.SIGINT, signal.SIGTERM):
+            rospy.set_param("/given_up", "a node's, until the manager is away")
             before, children = client.get_model().nodelets, manager.children()
             manager.stop(end)
             self.assertEqual(manager.process.wait(20.0 * BUSY), 0, manager.output)
@@ -104,7 +106,11 @@ class StartTest(ManagerCase):
             self.assertTrue(all(each.alive for each in children.values()))
             for each in heard:
                 each.flows(100)  # for longer than a lease
+            (mirror,) = Path(manager.state).glob("*.master")
+            self.assertIn("given_up", mirror.read_text())
+            rospy.delete_param("/given_up")
             manager.start()
+            self.assertFalse(rospy.has_param("/given_up"), "this is no new ROS master")
             becomes(lambda before=before: client.get_model().nodelets == before, True)
             self.assertEqual(manager.children(), children)
             (kept,) = manager.claims()
@@ -112,6 +118,26 @@ class StartTest(ManagerCase):
         for each in heard:
             each.flows()
             self.assertEqual(gaps(list(each)), [])
+
+    def test_a_nodelet_manager_that_is_not_named_any_more_keeps_its_nodelets(self):
+        manager = self.make(keep=True, nodelet_managers=["other_manager"])
+        self.run_process(*NODELET, "manager", "__name:=other_manager")
+        manager.start()
+        manager.client.add_transformation(LIBRARY)
+        spawn = functools.partial(manager.client.spawn, "counter", "/counter", WIRED["/counter"])
+        eventually(lambda: not refused(lambda: spawn(manager="/other_manager")), 20.0, "it is up")
+        heard = self.enter(Heard("/numbers", note=counted))
+        heard.flows()
+        manager.stop()
+        del manager.parameters["nodelet_managers"]
+        rospy.delete_param(f"{MANAGER}/nodelet_managers")
+        manager.start()
+        manager.becomes("/counter", State.RUNNING)
+        self.assertEqual(manager.nodelet("/counter").manager, "/other_manager")
+        self.assertIn("'/other_manager' is used, though ~nodelet_managers", manager.output)
+        heard.flows()
+        self.assertEqual(gaps(list(heard)), [])
+        manager.client.destroy("/counter")
 
     def test_roslaunch_with_respawn(self):
         state = self.manager.state
@@ -137,6 +163,15 @@ class StartTest(ManagerCase):
             return master.pid(MANAGER, master.node(MANAGER), 1.0)
         except (PeerTimeout, HostError, LookupError, OSError):
             return 0
+
+
+def refused(change):
+    """Whether the manager refuses a change."""
+    try:
+        change()
+    except Refused:
+        return True
+    return False
 
 
 run()

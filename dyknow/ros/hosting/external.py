@@ -250,6 +250,24 @@ class Externals:
         for each in list(self._externals.values()):
             each.wake()
 
+    def use(self, managers: Iterable[str]) -> None:
+        """Use nodelet managers as named ones, unless they are certainly gone; waits for that."""
+        new = [
+            External(self._context, name)
+            for name in sorted(set(managers))
+            if name not in self._externals and not self._is_child(name)
+        ]
+        with self._state_lock:
+            self._externals.update((each.name, each) for each in new)
+        for each in new:
+            each.wake()
+        for each in new:
+            each.look_now()
+            if each.state.alive or each.state.away:
+                _log.info("%s is used, though ~nodelet_managers does not name it", each.title)
+            else:
+                self._drop(each)
+
     def listen(self, hear: Callable[[str, NodeletChanges], None]) -> None:
         """Listen to all processes that run nodelets from now on, and find foreign ones by that.
 

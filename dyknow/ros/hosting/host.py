@@ -92,6 +92,8 @@ class RosHost(Host):
         self.start = self._external.start
         #: Find re-wirable nodes of these names that run already.
         self.look_for_nodes = self._external.look_for
+        #: Use nodelet managers of these names that run, where nodelets of an earlier life are.
+        self.use = self._external.use
         self._types = NodeletTypes()
         self._code = CodeFiles()
         #: Older guards or producers must not replace newer ones.

@@ -182,6 +182,8 @@ class ManagerNode(Closable):
         """Take over the nodelets and claims of an earlier life, and offer the services."""
         self._host.start()
         self._children.adopt()
+        stored = self._store.read("nodelets", Record.from_body).values()
+        self._host.use({each.manager for each in stored if each.is_spawned and not each.isolated})
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
         self._files.look(self.manager.library)
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
@@ -195,7 +197,7 @@ class ManagerNode(Closable):
             lambda: (self.manager.hosts(), self._settings.max_clock_offset),
         )
         self._loop.start()
-        self._introduce()
+        self._introduce(sum(each.is_spawned for each in stored))
         self.manager.start()
         self._after_change()
         if self._store.complaint:
@@ -326,12 +328,11 @@ class ManagerNode(Closable):
 
     # Inside
 
-    def _introduce(self) -> None:
+    def _introduce(self, nodelets: int) -> None:
         """Log the version, the master and the state that was found."""
-        stored = self._store.read("nodelets", Record.from_body).values()
         found = {
             "transformations": len(self.manager.library.all()),
-            "nodelets": sum(each.is_spawned for each in stored),
+            "nodelets": nodelets,
             "claims": len(self._reconciler.claims()),
         }
         rospy.loginfo(

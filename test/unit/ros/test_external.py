@@ -74,6 +74,18 @@ def test_no_call_waits_for_one_that_was_never_seen():
     peers.close()
 
 
+def test_those_with_nodelets_of_an_earlier_life_are_used_unless_they_are_gone(graph):
+    graph.nodes.update({FAR: SmallManager(), "/gone": SmallManager()})
+    graph.nodes["/gone"].close()
+    graph.nodes["/gone"].close = lambda: None  # it stays registered
+    externals = Externals(context(graph), ["/named"], lambda name: name == "/child")
+    externals.use([FAR, "/gone", "/never_was", "/child", "/named"])
+    assert [each.name for each in externals.all()] == [FAR, "/named"]
+    assert externals.find(FAR).state.responsive
+    assert not externals.find(FAR).is_foreign
+    externals.close()
+
+
 def test_one_that_hangs_is_asked_again_by_its_thread_alone(graph, peer):
     manager, before = graph.nodes[FAR], peer.state.incarnation
     assert before == f"{manager.uri}@{manager.pid}"
