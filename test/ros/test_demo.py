@@ -65,8 +65,8 @@ class SoccerTest(TellingCase):
             demo.wait_for_match(pattern, 60.0)
             return re.search(pattern, demo.output)[1]
 
-        uri = read(r"ROS master: our own, at (\S+)")
-        pid = int(read(r"manager: .* process (\d+)"))
+        uri = read(r"ROS master: our own, at (\S+)\s")
+        pid = int(read(r"manager: .* process (\d+)\D"))
         read(r"(ACTIVE) .* Hz")
         tasks = Path(f"/proc/{pid}/task").glob("*/children")
         children = [each for task in tasks for each in task.read_text().split()]

@@ -69,10 +69,10 @@ print(told.get(), flush=True)
 
 
 def start(tmp_path, command=SLEEP):
-    """Start a process and wait until it is up."""
+    """Start a process and wait until it is up: until its first line is whole."""
     output = tmp_path / "output"
     found = os_process.start(command, str(output), str(tmp_path))
-    while "up" not in output.read_text():
+    while "\n" not in output.read_text():
         assert found.alive
         time.sleep(0.01)
     return found
