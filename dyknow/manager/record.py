@@ -134,7 +134,11 @@ class Record:
 
     @cached_property
     def status(self) -> NodeletStatus:
-        """Its public status: one value for as long as the record is the same."""
+        """Its public status: one value for as long as the record is the same.
+
+        Ports that are not known now are shown as they are to be connected.
+        """
+        ports = self.ports or (declared_ports(self) if self.is_spawned else ())
         return NodeletStatus(
             self.name,
             self.label,
@@ -144,7 +148,7 @@ class Record:
             self.is_fixed,
             self.state,
             "; ".join(filter(None, (self.detail, self.outdated))),
-            self.ports,
+            ports,
             self.parameters,
             self.kind,
             self.host,

@@ -15,7 +15,7 @@ from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.wiring.plan import readers_first
 from dyknow.wiring.settled import unsettled
-from dyknow.wiring.wiring import Wiring
+from dyknow.wiring.wiring import Wiring, wiring_of
 
 IMAGE = "sensor_msgs/Image"
 
@@ -94,6 +94,22 @@ def test_loading_what_was_saved_and_saving_it_again_is_the_identity(client, file
     nothing = {"spawned": [], "replaced": [], "changed": [], "kept": kept}
     assert run(client, "load w.xml --json").json["nodelets"] == nothing
     assert client.calls == []
+
+
+@pytest.mark.parametrize("end", ["its load fails", "it hangs at the manager's start"])
+def test_what_does_not_run_is_saved_as_it_is_to_be_connected(tmp_path, end):
+    world = World(str(tmp_path / "state"))
+    world.spawn("camera", "cam", config={"image": "/raw"})
+    before, manager = wiring_of(world.manager.get_model()), world.manager.graph.get("/cam").manager
+    if end == "its load fails":
+        world.host.fail_at("load", "cam", "the camera is unplugged")
+        world.host.kill(manager)
+    else:
+        world.host.hang(manager)
+        world.kill_manager()
+    world.manager.look()
+    assert world.states() != {"/cam": "RUNNING"}
+    assert wiring_of(world.manager.get_model()) == before
 
 
 def test_what_runs_is_brought_to_what_the_file_says(client, file):
