@@ -59,13 +59,14 @@ class External(Peer):
         name: str,
         is_node: bool = False,
         on_gone: Callable[[External], None] | None = None,
+        is_foreign: bool = False,
     ) -> None:
         """Prepare; a ``wake`` begins to look for a nodelet manager, or a re-wirable node.
 
-        A foreign one has ``on_gone``, which is called when it has been gone for so long that it is
-        not looked for.
+        One that the settings do not name has ``on_gone``, which is called when it has been gone
+        for so long that it is not looked for.
         """
-        self.is_foreign = on_gone is not None
+        self.is_foreign = is_foreign
         self._gone = ProcessState(name, own=False, responsive=False, foreign=self.is_foreign)
         unseen = replace(self._gone, away=True, unseen=True)
         super().__init__(context, name, is_node, Presence(unseen, "it has not answered yet"))
@@ -190,7 +191,7 @@ class External(Peer):
             return
         if now.responsive:
             _log.info("%s is there (%s)", self.title, now.incarnation)
-        elif not self.is_foreign or now.alive:
+        elif not self._on_gone or now.alive:
             _log.warning("%s cannot be polled: %s", self.title, self.presence.trouble)
         elif old.alive:
             _log.info("%s is gone", self.title)
@@ -252,8 +253,13 @@ class Externals:
 
     def use(self, managers: Iterable[str]) -> None:
         """Use nodelet managers as named ones, unless they are certainly gone; waits for that."""
+
+        def drop(gone: External) -> None:
+            if not gone.state.away:
+                self._drop(gone, unless_expected=True)
+
         new = [
-            External(self._context, name)
+            External(self._context, name, on_gone=drop)
             for name in sorted(set(managers))
             if name not in self._externals and not self._is_child(name)
         ]
@@ -317,7 +323,7 @@ class Externals:
                 kept = self._kept(name)
                 if kept is None:
                     on_gone = partial(self._drop, unless_expected=True)
-                    made = External(self._context, name, are_nodes, on_gone)
+                    made = External(self._context, name, are_nodes, on_gone, is_foreign=True)
                     kept = self._kept(name, made) or made
                     if kept is not made:
                         made.close()

@@ -434,12 +434,16 @@ class RosHost(Host):
         """List the nodelets of a process; unload those whose load had been given up."""
         found = peer.nodelets(number, incarnation)
         late = peer.take_late(found)
-        for name in late:
-            try:
+        left = set(late)
+        try:
+            for name in sorted(late):
+                left.discard(name)
                 self.unload(peer.name, name)
-            except HostTimeout:
-                peer.late.add(name)  # it is unloaded after the next look
-                raise
+        except HostTimeout:
+            left.add(name)
+            raise
+        finally:
+            peer.late |= left  # they are unloaded after the next look
         return sorted(found.keys() - late)
 
     def _start_node(self, request: LoadRequest, timeout: float) -> None:

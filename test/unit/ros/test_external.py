@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 from typing import List
 
 import pytest
@@ -22,6 +23,7 @@ from dyknow.periodic import LONGEST_TICK, RunningClock
 from dyknow.ros.hosting import external, grants
 from dyknow.ros.hosting.external import External, Externals
 from dyknow.ros.hosting.grants import DURATION, Lease, PeerContext
+from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
 
@@ -83,6 +85,50 @@ def test_those_with_nodelets_of_an_earlier_life_are_used_unless_they_are_gone(gr
     assert [each.name for each in externals.all()] == [FAR, "/named"]
     assert externals.find(FAR).state.responsive
     assert not externals.find(FAR).is_foreign
+    externals.close()
+
+
+def test_late_nodelets_are_unloaded_though_the_unload_of_one_takes_long(graph, monkeypatch):
+    graph.nodes[FAR] = SmallManager()
+    graph.nodes[FAR].nodelets = ["/a", "/b", "/c"]
+    children = SimpleNamespace(find=lambda name: None, all=list)
+    host = RosHost(context(graph), children, SimpleNamespace(), [FAR])
+    tries = []
+
+    def unload(manager, name):
+        tries.append(name)
+        if len(tries) == 1:
+            raise HostTimeout(f"{name} is not unloaded yet")
+        graph.nodes[FAR].nodelets.remove(name)
+
+    monkeypatch.setattr(host, "unload", unload)
+    host.start()
+    eventually(lambda: host.states()[FAR].responsive)
+    host._external.find(FAR).late.update(["/a", "/b"])
+    with pytest.raises(HostTimeout):
+        host.list(FAR)
+    assert host.list(FAR) == ["/c"]
+    host.close()
+
+
+def test_one_of_an_earlier_life_is_forgotten_when_a_slow_master_says_that_it_is_gone(
+    graph, monkeypatch
+):
+    monkeypatch.setattr(external, "_PATIENCE", 0.0)
+    monkeypatch.setattr(External.look_now, "__defaults__", (0.05,))
+    answer = threading.Event()
+
+    class SlowMaster(Master):
+        def node(self, name):
+            answer.wait()
+            return super().node(name)
+
+    externals = Externals(PeerContext(SlowMaster("/test", graph.uri)))
+    externals.use([FAR])
+    (kept,) = externals.all()
+    assert kept.state.unseen
+    answer.set()
+    eventually(lambda: externals.all() == [])
     externals.close()
 
 
