@@ -490,11 +490,14 @@ class Lifecycle:
             self._unload(record)
         self.dispose(record)
 
-    def clear(self, record: Record) -> None:
-        """Destroy a nodelet in any state, later if it was up and its process does not answer."""
+    def clear(self, record: Record, is_heard: bool = True) -> None:
+        """Destroy a nodelet in any state, later if it was up and its process does not answer.
+
+        Unless ``is_heard``, nothing is known yet of a process that does not answer.
+        """
         if self._take_down(record):
             self._graph.remove(record.name)
-        elif self._host.reported(record.manager, record.name) is None:
+        elif is_heard and self._host.reported(record.manager, record.name) is None:
             self.forget(record)
         else:
             self._destroy_later(record)
@@ -537,11 +540,17 @@ class Lifecycle:
 
     def dispose(self, record: Record) -> None:
         """Delete the parameters of a nodelet that is gone, and end its own process."""
-        if record.is_spawned and record.transformation is not None:
-            declared = [each.name for each in record.transformation.parameters]
-            self._host.forget(record.name, [*declared, *names_of(record.parameters)])
+        if record.is_spawned:
+            self._host.forget(record.name, parameter_names(record))
         if record.isolated:
             self._host.retire(record.manager)
+
+
+def parameter_names(record: Record) -> list[str]:
+    """List the parameters that the load of a nodelet sets."""
+    made = record.transformation
+    declared = [each.name for each in made.parameters] if made is not None else []
+    return [*declared, *names_of(record.parameters)]
 
 
 def _check_ports(

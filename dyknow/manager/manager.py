@@ -150,11 +150,14 @@ class Manager:
         """Restart a nodelet, or a nodelet manager with all its nodelets."""
         name = self.resolve(name)
         self.guards.check_writable(f"restarting '{name}'")
-        return self.renew(name)
+        return self._restarts.restart(name)
 
     def renew(self, name: str) -> Restarted:
-        """Restart what the watchdog has found; also in read-only mode, which binds users."""
-        return self._restarts.restart(name)
+        """Restart what the watchdog has found; also in read-only mode, which binds users.
+
+        Nodelets that could not be made today hold up no neighbours.
+        """
+        return self._restarts.restart(name, is_forced=True)
 
     def move(self, name: str, manager: str) -> None:
         """Move a nodelet to another nodelet manager of its host, without a lost message."""

@@ -90,7 +90,7 @@ class Observer:
         for record in records:
             self._suspects.know(record)
             if record.state is State.STARTING and not record.incarnation:
-                self._lifecycle.clear(record)
+                self._lifecycle.clear(record, is_heard=False)
             else:
                 self._graph.put(record)
         for state in self._host.states().values():  # whose spawn never returned

@@ -17,6 +17,7 @@ from typing import Iterator
 
 from dyknow.errors import (
     CannotMove,
+    DyKnowError,
     HostError,
     HostTimeout,
     MoveFailed,
@@ -25,7 +26,7 @@ from dyknow.errors import (
 )
 from dyknow.manager.host import Host, ProcessState
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import Lifecycle, ManagerContext
+from dyknow.manager.lifecycle import Lifecycle, ManagerContext, parameter_names
 from dyknow.manager.record import NOTHING_HEARD, Record
 from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.model.graph import OUTDATED, NodeletKind, Restarted, State
@@ -44,8 +45,10 @@ class Restarts:
         self._guards = context.guards
         self._lifecycle = lifecycle
 
-    def restart(self, name: str) -> Restarted:
+    def restart(self, name: str, is_forced: bool = False) -> Restarted:
         """Restart a nodelet, or a nodelet manager with all its nodelets.
+
+        Those that could not be made today run on, unless ``is_forced``: then the rest comes back.
 
         Raises:
             UnknownNodelet: there is none of that name.
@@ -53,18 +56,18 @@ class Restarts:
             RestartFailed: it did not come up again.
         """
         if self._graph.find(name) is not None:
-            return self._restart_nodelet(name)
+            return self._restart_nodelet(name, is_forced)
         state = self._host.states().get(name)
         if state is None:
             raise UnknownNodelet(name, {*self._graph.records, *self._host.states()})
         if state.isolated_for:
-            return self._restart_nodelet(state.isolated_for)
+            return self._restart_nodelet(state.isolated_for, is_forced)
         if not state.own:
             raise HostError(
                 f"nodelet manager '{name}' was not started by this manager: restart it where it "
                 "was started"
             )
-        return self._restart_process(state)
+        return self._restart_process(state, is_forced)
 
     def move(self, name: str, target: str) -> None:
         """Move a nodelet to another nodelet manager: no message is lost, or received twice.
@@ -104,18 +107,18 @@ class Restarts:
                 is_back = self._lifecycle.restore(back) is None
                 raise MoveFailed(name, target, problem, is_back) from problem
 
-    def _restart_nodelet(self, name: str) -> Restarted:
+    def _restart_nodelet(self, name: str, is_forced: bool) -> Restarted:
         with self._graph.restart([name]) as records:
             if not records:
                 raise UnknownNodelet(name, self._graph.records)
             (record,) = records
-            fresh = self._renewed(record)
+            fresh = self._renewed(record, is_forced)
             self._graph.put(_ending(record))
             try:
                 self._lifecycle.end(record)
             except HostTimeout:
                 later = "it is restarted as soon as it is unloaded"
-                self._graph.put(_late(fresh if fresh.manager else record, later))
+                self._put_late(fresh if fresh.manager else record, record, later)
                 raise
             except HostError:
                 self._graph.put(record)
@@ -123,7 +126,7 @@ class Restarts:
             self._bring_back(record, fresh)
             return Restarted((name,), "\n".join(self._remarks(record)))
 
-    def _restart_process(self, state: ProcessState) -> Restarted:
+    def _restart_process(self, state: ProcessState, is_forced: bool) -> Restarted:
         hosted = [each.name for each in self._graph.all() if each.manager == state.name]
         with self._graph.restart(hosted) as found:
             records = [each for each in found if not each.unwanted]
@@ -133,7 +136,7 @@ class Restarts:
                     f"nodelet manager '{state.name}' runs {', '.join(strangers)}, which this "
                     "manager did not make and cannot bring back; unload that first"
                 )
-            renewed = [(each, self._renewed(each)) for each in records]
+            renewed = [(each, self._renewed(each, is_forced)) for each in records]
             self._graph.put(*[_starting(each) for each in records])
             self._host.renew(state.name)  # if that fails, the next look finds how they are
             for record in found:
@@ -151,8 +154,11 @@ class Restarts:
             remarks = [text for record in records for text in self._remarks(record)]
         return Restarted(tuple([each.name for each in records]), "\n".join(remarks))
 
-    def _renewed(self, record: Record) -> Record:
-        """Return a nodelet as it would be made today; raises DyKnowError if it cannot be."""
+    def _renewed(self, record: Record, is_forced: bool) -> Record:
+        """Return a nodelet as it would be made today.
+
+        If it cannot be, it is returned as it is if that ``is_forced``; else DyKnowError is raised.
+        """
         made = record.transformation
         if made is None or not record.is_spawned:
             raise HostError(
@@ -160,6 +166,14 @@ class Restarts:
             )
         if record.unwanted:
             raise HostError(f"'{record.name}' is to be destroyed as soon as it answers")
+        try:
+            return self._todays(record, made)
+        except DyKnowError:
+            if not is_forced:
+                raise
+            return replace(record, detail=_RESTARTING)
+
+    def _todays(self, record: Record, made: Transformation) -> Record:
         blueprint = todays(record, self._library) or made
         if blueprint.type == NODE:
             self._guards.check_program(Program.of(blueprint.source).name, is_own=True)
@@ -192,10 +206,17 @@ class Restarts:
             failed = self._graph.get(record.name)
             if failed.superseded:  # its load may end yet, and is undone first
                 former = replace(record, manager=failed.manager, incarnation=failed.incarnation)
-                self._graph.put(_late(former, failed.detail))
+                self._put_late(former, failed, failed.detail)
             else:
                 is_back = self._lifecycle.restore(replace(record, detail=_RESTARTING)) is None
         raise RestartFailed(record.name, error, is_back) from error
+
+    def _put_late(self, record: Record, before: Record, detail: str) -> None:
+        """Show a nodelet that the observer unloads, and brings back without former parameters."""
+        kept = parameter_names(record)
+        gone = [each for each in parameter_names(before) if each not in kept]
+        self._host.forget(record.name, gone)
+        self._graph.put(_late(record, detail))
 
     def _remarks(self, before: Record) -> Iterator[str]:
         """List the parts that a restart has not kept, or not renewed."""

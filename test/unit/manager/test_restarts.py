@@ -333,6 +333,35 @@ def test_a_late_load_of_a_new_specification_gives_way_to_the_former_one(world: W
     assert world.manager.graph.get("/front").status.outdated, "its specification is the former"
 
 
+@pytest.mark.parametrize("late", ["load", "unload"])
+def test_a_late_restart_leaves_no_parameters_of_the_other_specification(
+    world: World, late: str
+) -> None:
+    world.spawn("camera", "front", config={"image": "/a"})
+    renamed = CAMERA.replace('name="rate"', 'name="hz"')
+    world.manager.add_transformation(renamed)
+
+    def fail(operation: str, argument: str) -> None:
+        if (operation, late) == ("loaded", "load"):
+            world.host.slow.add("/front")
+            raise HostTimeout("it was not up in time")
+
+    world.host.fail = fail
+    if late == "unload":
+        world.host.slow.add("/front")
+    with pytest.raises((RestartFailed, HostTimeout)):
+        world.manager.restart("front")
+    world.host.recover()
+    world.host.slow.clear()
+    world.host.arrive()
+    look_later(world)
+    assert world.states() == {"/front": "RUNNING"}
+    kept = "/front/rate" if late == "load" else "/front/hz"
+    assert world.host.parameters == {kept: 30.0}
+    world.manager.destroy("front")
+    assert world.host.parameters == {}
+
+
 def test_a_nodelet_that_may_still_run_keeps_its_parameters(world: World) -> None:
     """The manager is killed before it notes that undoing a load was late."""
     world.spawn("camera", "front", config={"image": "/a"})
@@ -360,6 +389,33 @@ def test_a_nodelet_that_may_still_run_keeps_its_parameters(world: World) -> None
     world.manager.look()
     assert world.states() == {"/front": "RUNNING"}
     assert world.host.parameters == {"/front/rate": 30.0}
+
+
+def test_a_spawn_that_never_returned_is_undone_when_its_process_answers(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manager was killed amid it; its next life has heard nothing of the process."""
+
+    def kill(operation: str, argument: str) -> None:
+        if operation in ("loaded", "unload"):
+            raise Killed
+
+    world.host.fail = kill
+    with pytest.raises(Killed):
+        world.spawn("camera", "front", config={"image": "/a"})
+    world.host.recover()
+    manager = world.manager.graph.get("/front").manager
+    world.host.hang(manager)
+    reported = world.host.reported
+    monkeypatch.setattr(
+        world.host,
+        "reported",
+        lambda host, name: None if world.host.is_hung(manager) else reported(host, name),
+    )
+    world.kill_manager()
+    world.host.wake(manager)
+    look_later(world)
+    assert (world.states(), world.host.running, world.host.parameters) == ({}, [], {})
 
 
 def test_a_nodelet_manager_is_restarted_with_all_its_nodelets(world: World) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 from clocks import HandClock
-from unit.manager.world import World
+from unit.manager.world import RELAY, World
 
 from dyknow.errors import Denied, HostTimeout
 from dyknow.guards import Guards
@@ -179,3 +179,21 @@ def test_a_read_only_manager_has_a_watchdog(tmp_path):
     assert world.states() == {"/a": "RUNNING"}
     with pytest.raises(Denied, match="read-only"):
         manager.restart("/a")
+
+
+@pytest.mark.parametrize("fault", ["code", "type"])
+def test_a_nodelet_that_could_not_be_made_today_holds_up_no_neighbours(watched, fault):
+    world, host = watched.world, watched.host
+    world.spawn("relay", "/r")
+    if fault == "code":
+        host.broken.add("pkg/Relay")
+    else:
+        world.manager.add_transformation(RELAY.replace("pkg/Relay", "pkg/Unknown"))
+    before = watched.incarnation(watched.shared)
+    host.hang(watched.shared)
+    watched.pass_time(60)
+    assert watched.incarnation(watched.shared) != before
+    assert {name: world.states()[name] for name in ("/a", "/b")} == {
+        "/a": "RUNNING",
+        "/b": "RUNNING",
+    }
