@@ -113,7 +113,7 @@ class ManagerSettings:
                 for name in _strings("nodelet_managers")
             ),
             num_nodelet_managers=_integer("num_nodelet_managers", 1),
-            state_dir=_string("state_dir"),
+            state_dir=_folder("state_dir"),
             ontologies=_strings("ontologies"),
             catalogues=_strings("catalogues"),
             language=_string("language", cls.language),
@@ -199,6 +199,15 @@ def _read(name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -
 
 def _string(name: str, default: str = "") -> str:
     return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
+
+
+def _folder(name: str) -> str:
+    """Read a folder, and make the parameter absolute: others may read it in another folder."""
+    given = _string(name)
+    folder = given and os.path.abspath(os.path.expanduser(given))
+    if folder != given:
+        rospy.set_param(f"~{name}", folder)
+    return folder
 
 
 def _one_of(name: str, *values: str) -> str:
