@@ -330,6 +330,9 @@ def _doctor(arguments: argparse.Namespace, shell: Shell) -> int | None:
             found[name] = list(check())
         except (DyKnowError, LookupError) as error:
             found[name] = [Finding(name, f"cannot be examined: {error}", "run doctor again")]
+        except Exception as error:  # a boundary: the other checks find what they find
+            problem = f"cannot be examined: {type(error).__name__}: {error}"
+            found[name] = [Finding(name, problem, "run doctor again; else report this")]
         if not found[name] and not arguments.quiet:
             lines.append(f"ok       {name}")
         for each in found[name]:

@@ -173,15 +173,23 @@ class Doctor:
 
     def names_of_hosts(self) -> Iterator[Finding]:
         """Find names of hosts that this machine cannot resolve, its own among them."""
-        own = rosgraph.network.get_host_name()
-        hosts = {each.host: each.name for each in self.nodes.values() if each.uri}
-        for host, node in sorted({**hosts, own: "this machine"}.items()):
+        hosts: dict[str, str] = {}
+        for each in self.nodes.values():
+            try:
+                hosts[each.host] = each.name
+            except ValueError:
+                if each.uri:
+                    cure = "end the program that has registered it, and start it again"
+                    yield Finding(each.name, f"its address '{each.uri}' is no URL", cure)
+        hosts[rosgraph.network.get_host_name()] = "this machine"
+        for host, node in sorted(hosts.items()):
             try:
                 socket.getaddrinfo(host, None)
-            except OSError as error:
+            except (OSError, ValueError) as error:
+                why = error.strerror if isinstance(error, OSError) else "it is no name of a host"
                 yield Finding(
                     host,
-                    f"the name of the host of {node} does not resolve here: {error.strerror}",
+                    f"the name of the host of {node} does not resolve here: {why}",
                     "set ROS_IP or ROS_HOSTNAME where the node starts, or add the name to "
                     "/etc/hosts on every host",
                 )
@@ -339,7 +347,7 @@ class Doctor:
         for name, answer in self._polls.items():
             if isinstance(answer, str) and OTHER_VERSION in answer:
                 yield Finding(name, "was started with another version of DyKnow", "restart it")
-        changed = max(file.stat().st_mtime for file in self.code.rglob("*.py"))
+        changed = _last_change(self.code)
         moment = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(changed))
         for name, process in self._processes:
             with contextlib.suppress(psutil.Error):
@@ -373,6 +381,7 @@ class Doctor:
             ("the state of the DyKnow manager", os.path.dirname(self._state_path(""))),
             ("the logs of ROS", rospkg.get_log_dir()),
         ):
+            path = os.path.abspath(path)  # the folder above a relative one is ""
             while not os.path.exists(path):
                 path = os.path.dirname(path)
             device = os.stat(path).st_dev
@@ -395,3 +404,12 @@ class Doctor:
             return self._master.ask("getParam", name)
         except LookupError:
             return None
+
+
+def _last_change(code: Path) -> float:
+    """Return when the newest module in a folder was changed; a dangling link is none."""
+    changed = 0.0
+    for file in code.rglob("*.py"):
+        with contextlib.suppress(OSError):
+            changed = max(changed, file.stat().st_mtime)
+    return changed

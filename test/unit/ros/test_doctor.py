@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`dyknow doctor` on odd names of hosts, folders and files; checks that break."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.manager.world import World
+
+from dyknow.ros.shell.doctor import Doctor, NodeFacts
+
+LITTLE = (2**40, 2**40 - 2**20, 2**20)
+
+
+class Parameters:
+    """A master without nodes, which has these parameters."""
+
+    uri = "http://localhost:11311"
+
+    def __init__(self, **values: str) -> None:
+        self.values = {f"/dyknow_manager/{name}": value for name, value in values.items()}
+
+    def ask(self, question: str, *args: str) -> Any:
+        if question != "getParam":
+            return [[], [], []]
+        if args[0] not in self.values:
+            raise LookupError(args[0])
+        return self.values[args[0]]
+
+
+def doctor(*nodes: NodeFacts, parameters: Any = None, **options: Any) -> Doctor:
+    client = FakeClient(World())
+    client.manager = "/dyknow_manager"
+    made = Doctor(client, **options)  # type: ignore[arg-type]
+    vars(made).update(nodes={each.name: each for each in nodes})
+    vars(made).update(_master=parameters or Parameters(), _polls={}, _processes=[])
+    return made
+
+
+@pytest.mark.parametrize("host", ["robot..local", "a" * 64])
+def test_what_cannot_be_the_name_of_a_host(host):
+    (found,) = doctor(NodeFacts("/odd", f"http://{host}:1/")).names_of_hosts()
+    assert found.subject == host
+    assert "host of /odd does not resolve here: it is no name of a host" in found.problem
+
+
+def test_an_address_that_is_no_url():
+    nodes = (
+        NodeFacts("/odd", "nonsense"),
+        NodeFacts("/none", ""),
+        NodeFacts("/a", "http://[::1]:1/"),
+    )
+    (found,) = doctor(*nodes).names_of_hosts()
+    assert (found.subject, found.problem) == ("/odd", "its address 'nonsense' is no URL")
+
+
+def test_code_with_a_dangling_link(tmp_path):
+    """As Emacs makes one beside a file that is edited."""
+    (tmp_path / ".#edited.py").symlink_to("me@host.1234:1")
+    assert list(doctor(code=tmp_path).versions()) == []
+
+
+@pytest.mark.parametrize("variable", ["ROS_HOME", "ROS_LOG_DIR"])
+def test_the_disk_of_a_relative_folder_that_is_not_there(variable, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(variable, "none/there")
+    asked = []
+    for _ in doctor(disk_usage=lambda path: asked.append(path) or LITTLE).disks():
+        pass
+    assert str(tmp_path) in asked
+
+
+def test_the_disk_of_a_relative_state_dir(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    parameters = Parameters(state_dir="none/there")
+    found = list(doctor(parameters=parameters, disk_usage=lambda path: LITTLE).disks())
+    assert found[0].subject == str(tmp_path)
+
+
+def test_a_check_that_breaks_hides_no_other(monkeypatch):
+    def breaks():
+        raise ValueError("some")
+
+    monkeypatch.setattr(Doctor, "checks", lambda doctor: [("one", breaks), ("two", tuple)])
+    done = run(FakeClient(World()), "doctor")
+    assert done.code == 1
+    assert "ERROR    one: cannot be examined: ValueError: some\n" in done.out
+    assert "ok       two\n2 checks: 1 error, 0 warnings\n" in done.out
