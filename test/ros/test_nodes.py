@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 import graph
+import psutil
 import rospy
 from cpp_suite import OURS, PRELOADED, RUN, CppManager
 from graph import Manager, WordsCase, connect, hears
@@ -22,12 +23,14 @@ from processes import (
     NODELET,
     STOCK_NODELET,
     Done,
+    Running,
     becomes,
     eventually,
     finished,
     run,
 )
 
+from dyknow.cli.shell import INTERRUPTED
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import NodeletKind, State
@@ -207,6 +210,16 @@ class NodesTest(WordsCase, GuardedCase):
         code, printed = finished([*PROBE, "topic_tools", "throttle"])
         self.assertEqual(code, 1)
         self.assertIn("the node ended by itself; it printed at last:", printed)
+
+    def test_a_probe_that_is_ended_ends_its_node(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            with Running(*PROBE, "--settle", "600", "topic_tools", "relay", "/a", "/b") as probe:
+                eventually(lambda: registrations("/dyknow_probe"), 30.0, "its node is up")
+                (process,) = psutil.Process(probe.pid).children()
+                probe.stop(number)
+                self.assertEqual(probe.exit_code(10.0), INTERRUPTED, probe.output)
+            self.assertFalse(process.is_running())
+            becomes(lambda: registrations("/dyknow_probe") + parameters("/dyknow_probe"), [])
 
 
 class ForeignTest(GuardedCase):

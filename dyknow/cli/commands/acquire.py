@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import dataclasses
 import os
-import signal
 import socket
 import time
 from typing import TYPE_CHECKING, Any, Iterable
@@ -111,7 +110,6 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
         claim, answer = _ask(arguments, shell, arguments.lease)
         shell.show(_acquired_json(claim, answer), _describe(claim, answer))
         return None
-    signal.signal(signal.SIGTERM, _interrupt)
     events = shell.client.stream_events()  # before the claim is made: no event is missed
     claim, answer = _ask(arguments, shell, _LEASE)
     try:
@@ -210,7 +208,3 @@ def _describe(claim: StreamStatus, answer: Acquisition | None = None) -> Iterabl
         yield f"  {claim.detail}"
     if claim.nodelets:
         yield f"  nodelets {' '.join(claim.nodelets)}"
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt

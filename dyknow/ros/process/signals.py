@@ -31,14 +31,31 @@ INTERRUPTED = 130
 ENDS, RAISES = signal.SIG_DFL, signal.default_int_handler
 
 
+#: Signals that end a command as SIGINT does, from a supervisor and from a terminal that is closed.
+ENDING = (signal.SIGTERM, signal.SIGHUP)
+
+
+def raise_once(number: int, frame: Any) -> None:
+    """Raise KeyboardInterrupt, and ignore the signal from then on.
+
+    A terminal that is closed sends SIGHUP twice: the second must not stop what then cleans up.
+    """
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def sigint(handler: Any, *others: int) -> contextlib.AbstractContextManager[None]:
+    """Handle SIGINT and other signals as `handled` does."""
+    return handled(handler, signal.SIGINT, *others)
+
+
 @contextlib.contextmanager
-def sigint(handler: Any, *others: int) -> Iterator[None]:
-    """Handle SIGINT, unless it is ignored, and other signals so; as before at the end."""
-    is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    numbers = others if is_ignored else (signal.SIGINT, *others)
+def handled(handler: Any, *numbers: int) -> Iterator[None]:
+    """Handle signals so, except those that are ignored; as before at the end."""
     former = {number: signal.getsignal(number) for number in numbers}
+    former = {each: before for each, before in former.items() if before is not signal.SIG_IGN}
     try:
-        for number in numbers:
+        for number in former:
             signal.signal(number, handler)
         yield
     finally:

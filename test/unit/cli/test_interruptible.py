@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from dyknow.ros.process.signals import ENDS, RAISES, sigint
+from dyknow.cli import main as command_line
+from dyknow.cli.shell import INTERRUPTED
+from dyknow.ros.process.signals import ENDING, ENDS, RAISES, sigint
 
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
@@ -106,6 +108,34 @@ def test_sigint_does_what_it_did_when_a_program_is_done():
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
     with sigint(signal.SIG_IGN), sigint(RAISES):
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
+    """Also if it comes twice, as SIGHUP does from a terminal that is closed."""
+    done = []
+
+    def run(arguments):
+        try:
+            signal.raise_signal(number)
+        finally:
+            signal.raise_signal(number)
+            done.append(arguments.command)
+
+    monkeypatch.setattr(command_line, "_run", run)
+    with sigint(ENDS, *ENDING):
+        assert command_line.main(["list"]) == INTERRUPTED
+        assert signal.getsignal(number) is signal.SIG_DFL
+    assert done == ["list"]
+
+
+def test_a_command_under_nohup_goes_on(monkeypatch):
+    monkeypatch.setattr(command_line, "_run", lambda arguments: signal.raise_signal(signal.SIGHUP))
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert not command_line.main(["list"])
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_every_program_of_ours_is_one_of_these():

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 from unit.cli.fake_client import play, run
 from unit.cli.test_completion import offered
@@ -109,13 +107,6 @@ dyknow: formula, line 1, column 1: ?c has no individuals...
 [1]
 """,
 }
-
-
-@pytest.fixture(autouse=True)
-def _signals():
-    handler = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, handler)
 
 
 def leave(client):
