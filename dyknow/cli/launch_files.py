@@ -56,21 +56,29 @@ def launch_files(package: str) -> list[str]:
 
 def arguments_of(file: str) -> list[str]:
     """Return the names of the arguments that a launch file can be given, sorted."""
-    elements = re.findall(r"<arg\s[^>]*>", _text(file))
+    return _arguments_in(_text(file))
+
+
+def _arguments_in(text: str) -> list[str]:
+    elements = re.findall(r"<arg\s[^>]*>", text)
     settable = (each for each in elements if not re.search(r"\svalue\s*=", each))
     found = (re.search(r"\sname\s*=\s*[\"']([^\"']+)", each) for each in settable)
     return sorted({match.group(1) for match in found if match})
 
 
 def unknown_arguments(
-    files: Sequence[str], loaded: Sequence[str], given: Sequence[str]
+    files: Sequence[str], loaded: Sequence[str], given: Sequence[str], piped: str = ""
 ) -> list[str]:
     """Say which of the given `NAME:=VALUE` no launch file speaks of; roslaunch ignores those.
 
-    ``files`` are the launch files that the user named, ``loaded`` those and all that they include.
+    Args:
+        files: the launch files that the user named.
+        loaded: those and all that they include.
+        given: what is given.
+        piped: the launch file on standard input.
     """
-    spoken_of = set(re.findall(r"\w+", " ".join(map(_text, loaded))))
-    declared = {name for file in files for name in arguments_of(file)}
+    spoken_of = set(re.findall(r"\w+", " ".join([piped, *map(_text, loaded)])))
+    declared = {name for text in (piped, *map(_text, files)) for name in _arguments_in(text)}
     return [
         f"no launch file has an argument '{name}'{did_you_mean(name, declared)}"
         for name in (each.partition(":=")[0] for each in given)
@@ -83,10 +91,15 @@ def explain(sources: Sequence[Source], error: BaseException) -> str:
 
     The files are read again. ``error`` was raised by roslaunch, or by an expression in a file.
     """
-    text = one_line(_message(error))
+    text = said(error)
     loader = _read_again(sources)
     place = loader.place if loader.has_failed else loader.place_of(text)
     return f"{place}: {text}" if place else text
+
+
+def said(error: BaseException) -> str:
+    """Say in one line why roslaunch does not go on, without the place."""
+    return one_line(_message(error))
 
 
 def place_of_node(sources: Sequence[Source], node: Any) -> str:

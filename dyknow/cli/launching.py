@@ -28,7 +28,7 @@ from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
 from dyknow import names
-from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node
+from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node, said
 from dyknow.cli.rewirable import NO_LIBRARY, find_in_workspaces, find_library, obstacle
 from dyknow.errors import CannotLaunch, CannotRun
 from dyknow.ros.process.programs import interpreter
@@ -199,17 +199,23 @@ def _hidden(node: Any) -> str:
 
 @contextlib.contextmanager
 def session(options: argparse.Namespace, files: Sequence[str]) -> Iterator[str]:
-    """Wait for a master if `--wait` is set, and set up roslaunch's log; yields the run's id."""
-    if options.wait:
-        rlutil._wait_for_master()
-    roslaunch.write_pid_file(options.pid, False, options.port)
+    """Wait for a master if `--wait` is set, and set up roslaunch's log; yields the run's id.
+
+    Raises:
+        CannotLaunch: the file with the process id cannot be written, or a setting is wrong.
+    """
+    with _preparing():
+        if options.wait:
+            rlutil._wait_for_master()
+        roslaunch.write_pid_file(options.pid, False, options.port)
     try:
-        run_id = rlutil.get_or_generate_uuid(options.run_id, options.wait)
-        roslaunch.configure_logging(run_id)
-        if not options.skip_log_check:
-            rlutil.check_log_disk_usage()
-        if not options.disable_title:
-            rlutil.change_terminal_name(list(files), False)
+        with _preparing():
+            run_id = rlutil.get_or_generate_uuid(options.run_id, options.wait)
+            roslaunch.configure_logging(run_id)
+            if not options.skip_log_check:
+                rlutil.check_log_disk_usage()
+            if not options.disable_title:
+                rlutil.change_terminal_name(list(files), False)
         yield run_id
     finally:
         if options.pid:
@@ -217,10 +223,23 @@ def session(options: argparse.Namespace, files: Sequence[str]) -> Iterator[str]:
                 os.unlink(options.pid)
 
 
+@contextlib.contextmanager
+def _preparing() -> Iterator[None]:
+    """Make one line of what roslaunch raises before it reads launch files."""
+    try:
+        yield
+    except (OSError, *ERRORS) as error:
+        raise CannotLaunch(said(error)) from error
+
+
 def read(
-    options: argparse.Namespace, files: Sequence[str], given: Sequence[str], run_id: str = ""
+    options: argparse.Namespace,
+    files: Sequence[str],
+    given: Sequence[str],
+    run_id: str = "",
+    piped: str = "",
 ) -> ROSLaunchParent:
-    """Make roslaunch's parent and let it read launch files; `-` stands for standard input.
+    """Make roslaunch's parent and let it read launch files; `-` stands for ``piped``.
 
     Raises:
         CannotLaunch: they cannot be read.
@@ -241,11 +260,12 @@ def read(
             force_screen=options.screen,
             force_log=options.log,
             force_required=options.required,
-            roslaunch_strs=[sys.stdin.read()] if STDIN in files else None,
+            roslaunch_strs=[piped] if STDIN in files else None,
             show_summary=not options.no_summary,
             **timeouts,
         )
-        parent._load_config()
+        with contextlib.redirect_stdout(sys.stderr):  # it says that it reads standard input
+            parent._load_config()
     except Exception as error:  # a boundary: launch files have expressions, which may raise any
         raise CannotLaunch(explain(sources, error)) from error
     return parent

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
@@ -76,20 +77,22 @@ _ROSLAUNCH = group(
 )
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli import launching
-    from dyknow.cli.launch_files import find_files, unknown_arguments
+    from dyknow.cli.launch_files import STDIN, find_files, unknown_arguments
     from dyknow.cli.launching import NodeFilter
 
     if arguments.json and not arguments.dry_run:
         arguments.refuse("--json is for --dry-run")
     if arguments.screen and arguments.log:
         arguments.refuse("--screen and --log exclude each other")
-    files = find_files(arguments.words)
+    files, given = find_files(arguments.words), arguments.given
+    piped = sys.stdin.read() if STDIN in files else ""
     chosen = NodeFilter(arguments.only, arguments.except_)
 
     def prepare(run_id: str = "") -> Any:
-        parent = launching.read(arguments, files, arguments.given, run_id)
+        parent = launching.read(arguments, files, given, run_id, piped)
         plan = launching.plan(parent, chosen)
-        for problem in unknown_arguments(files, parent.config.roslaunch_files, arguments.given):
+        loaded = parent.config.roslaunch_files
+        for problem in unknown_arguments(files, loaded, given, piped):
             shell.warn(problem)
         _check(chosen, plan, shell)
         return parent, plan

@@ -328,6 +328,35 @@ def test_standard_input_is_a_launch_file(capsys, monkeypatch):
     assert "/a    topic_tools/relay" in capsys.readouterr().out
 
 
+def test_standard_input_has_arguments_and_json_is_all_that_is_printed(capsys, monkeypatch):
+    text = f"<launch><arg name='size'/>{RELAY.format(name='a')}</launch>"
+    words = ["launch", "-", "size:=5", "sixe:=5", "--dry-run", "--json"]
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+    monkeypatch.setattr("sys.argv", ["dyknow", *words])  # where roslaunch looks for it
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert [each["node"] for each in json.loads(printed.out)["nodes"]] == ["/a"]
+    warnings = [line for line in printed.err.splitlines() if "warning" in line]
+    assert warnings == [
+        "dyknow: warning: no launch file has an argument 'sixe'; did you mean size?"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "environment", "message"),
+    [
+        (["--pid", "/none/such"], {}, "No such file or directory: '/none/such'"),
+        ([], {"ROS_MASTER_URI": "nonsense"}, "invalid master URI: nonsense"),
+    ],
+)
+def test_what_cannot_be_prepared(words, environment, message, folder, capsys, monkeypatch):
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    write(folder / "a.launch", RELAY.format(name="relay"))
+    assert main(["launch", "a.launch", *words]) == 1
+    assert capsys.readouterr().err == f"dyknow: {message}\n"
+
+
 def test_an_exception_that_matches_no_node(folder, capsys):
     write(folder / "a.launch", RELAY.format(name="relay"))
     assert main(["launch", "a.launch", "--except", "x/*", "--dry-run"]) == 0
