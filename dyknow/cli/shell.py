@@ -98,6 +98,18 @@ class Shell:
         shown = [json.dumps(value, indent=indent)] if self.as_json else lines
         self.write("".join(line + "\n" for line in shown))
 
+    def show_file(self, value: Any, text: str) -> None:
+        """Print what may become a file, in UTF-8 whatever the locale's encoding is."""
+        if self.as_json:
+            self.show(value, ())
+            return
+        with written(self.out):
+            if hasattr(self.out, "buffer"):
+                self.out.flush()
+                self.out.buffer.write(text.encode("utf-8"))
+            else:
+                self.out.write(text)
+
     def write(self, text: str) -> None:
         """Print a text as it is."""
         with written(self.out):

@@ -43,13 +43,11 @@ _FILES = argument("files", "FILE", f"specifications; {STDIO} for standard input"
 )
 def _library(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
-    if arguments.long:
-        lines: Iterable[str] = _long_list(chosen)
-    elif arguments.labels:
-        lines = (each.to_xml().rstrip("\n") for each in chosen)
+    value = {"transformations": [transformation_json(each) for each in chosen]}
+    if arguments.labels and not arguments.long:
+        shell.show_file(value, "".join(each.to_xml() for each in chosen))
     else:
-        lines = (each.label for each in chosen)
-    shell.show({"transformations": [transformation_json(each) for each in chosen]}, lines)
+        shell.show(value, _long_list(chosen) if arguments.long else [it.label for it in chosen])
 
 
 def _long_list(transformations: Sequence[Transformation]) -> list[str]:
@@ -122,7 +120,7 @@ def _export(arguments: argparse.Namespace, shell: Shell) -> None:
             [f"wrote {count(len(chosen), 'transformation')} to {arguments.output}"],
         )
     else:
-        shell.show({"labels": labels, "specification": text}, [text.rstrip("\n")])
+        shell.show_file({"labels": labels, "specification": text}, text)
 
 
 def specification_text(transformations: Iterable[Transformation]) -> str:

@@ -130,17 +130,17 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
             if port not in shared
         ),
     )
-    lines = [transformation.to_xml().rstrip("\n")]
+    text = transformation.to_xml()
     if shared:
         further = ", ".join(f"{port.name} ({port.direction})" for port in shared)
-        lines.insert(0, f"<!-- Further topics, which the node shares with others: {further} -->")
-    shell.show(
+        text = f"<!-- Further topics, which the node shares with others: {further} -->\n{text}"
+    shell.show_file(
         {
             "transformation": transformation_json(transformation),
             "specification": transformation.to_xml(),
             "not_declared": [port.name for port in shared],
         },
-        lines,
+        text,
     )
 
 

@@ -40,19 +40,18 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     for nodelet in left_out:
         shell.warn(f"'{nodelet.name}' is not saved: it was not spawned from a transformation")
     text = wiring.to_xml()
-    if arguments.file == STDIO and not shell.as_json:
-        shell.write(text)
+    saved = {
+        "file": arguments.file,
+        "nodelets": [nodelet.name for nodelet in wiring.nodelets],
+        "transformations": [each.label for each in wiring.transformations],
+        "left_out": [nodelet.name for nodelet in left_out],
+    }
+    if arguments.file == STDIO:
+        shell.show_file({**saved, "wiring": text}, text)
         return
-    if arguments.file != STDIO:
-        write_file(arguments.file, text.encode("utf-8"))
+    write_file(arguments.file, text.encode("utf-8"))
     shell.show(
-        {
-            "file": arguments.file,
-            "nodelets": [nodelet.name for nodelet in wiring.nodelets],
-            "transformations": [each.label for each in wiring.transformations],
-            "left_out": [nodelet.name for nodelet in left_out],
-            **({"wiring": text} if arguments.file == STDIO else {}),
-        },
+        saved,
         [
             f"saved {count(len(wiring.nodelets), 'nodelet')} and "
             f"{count(len(wiring.transformations), 'transformation')} to {arguments.file}"

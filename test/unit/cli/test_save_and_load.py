@@ -5,10 +5,15 @@
 
 from __future__ import annotations
 
+import io
+from typing import Any
+
 import pytest
 from unit.cli.fake_client import FakeClient, play, run
 from unit.manager.world import World
 
+from dyknow.cli.main import execute, parse
+from dyknow.cli.shell import Shell
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, SpawnRequest, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
@@ -30,6 +35,21 @@ def _file(tmp_path, monkeypatch):
     client.world.spawn("native", "n", config={"image": "/raw", "~out": "small"}, isolated=True)
     assert run(client, "save w.xml").code == 0
     return tmp_path / "w.xml"
+
+
+@pytest.mark.parametrize("command", ["save -", "export", "library camera"])
+def test_standard_output_is_utf8_in_every_locale(command):
+    """As the text of a file is: an XML file without a declaration is."""
+    client: Any = FakeClient(World())
+    text = client.world.manager.library.get("camera").to_xml()
+    client.world.manager.add_transformation(
+        text.replace(">30<", ">30 ü<").replace("double", "string")
+    )
+    client.world.spawn("camera", "cam")
+    out = io.TextIOWrapper(io.BytesIO(), "latin-1", "backslashreplace")
+    arguments = parse(command.split())
+    assert execute(arguments, Shell(lambda: client, False, out, io.StringIO())) == 0
+    assert "30 ü" in out.buffer.getvalue().decode("utf-8")
 
 
 def replace(file, old, new):
