@@ -11,7 +11,7 @@ expected value. ``dyknow.ros`` alone turns exceptions into answers of services.
     DyKnowError
     ├── InvalidName, BadParameter, NoMessageClass, BadQueueSize, TypeMismatch, RemappedTopic
     ├── HandleClosed, PeerTimeout, Denied, LimitExceeded, NeedsProcess, StoreError, FormulaError
-    ├── BadImage
+    ├── BadImage, NotUtf8
     ├── SpecificationError, CannotLaunch, ManagerUnreachable, NodeletUnreachable
     ├── NodeletError
     │   ├── NameTaken, UnknownNodelet, UnknownNodeletType, BrokenPlugin, BadRemapping
@@ -61,6 +61,19 @@ class InvalidName(DyKnowError):
             f"'{name}' is not a valid {what}: expected letters, digits, '_' and '/', "
             "starting with a letter, '/' or '~'"
         )
+
+
+class NotUtf8(DyKnowError, ValueError):
+    """A text cannot be sent: it has bytes of a word of the command line that is not UTF-8.
+
+    Attributes:
+        text: what was to be sent.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        shown = text.encode("utf-8", "backslashreplace").decode("utf-8")
+        super().__init__(f"'{shown}' is not UTF-8")
 
 
 class TypeMismatch(DyKnowError):

@@ -263,13 +263,13 @@ def packages(prefix: str, **_: object) -> list[str]:
     return sorted(name for name in rospkg.RosPack().list() if name.startswith(prefix))
 
 
-def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object) -> list[str]:
+def launch_words(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
     """A package or a launch file, launch files of the package, and then their arguments."""
     from dyknow.cli.launch_files import arguments_of, find_files, launch_files
 
     words = parsed_args.words or []
     if not words:
-        return [*packages(prefix), *files(prefix, **details)]
+        return [*packages(prefix), *files(prefix)]
     try:
         found = find_files([word for word in words if ":=" not in word])
     except CannotLaunch:
@@ -277,14 +277,28 @@ def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object
     return [f"{name}:=" for file in found for name in arguments_of(file)]
 
 
-def files(prefix: str, **details: object) -> list[str]:
-    """Files and folders, hidden ones only behind a dot."""
-    from argcomplete.completers import FilesCompleter
+def files(prefix: str, **_: object) -> list[str]:
+    """Files and folders, hidden ones only behind a dot; no names that are not Unicode.
 
-    found = FilesCompleter()(prefix, **details)
-    if os.path.basename(prefix).startswith("."):
-        return list(found)
-    return [each for each in found if not os.path.basename(each.rstrip("/")).startswith(".")]
+    argcomplete's own completer finds nothing in a folder with one of these.
+    """
+    begin = os.path.basename(prefix)
+    folder = prefix[: len(prefix) - len(begin)]
+    try:
+        with os.scandir(os.path.expanduser(folder) or ".") as entries:
+            found = [each.name + "/" * each.is_dir() for each in entries]
+    except OSError:
+        return []
+    named = (name for name in found if name.startswith(begin) and _is_unicode(name))
+    return sorted(folder + name for name in named if begin or not name.startswith("."))
+
+
+def _is_unicode(name: str) -> bool:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _nothing(**_: object) -> list[str]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import rosgraph.network
 
-from dyknow.errors import HostError, PeerTimeout
+from dyknow.errors import HostError, NotUtf8, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
 from dyknow.ros.wire.addresses import connect
 from dyknow.ros.wire.master import Master
@@ -149,6 +149,15 @@ class ServiceLost(HostError):
     """The server went away before it answered, or is not there."""
 
 
+def _serialized(request: Any) -> bytes:
+    buffer = BytesIO()
+    try:
+        request.serialize(buffer)
+    except UnicodeEncodeError as error:
+        raise NotUtf8(error.object) from error
+    return buffer.getvalue()
+
+
 class ServiceClient:
     """Calls one service. Safe from any thread; the calls of a persistent client take turns.
 
@@ -207,13 +216,13 @@ class ServiceClient:
             ServiceFailed: the service says that it failed.
             ServiceLost: it is not offered, or the server went away.
             PeerTimeout: no answer in time.
+            NotUtf8: a text of the request cannot be sent.
         """
         assert_no_state_lock(f"calling service {self.name}")
         request_class = self._class._request_class
         is_request = len(args) == 1 and isinstance(args[0], request_class)
-        buffer = BytesIO()
-        (args[0] if is_request else request_class(*args, **kwds)).serialize(buffer)
-        body, deadline = buffer.getvalue(), time.monotonic() + timeout
+        request = args[0] if is_request else request_class(*args, **kwds)
+        body, deadline = _serialized(request), time.monotonic() + timeout
         try:
             if not self._persistent:
                 with contextlib.closing(self._connect(deadline)) as connection:

@@ -133,7 +133,10 @@ def test_files(client, tmp_path, monkeypatch):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "x.xml").touch()
     (tmp_path / ".hidden").touch()
+    (tmp_path / os.fsdecode(b"\xff.xml")).touch()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "folder"))
+    assert offered(client, "load ~/") == ["~/x.xml"]
     assert offered(client, "import ") == ["a\\ file.xml", "folder/"]
     assert offered(client, "load folder/") == ["folder/x.xml"]
     assert offered(client, "save .h") == [".hidden"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import socket
 import struct
 import threading
@@ -17,10 +18,10 @@ from typing import Any, List, Tuple
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
-from dyknow_msgs.srv import Poll
+from dyknow_msgs.srv import Poll, RemoveTransformation
 from unit.ros.small_graph import SmallManager, small_graph
 
-from dyknow.errors import HostError, PeerTimeout
+from dyknow.errors import HostError, NotUtf8, PeerTimeout
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting.child import Child
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -54,6 +55,13 @@ def make_client(master=None, **options):
 def client(manager):
     with contextlib.closing(make_client(persistent=True)) as client:
         yield client
+
+
+def test_a_text_that_cannot_be_sent_is_named(manager):
+    """As a word of the command line that is not UTF-8."""
+    client = ServiceClient(Master("/client"), f"{NAME}/remove", RemoveTransformation)
+    with pytest.raises(NotUtf8, match=r"^'a\\udce9' is not UTF-8$"):
+        client.call(PATIENCE, label=os.fsdecode(b"a\xe9"))
 
 
 def test_calls_of_a_persistent_client_share_a_connection(manager, client):
