@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 import sys
 from typing import Any, Callable, Dict, NoReturn, Optional, Tuple
 
@@ -124,7 +125,7 @@ def _above_zero(text: str, expected: str = "seconds, such as 0.5") -> float:
 
 def seconds_or_none(text: str) -> float:
     """Read a duration of zero or more, in seconds."""
-    return 0.0 if text in ("0", "0.0") else _above_zero(text)
+    return 0.0 if re.fullmatch(r"0+(\.0*)?|\.0+", text) else _above_zero(text)
 
 
 def positive(text: str) -> int:

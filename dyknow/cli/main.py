@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 #: Arguments that roslaunch adds for every node; a command ignores them.
 _FROM_ROSLAUNCH = ("__name", "__log")
+#: A remapping, or a parameter; `:=` may also stand in a formula.
+_ROS_WORD = re.compile(r"[?~/_A-Za-z][\w/]*:=")
 _ENVIRONMENT = {
     "__ns": "ROS_NAMESPACE",
     "__master": "ROS_MASTER_URI",
@@ -109,9 +111,10 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         SystemExit: help was printed (0), or the usage is wrong (2).
     """
     # Where the shell asks for completions, its line has the words.
-    parser, _ = build_parser({*words, *os.environ.get("COMP_LINE", "").split()})
+    parser, parsers = build_parser({*words, *os.environ.get("COMP_LINE", "").split()})
     completion.autocomplete(parser)
-    words = _without_ros_words(parser, words)
+    value = _value_of_set(words, parsers["set"]) if "set" in parsers else None
+    words = _without_ros_words(parser, words, value)
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
     if not words[0].startswith("-") and words[0] not in COMMANDS:
@@ -125,13 +128,41 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     return arguments
 
 
-def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
+def _command_in(words: Sequence[str]) -> str:
+    return next((word for word in words if word in COMMANDS), "")
+
+
+def _value_of_set(words: Sequence[str], parser: Parser) -> int | None:
+    """Return the place of a value for `set` that looks like an option, or like ROS's words.
+
+    One that begins with `--` is an option, unless a word `--` stands before it.
+    """
+    if _command_in(words) != "set" or "--" in words:
+        return None
+    found: list[int] = []
+    is_of_option = False
+    for place in range(words.index("set") + 1, len(words)):
+        word = words[place]
+        option = parser._option_string_actions.get(word)
+        if option is None and not is_of_option and not word.startswith(("--", "__")):
+            found.append(place)
+        is_of_option = option is not None and option.nargs is None
+    value = words[found[2]] if len(found) > 2 else ""
+    return found[2] if value.startswith("-") or ":=" in value else None
+
+
+def _without_ros_words(
+    parser: Parser, words: Sequence[str], value_of_set: int | None = None
+) -> list[str]:
     """Drop the arguments that roslaunch adds; refuse those that would have no effect.
 
     Private parameters, `_x:=y`, become those of a spawn.
     """
+    if value_of_set is not None:
+        others = [*words[:value_of_set], *words[value_of_set + 1 :]]
+        return [*_without_ros_words(parser, others), "--", words[value_of_set]]
     plain = [word for word in words if ":=" not in word]
-    command = next((word for word in plain if word in COMMANDS), "")
+    command = _command_in(plain)
     if command in ("run", "probe"):
         return list(words)  # they are the node's
     if command == "launch":  # they are the launch file's, and may stand among the options
@@ -140,7 +171,8 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> list[str]:
     parameters: list[str] = []
     option = ""
     for word in words:
-        name, is_given, value = word.partition(":=")
+        name, _, value = word.partition(":=")
+        is_given = _ROS_WORD.match(word) is not None
         option = word if word.startswith("--") else option
         is_value = command == "spawn" and option.startswith("--param")
         if is_given and command == "spawn" and re.match("_[^_]", name):

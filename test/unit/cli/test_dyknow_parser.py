@@ -70,6 +70,9 @@ def test_examples_are_understood():
         ("connect a b:in --topic c", "one end is a topic already"),
         ("spawn relay a in:=/x", "connect a port of the new nodelet with --connect in"),
         ("spawn relay a rate:=5", "set a parameter of the new nodelet with --param rate=5"),
+        ("set cam rate:=5", "'rate:=5' would have no effect"),
+        ("set cam rate 5 _x:=y", "'_x:=y' would have no effect"),
+        ("set cam rate 5 6", "unrecognized arguments: 6"),
         ("list __ns:=/robot", "'__ns:=/robot' would have no effect: set ROS_NAMESPACE"),
         ("list __master:=http://x:1", "set ROS_MASTER_URI in the environment"),
         ("--json list a:=b", "'dyknow list' takes neither remappings nor parameters"),
@@ -124,6 +127,31 @@ def test_ports_and_arguments_of_ros():
     words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
     found = parse(words)
     assert (found.settle, found.words) == (0.5, ["/a", "_rate:=20", "--json"])
+
+
+@pytest.mark.parametrize("value", ["-5", "-5e3", "-inf", "-foo", "a:=b", "_x:=y", "--json"])
+def test_a_value_of_set_is_any_text(value):
+    words = ["--", value] if value.startswith("--") else [value]
+    for line in (
+        ["set", "--timeout", "2", "--restart", "cam", "set", *words],
+        ["--json", "set", "cam", "set", "--timeout", "2", "--restart", *words],
+    ):
+        found = parse(line)
+        given = (found.name, found.parameter, found.value, found.restart, found.timeout)
+        assert given == ("cam", "set", value, True, 2.0)
+    if not value.startswith("--"):
+        assert parse(["set", "cam", "p", value, "--restart", "__name:=x"]).value == value
+
+
+def test_a_formula_may_have_what_looks_like_a_remapping():
+    formula = 'a.data == "x:=y"'
+    assert parse(["holds", formula]).formula == formula
+    assert parse(["acquire", "Ball(x)", "--require", formula]).require == formula
+
+
+def test_durations_of_zero():
+    for text in ("0", "0.0", "0.00", "00", ".0", "0."):
+        assert parse(["acquire", "Ball(x)", "--lease", text]).lease == 0
 
 
 def test_the_manager_comes_from_the_environment(monkeypatch, capsys):
