@@ -13,11 +13,12 @@ from dyknow.cli.arguments import SEVERAL, argument, flag
 from dyknow.cli.commands.connect import PortMove, apply, find_port, meeting_topic, resolved
 from dyknow.cli.output import nodelet_json
 from dyknow.cli.shell import Shell, command
-from dyknow.errors import DuplicatePort
+from dyknow.errors import DuplicatePort, UnknownTransformation
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out, spawning
 from dyknow.model.graph import PortRef, PortState, SpawnRequest, State
 from dyknow.model.hosts import AT
 from dyknow.model.transformation import OUT, Transformation
+from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import CannotConnect
 
 _NAMES = argument("names", "NAME", "a nodelet", nargs="+")
@@ -106,14 +107,16 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         lambda: apply(shell.client, peers),
         lambda: apply(shell.client, back),
     )
+    showing = ReversibleStep(
+        f"showing '{name}'", name, lambda: show_spawned(shell, name), lambda: None
+    )
     try:
-        carry_out([spawning(request, shell.client), connecting])
+        carry_out([spawning(request, shell.client), connecting, showing])
     except StepFailed as failed:
         for trouble in failed.troubles:
             if str(failed.error) not in trouble:
                 shell.warn(trouble)
         raise failed.error from failed
-    show_spawned(shell, name)
 
 
 def show_spawned(shell: Shell, name: str) -> None:
@@ -136,7 +139,15 @@ def show_spawned(shell: Shell, name: str) -> None:
 
 
 def _declared(library: Sequence[Transformation], label: str, name: str) -> PortState:
-    """Return the port that a transformation declares."""
+    """Return the port that a transformation declares.
+
+    Raises:
+        UnknownTransformation: there is none of this label.
+        CannotConnect: it declares no such port.
+    """
+    labels = [each.label for each in library]
+    if label not in labels:
+        raise UnknownTransformation(label, did_you_mean(label, labels))
     ports = [port for each in library if each.label == label for port in each.ports]
     for port in ports:
         if port.name == name:

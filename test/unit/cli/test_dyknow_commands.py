@@ -5,12 +5,16 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 
 import pytest
 from unit.cli.fake_client import Outcome, play, run
 from unit.manager.world import TRACKER
 
+from dyknow.cli.main import execute, parse
+from dyknow.cli.shell import Shell
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.statistics import NodeletLoad
 from dyknow.ros.shell.load_meter import Loads
@@ -70,6 +74,9 @@ dyknow: ...'/s:in' is an in-port, expected an out-port first...
 [1]
 $ spawn relay u --connect inn:r:out
 dyknow: transformation 'relay' declares no port 'inn'; known ports: in, out
+[1]
+$ spawn relayy u --connect in:r:out
+dyknow: no transformation is labelled 'relayy'; did you mean relay?
 [1]
 $ spawn relay q --connect in:/a --connect in:/b
 dyknow: ...port 'in' is named twice...
@@ -420,6 +427,35 @@ def test_a_spawn_says_what_it_leaves_where_a_nodelet_manager_hangs(
     else:
         outcome = run(chain, line)
         assert outcome == Outcome(3, "", f"dyknow: warning: {said}\ndyknow: no answer\n")
+
+
+@pytest.mark.parametrize("option", ["", "--protected"])
+def test_a_spawn_that_cannot_be_shown_leaves_nothing(chain, monkeypatch, option):
+    """Ctrl-C while it starts, or a reader of the output that has gone."""
+
+    class Gone(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+        def fileno(self):
+            return pipe
+
+    reader, pipe = os.pipe()
+    os.close(reader)
+    before = chain.get_graph().nodelets
+    arguments = parse(f"spawn relay r {option}".split())
+    with pytest.raises(BrokenPipeError):
+        execute(arguments, Shell(lambda: chain, False, Gone(), io.StringIO()))
+    os.close(pipe)
+    assert chain.get_graph().nodelets == before
+
+    def interrupt(condition):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(chain, "wait_for_model", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run(chain, f"spawn relay r {option}")
+    assert chain.get_graph().nodelets == before
 
 
 def test_stats_are_watched_until_the_count(chain):
