@@ -117,7 +117,11 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
         shell.show(_acquired_json(claim, answer), lines, indent=None)
         return _hold(shell, claim.claim_id, events)
     except KeyboardInterrupt:
-        shell.client.release_stream(claim.claim_id)
+        try:
+            shell.client.release_stream(claim.claim_id)
+        except ManagerUnreachable as error:
+            shell.warn(f"{error}; claim {claim.claim_id} ends with its lease")
+            return None
         shell.show({"released": claim.claim_id}, [f"released {claim.claim_id}"], indent=None)
         return None
 
