@@ -259,7 +259,10 @@ def write_file(path: str, data: bytes) -> None:
             Path(path).write_bytes(data)
             return
         try:
-            draft.write_bytes(data)
+            with draft.open("wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())  # before the old one goes: after a crash there is one
             if whole.exists():
                 shutil.copymode(whole, draft)
             draft.replace(whole)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import io
+import os
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from unit.cli.fake_client import FakeClient, play, run
 from unit.manager.world import World
 
 from dyknow.cli.main import execute, parse
+from dyknow.cli.output import write_file
 from dyknow.cli.shell import Shell
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, SpawnRequest, State
@@ -50,6 +52,16 @@ def test_standard_output_is_utf8_in_every_locale(command):
     arguments = parse(command.split())
     assert execute(arguments, Shell(lambda: client, False, out, io.StringIO())) == 0
     assert "30 ü" in out.buffer.getvalue().decode("utf-8")
+
+
+def test_a_file_is_on_disk_before_it_replaces_the_old_one(tmp_path, monkeypatch):
+    file, seen = tmp_path / "w.xml", []
+    file.write_bytes(b"old")
+    monkeypatch.setattr(
+        os, "fsync", lambda stream: seen.append((file.read_bytes(), os.fstat(stream).st_size))
+    )
+    write_file(str(file), b"newer")
+    assert (seen, file.read_bytes()) == ([(b"old", 5)], b"newer")
 
 
 def replace(file, old, new):
