@@ -251,7 +251,7 @@ class StartTest(ManagerCase):
         manager.stop()
         [state] = Path(manager.state).glob("*.sqlite3")
         state.write_bytes(b"not a database" * 1000)
-        manager.parameters["transformations"] = [good, bad]
+        manager.command.append(f"_transformations:=[{good}, {bad}]")
         manager.start()
         self.assertIn("set aside", manager.output)
         [aside] = state.parent.glob("*.broken-*")

@@ -11,6 +11,7 @@ import os
 import signal
 from pathlib import Path
 
+import rosnode
 import rospy
 from graph import Heard
 from manager_suite import LIBRARY, MANAGER, ManagerCase, children_in, counted, gaps
@@ -62,7 +63,7 @@ class StartTest(ManagerCase):
         self.manager.start()
         self.manager.shows("/relay", out="/others")
         self.manager.stop()
-        self.assertFalse(rospy.has_param(f"{MANAGER}/wiring"))
+        self.assertEqual(rospy.get_param(f"{MANAGER}/wiring"), self.file)
         self.manager.start()
         self.is_loaded()
         self.assertEqual(len(self.manager.client.get_model().nodelets), 2)
@@ -119,6 +120,25 @@ class StartTest(ManagerCase):
             each.flows()
             self.assertEqual(gaps(list(each)), [])
 
+    def test_parameters_of_the_command_line_end_with_it(self):
+        """A manager without ``keep`` ends what one with it has left."""
+        manager = self.make()
+        words = ["_keep:=true", f"_wiring:={self.file}", f"_transformations:={self.file}"]
+        manager.command += words
+        manager.start()
+        self.is_loaded()
+        children = manager.children()
+        manager.stop()
+        self.assertTrue(all(each.alive for each in children.values()))
+        for word in words:
+            self.assertFalse(rospy.has_param(f"{MANAGER}/{word[1:].partition(':=')[0]}"), word)
+        del manager.command[-len(words) :]
+        manager.start()
+        manager.becomes("/relay", State.RUNNING)
+        self.assertEqual(manager.children(), children)
+        manager.stop()
+        self.assertFalse([name for name, each in children.items() if each.alive])
+
     def test_a_nodelet_manager_that_is_not_named_any_more_keeps_its_nodelets(self):
         manager = self.make(keep=True, nodelet_managers=["other_manager"])
         self.run_process(*NODELET, "manager", "__name:=other_manager")
@@ -152,6 +172,11 @@ class StartTest(ManagerCase):
         self.assertEqual(children_in(state), children)
         heard = self.enter(Heard("/copies", note=counted))
         heard.flows()
+        second = self.pid()
+        rosnode.kill_nodes([MANAGER])
+        eventually(lambda: self.pid() not in (second, 0), 20.0, "it is back")
+        self.is_loaded()
+        children = children_in(state)
         launch.stop()
         launch.exit_code(60.0)
         self.assertFalse([name for name, each in children.items() if each.alive])

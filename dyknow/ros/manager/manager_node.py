@@ -62,7 +62,7 @@ from dyknow.ros.manager.services import (
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.process_guards import to_environment
-from dyknow.ros.process.node_process import NodeProcess
+from dyknow.ros.process.node_process import NodeProcess, is_given
 from dyknow.ros.process.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
@@ -86,6 +86,9 @@ _PUBLISH = "publishing the model"
 #: Seconds that a thread keeps the interpreter while other threads want it. With Python's own 5 ms
 #: a plan for a client would delay a repair at each of its calls.
 _SWITCH_INTERVAL = 0.0005
+#: Parameters that the command line sets for one life. The parameter server would keep them for the
+#: next manager of the name; those of a launch file or of ``rosparam`` are meant for all lives.
+_OF_ONE_LIFE = ("transformations", "wiring", "keep")
 #: States of a claim whose stream flows as far as is known.
 _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 
@@ -111,8 +114,11 @@ class ManagerNode(Closable):
         loop: ControlLoop,
         kept: MasterKeeper,
         wirings: WiringCalls,
+        passing: Collection[str] = (),
     ) -> None:
         """Open the state and put the parts together; they work in rounds of the ``loop``.
+
+        ``passing`` are private parameters that an end on purpose deletes.
 
         Raises:
             BadParameter: the wiring cannot be used.
@@ -122,6 +128,7 @@ class ManagerNode(Closable):
         self._settings = settings
         self._loop = loop
         self._keeper = kept
+        self._passing = passing
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         most = settings.guards.nodelets
@@ -257,7 +264,7 @@ class ManagerNode(Closable):
             self.manager.end()
             self._host.release()
         if not self.leaves:
-            self._forget_files()
+            self._forget_parameters()
         self._host.close()
         self._store.close()
         if keeps:
@@ -344,12 +351,9 @@ class ManagerNode(Closable):
             ", ".join(f"{count} {what}" for what, count in found.items()),
         )
 
-    def _forget_files(self) -> None:
-        """Delete ``~transformations`` and ``~wiring``.
-
-        Otherwise the parameters would load these files into the next manager of this name, too.
-        """
-        for parameter in ("transformations", "wiring"):
+    def _forget_parameters(self) -> None:
+        """Delete the parameters that are to end with this life."""
+        for parameter in self._passing:
             with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no ROS master
                 self._master.ask("deleteParam", names.join(self._master.caller, parameter))
 
@@ -408,7 +412,8 @@ def run(argv: Sequence[str], wirings: WiringCalls) -> int:
         kept = MasterKeeper(Master(name), mirror_path())
         kept.look()  # first: a new master may lack our own parameters
         parameters = rospy.get_param("~", {})
-        node = _start(loop, kept, wirings)
+        passing = [each for each in _OF_ONE_LIFE if is_given(argv, each)]
+        node = _start(loop, kept, wirings, passing)
         back = functools.partial(come_back, parameters)
         tenure.watch(loop, rospy.get_node_uri(), functools.partial(leave, node), back)
         return node
@@ -429,11 +434,13 @@ def run(argv: Sequence[str], wirings: WiringCalls) -> int:
     return code
 
 
-def _start(loop: ControlLoop, kept: MasterKeeper, wirings: WiringCalls) -> ManagerNode:
+def _start(
+    loop: ControlLoop, kept: MasterKeeper, wirings: WiringCalls, passing: Collection[str]
+) -> ManagerNode:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings = ManagerSettings.read()
     try:
-        node = ManagerNode(settings, loop, kept, wirings)
+        node = ManagerNode(settings, loop, kept, wirings, passing)
     except StoreError as error:
         cause = error.__cause__
         if not isinstance(cause, OSError):

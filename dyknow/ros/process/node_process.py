@@ -142,7 +142,7 @@ class NodeProcess:
 
         The parameter server would keep it, and the next start would fail too.
         """
-        if any(word.startswith(f"_{parameter.lstrip('~')}:=") for word in self._argv):
+        if is_given(self._argv, parameter.lstrip("~")):
             with contextlib.suppress(KeyError, rospy.ROSException):
                 rospy.delete_param(parameter)
         else:
@@ -155,6 +155,11 @@ class NodeProcess:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
         self.end()
         self._closed.wait(_CLOSE_PATIENCE)
+
+
+def is_given(argv: Sequence[str], parameter: str) -> bool:
+    """Whether a command line sets a private parameter, rather than a launch file or a user."""
+    return any(word.startswith(f"_{parameter}:=") for word in argv)
 
 
 def _print_logs_at_least() -> None:
