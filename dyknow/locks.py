@@ -32,6 +32,7 @@ TURNS: dict[str, str] = {
     "claim work": "making and mending claims: requests and the reconciler's rounds take turns",
     "look at nodelet managers": "one look of the observer at all nodelet managers at a time",
     "model on its topic": "which model was published last",
+    "counts of messages": "one count of all nodelets' messages at a time",
     "services of fixed nodelets": "the services of the manager for nodelets with fixed topics",
     "opening of a stream session": "a session with one manager, from its first stream to its last",
     "library": "changes of the library reach the disk in the order of the memory",

@@ -363,6 +363,8 @@ class CountsTopic:
     def __init__(self, count: Callable[[], list[msg.NodeletCounts]]) -> None:
         """Advertise the topic; ``count`` asks the nodelets."""
         self._count = count
+        #: A process that is asked twice at once answers once.
+        self._turn = turn_lock("counts of messages")
         self._latest: tuple[float, list[msg.NodeletCounts]] = (0.0, [])
         self._publisher = rospy.Publisher("~counts", msg.Counts, queue_size=1)
         self.close = self._publisher.unregister
@@ -370,14 +372,19 @@ class CountsTopic:
     def publish(self) -> float:
         """Publish the present counts; returns the seconds until the next."""
         if self._publisher.get_num_connections():
-            self._latest = time.monotonic(), self._count()
-            self._publisher.publish(msg.Counts(self._latest[1]))
+            with self._turn:
+                found = self._count_now()
+            self._publisher.publish(msg.Counts(found))
         return _COUNTS_PERIOD
 
     def latest(self) -> list[msg.NodeletCounts]:
         """Count the messages of all nodelets, unless that was just done."""
-        if time.monotonic() - self._latest[0] >= _COUNTS_PERIOD:
-            self._latest = time.monotonic(), self._count()
+        with self._turn:
+            began, found = self._latest
+            return self._count_now() if time.monotonic() - began >= _COUNTS_PERIOD else found
+
+    def _count_now(self) -> list[msg.NodeletCounts]:
+        self._latest = time.monotonic(), self._count()
         return self._latest[1]
 
 
