@@ -5,14 +5,15 @@
 
 A package exports ``<dyknow transformations="${prefix}/FILE.xml"/>`` and
 ``<dyknow ontology="${prefix}/FILE.ttl"/>``. The manager polls all of them. Transformations
-that a file has lost go from the library. A fault in it is logged once, and the library stays as it
-was. A changed ontology changes the transformations of templates too, so that every
-specification is read again then.
+that a file has lost go from the library, or are those of another file that has them too. A fault
+in it is logged once, and the library stays as it was. A changed ontology changes the
+transformations of templates too, so that every specification is read again then.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import time
 import traceback
 from typing import TYPE_CHECKING, Callable, Collection, Mapping, Sequence
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 #: Seconds between two looks, and how many times as long as a look the pause is at least, so that
 #: they take little of a processor. Reading what has changed, which happens once, does not count.
 LOOK_PERIOD, _REST = 1.0, 50.0
+
+#: In place of a path among the stored labels of files: the files that packages exported.
+_EXPORTED = ""
 
 #: Lists the paths that packages export, by attribute of ``<dyknow>``.
 Exported = Callable[[], Mapping[str, Sequence[str]]]
@@ -68,9 +72,16 @@ class LibraryFiles:
         self._exported = exported if settings.use_exports else dict
         #: The files of the ontology that is used or refused, with their stamps.
         self._related: tuple[Sequence[str], Mapping[str, Stamp]] = ((), {})
-        #: By specification file: its stamp, None if it is not there, and its labels.
-        self._stamps: dict[str, Stamp | None] = {}
-        self._labels: dict[str, frozenset[str]] = {}
+        #: By specification file: its stamp, None if it cannot be read, and its labels; those of
+        #: packages that were removed while no manager ran go at the first look.
+        self._stamps: dict[str, Stamp | None] = {
+            path: None
+            for path in self._kept.get(_EXPORTED, ())
+            if path in self._kept and not os.path.exists(path)
+        }
+        self._labels = {path: frozenset(self._kept[path]) for path in self._stamps}
+        #: By specification file, the fault that was logged, and the stamp of the file then.
+        self._said: dict[str, tuple[Stamp | None, str]] = {}
         #: Seconds of a processor that the last look took at which nothing was read.
         self._took = 0.0
 
@@ -109,6 +120,7 @@ class LibraryFiles:
         began = time.thread_time()
         before = library.revision
         read = self._related, dict(self._stamps)
+        had = dict(self._labels)
         labels: set[str] = set()
         found = self._exported()
         is_related = self._relate(library, self._ontologies(found))
@@ -126,10 +138,12 @@ class LibraryFiles:
                 labels |= self._add(library, path, is_new)
         for path in self._stamps.keys() - wanted.keys():
             del self._stamps[path]
+            self._said.pop(path, None)
             self._forget(library, self._labels.pop(path, frozenset()))
+        labels |= self._restore(library, wanted, had)
         is_read = read != (self._related, self._stamps)
         if is_read:
-            self._keep()
+            self._keep(found.get("transformations", ()))
         if library.revision != before:
             on_change(labels)
         if not is_read:
@@ -176,12 +190,17 @@ class LibraryFiles:
             with open(path, encoding="utf-8") as file:
                 text = file.read(self._settings.limits.text_size + 1)
             found = library.add(text, path)
-        except (OSError, ValueError, DyKnowError) as error:
-            rospy.logerr("transformations of '%s' are not added: %s", path, error)
+        except OSError as error:
+            self._fails(path, f"are not added: {error}")
+            self._stamps[path] = None  # it is tried again
+            return frozenset()
+        except (ValueError, DyKnowError) as error:
+            self._fails(path, f"are not added: {error}")
             return frozenset()
         except Exception:  # the boundary of a file: any package may export one
-            rospy.logerr("transformations of '%s' fail:\n%s", path, traceback.format_exc())
+            self._fails(path, f"fail:\n{traceback.format_exc()}")
             return frozenset()
+        self._said.pop(path, None)
         if is_new:
             for warning in (*found.warnings, *missing_here(path, found.transformations)):
                 rospy.logwarn("%s", warning)
@@ -191,9 +210,36 @@ class LibraryFiles:
         self._forget(library, gone)
         return labels
 
-    def _keep(self) -> None:
+    def _fails(self, path: str, how: str) -> None:
+        """Log a fault, unless that was done and the file is the same."""
+        said = self._stamps[path], how
+        if self._said.get(path) != said:
+            self._said[path] = said
+            rospy.logerr("transformations of '%s' %s", path, how)
+
+    def _restore(
+        self, library: Library, paths: Collection[str], had: Mapping[str, frozenset[str]]
+    ) -> set[str]:
+        """Read again the files that have what another one has lost; returns their labels.
+
+        The library may have the version that is lost. As at the start, the last file that has a
+        label decides, so that files after them that share their labels are read too.
+        """
+        lost: set[str] = set()
+        for path, labels in had.items():
+            lost |= labels - self._labels.get(path, frozenset())
+        found: set[str] = set()
+        for path in paths:
+            labels = self._labels.get(path, frozenset())
+            if not lost.isdisjoint(labels):
+                lost |= labels
+                found |= self._add(library, path, is_new=False)
+        return found
+
+    def _keep(self, exported: Collection[str]) -> None:
         """Store the labels of the files, if they have changed."""
         labels = {path: sorted(each) for path, each in sorted(self._labels.items())}
+        labels[_EXPORTED] = sorted({*exported} - {*self._settings.transformations})
         if labels != self._kept:
             self._kept = labels
             self._store.write_later({("facts", LABELS_OF_FILES): json.dumps(labels)})

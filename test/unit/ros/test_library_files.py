@@ -130,6 +130,82 @@ def test_what_a_file_lost_while_no_manager_ran_goes_at_the_start(files):
     assert files.labels == ["a", "by hand", "c"], "a file that cannot be read loses nothing"
 
 
+def test_what_a_package_had_that_was_removed_while_no_manager_ran_goes_at_the_start(files):
+    files.write("own.xml", simple("a"))
+    files.write("package.xml", simple("b"))
+    files.exports["transformations"] = ["package.xml", "own.xml"]
+    files.begin()
+    files.exports["transformations"] = []
+    files.restart()
+    files.look()
+    assert files.labels == ["a", "b"], "another ROS_PACKAGE_PATH removes no package"
+    files.exports["transformations"] = ["package.xml"]
+    files.look()
+    (files.folder / "package.xml").unlink()
+    files.restart()
+    files.look()
+    assert files.labels == ["a", "b"], "it is exported and cannot be read"
+    files.exports["transformations"] = []
+    files.restart()
+    files.look()
+    assert files.labels == ["a"]
+    files.field.manager.add_transformation(simple("b"))
+    files.look()
+    assert files.labels == ["a", "b"]
+
+
+def test_what_a_parameter_named_once_stays(files):
+    files.write("own.xml", simple("a"))
+    files.begin()
+    (files.folder / "own.xml").unlink()
+    files.settings = ManagerSettings()
+    for _ in range(2):
+        files.restart()
+        files.look()
+    assert files.labels == ["a"]
+
+
+def test_a_label_that_a_file_loses_is_that_of_another_file(tmp_path):
+    files = Files(tmp_path, ["one.xml", "two.xml"])
+    files.write("one.xml", simple("a", "b"))
+    files.write("two.xml", simple("a").replace("T(x)", "T(two)"))
+    files.write("package.xml", simple("b").replace("T(x)", "T(package)"))
+    files.exports["transformations"] = ["package.xml"]
+    files.begin()
+
+    def tags():
+        return [each.ports[0].tags[0] for each in files.field.manager.library.all()]
+
+    assert (files.labels, tags()) == (["a", "b"], ["T(two)", "T(package)"])
+    files.write("two.xml", simple("c"))
+    files.look()
+    assert (files.labels, tags()) == (["a", "b", "c"], ["T(x)", "T(package)", "T(x)"])
+    assert files.changes == [{"a", "b", "c"}]
+    files.exports["transformations"] = []
+    files.look()
+    assert (files.labels, tags()) == (["a", "b", "c"], ["T(x)"] * 3)
+    files.look()
+    assert files.changes == []
+
+
+def test_a_file_that_cannot_be_read_once_is_read_later(files, logged, monkeypatch):
+    files.write("own.xml", simple("a"))
+    errors = [OSError(5, "Input/output error"), *[PermissionError(13, "Permission denied")] * 2]
+
+    def failing(path, *args, **options):
+        raise errors.pop(0)
+
+    monkeypatch.setattr(library_files, "open", failing, raising=False)
+    files.begin()
+    for _ in range(2):
+        files.look()
+    assert (errors, files.labels) == ([], [])
+    assert ["Input" in logged[0], "Permission" in logged[1], len(logged)] == [True, True, 2]
+    monkeypatch.undo()
+    files.look()
+    assert files.labels == ["a"]
+
+
 def test_the_pause_is_that_of_looks_at_which_nothing_is_read(files, monkeypatch):
     """Reading the first ontology takes half a second, and the next individual came 25 s later."""
     clock = HandClock()
