@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import Any, Callable, Iterator, Sequence
 
 import rosgraph
 import rospkg
@@ -24,6 +25,10 @@ from dyknow.similar import did_you_mean
 
 #: Seconds by which the clock of another host may differ without a warning.
 MAX_CLOCK_OFFSET = 0.1
+#: Most seconds of a parameter, and of one that limits an answer of a socket.
+_MOST_SECONDS, _MOST_PATIENCE = 1e9, 1e6
+_GUARDS = ("string_length", "array_length", "nodelets")
+_SIZES = ("text_size", "transformations")
 
 #: The private parameters that a DyKnow manager reads.
 PARAMETERS = (
@@ -52,6 +57,8 @@ PARAMETERS = (
     "read_only",
     "limits",
 )
+#: Those that are namespaces, with the parameters in them.
+GROUPS = {"watchdog": ("hung", "stuck", "memory"), "limits": (*_GUARDS, *_SIZES)}
 
 
 @dataclass(frozen=True)
@@ -106,6 +113,7 @@ class ManagerSettings:
     def read(cls) -> ManagerSettings:
         """Read the node's private parameters; BadParameter if one has an unusable value."""
         node = rospy.get_name()
+        _check_groups()
         _warn_of_unknown()
         return cls(
             nodelet_managers=tuple(
@@ -121,7 +129,7 @@ class ManagerSettings:
             wiring=_string("wiring"),
             keep=_bool("keep"),
             use_exports=_bool("use_exports", cls.use_exports),
-            spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
+            spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, 0.001, _MOST_PATIENCE),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             recover=_seconds("recover", cls.recover, least=0.0),
             max_clock_offset=_seconds("max_clock_offset", cls.max_clock_offset, least=0.0),
@@ -141,11 +149,9 @@ class ManagerSettings:
                 allowed_programs=tuple(filter(None, [_strings("allowed_programs")])),
                 remote_programs=_bool("remote_programs", True),
                 read_only=_bool("read_only"),
-                **_limits(Guards, "string_length", "array_length", "nodelets"),
+                **_limits(Guards, *_GUARDS),
             ),
-            limits=SpecificationLimits(
-                **_limits(SpecificationLimits, "text_size", "transformations")
-            ),
+            limits=SpecificationLimits(**_limits(SpecificationLimits, *_SIZES)),
         )
 
     def state_path(self, ending: str) -> str:
@@ -175,19 +181,35 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
 
 def unknown_parameters(given: Any) -> list[tuple[str, str]]:
     """List the parameters in a node's namespace that the manager ignores, with suggestions."""
-    present = sorted(given) if isinstance(given, dict) else []
     return [
-        (name, did_you_mean(name, PARAMETERS, at_most=1, prefix="~"))
-        for name in present
-        if name not in (*PARAMETERS, tenure.PARAMETER)
+        (name, did_you_mean(name, known, at_most=1, prefix="~")) for name, known in _unknown(given)
     ]
+
+
+def _unknown(given: Any) -> Iterator[tuple[str, Sequence[str]]]:
+    """Yield the names of unknown parameters, with those that are known in their place."""
+    parameters = given if isinstance(given, dict) else {}
+    for name in sorted(parameters):
+        if name not in (*PARAMETERS, tenure.PARAMETER):
+            yield name, PARAMETERS
+    for group, members in GROUPS.items():
+        present, known = parameters.get(group), [f"{group}/{each}" for each in members]
+        for name in sorted(present) if isinstance(present, dict) else ():
+            if name not in members:
+                yield f"{group}/{name}", known
 
 
 def _warn_of_unknown() -> None:
     """Warn of unknown parameters, which would be ignored silently."""
-    for name, hint in unknown_parameters(rospy.get_param("~", {})):
-        hint = hint or "; known: ~" + " ~".join(PARAMETERS)
-        rospy.logwarn("unknown parameter ~%s%s", name, hint)
+    for name, known in _unknown(rospy.get_param("~", {})):
+        hint = did_you_mean(name, known, at_most=1, prefix="~")
+        rospy.logwarn("unknown parameter ~%s%s", name, hint or "; known: ~" + " ~".join(known))
+
+
+def _check_groups() -> None:
+    for group, members in GROUPS.items():
+        expected = f"a namespace with {', '.join(members[:-1])} or {members[-1]}"
+        _read(group, {}, expected, lambda value: isinstance(value, dict))
 
 
 def _read(name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
@@ -240,9 +262,12 @@ def _bool(name: str, default: bool = False) -> bool:
     return bool(_read(name, default, "true or false", lambda value: isinstance(value, bool)))
 
 
-def _number(name: str, default: Any, least: float, expected: str, kinds: Any) -> Any:
+def _number(
+    name: str, default: Any, least: float, expected: str, kinds: Any, most: float = math.inf
+) -> Any:
     def fits(value: Any) -> bool:
-        return isinstance(value, kinds) and not isinstance(value, bool) and value >= least
+        is_number = isinstance(value, kinds) and not isinstance(value, bool)
+        return is_number and least <= value <= most
 
     return _read(name, default, expected, fits)
 
@@ -251,9 +276,9 @@ def _integer(name: str, default: int) -> int:
     return int(_number(name, default, 0, "an integer from 0", int))
 
 
-def _seconds(name: str, default: float, least: float) -> float:
-    expected = f"seconds, at least {least:g}"
-    return float(_number(name, default, least, expected, (int, float)))
+def _seconds(name: str, default: float, least: float, most: float = _MOST_SECONDS) -> float:
+    expected = f"seconds, at least {least:g} and at most {most:g}"
+    return float(_number(name, default, least, expected, (int, float), most))
 
 
 def _limits(kind: Any, *limits: str) -> dict[str, int]:

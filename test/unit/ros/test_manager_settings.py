@@ -1,17 +1,86 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a DyKnow manager makes of its parameters."""
+"""Parameters of the manager that cannot be used or are not known, and the files of its state."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any, Dict, List
 
+import pytest
 import rospy
 
+from dyknow.cli.node_help import MANAGER
+from dyknow.errors import BadParameter
 from dyknow.ros.manager import manager_settings
-from dyknow.ros.manager.manager_settings import ManagerSettings
+from dyknow.ros.manager.manager_settings import GROUPS, ManagerSettings
+
+
+@pytest.fixture
+def given(monkeypatch):
+    """The private parameters of the node."""
+    found: Dict[str, Any] = {}
+
+    def get_param(name: str, default: Any) -> Any:
+        value: Any = found
+        for key in filter(None, name.lstrip("~").split("/")):
+            if not isinstance(value, dict) or key not in value:
+                return default
+            value = value[key]
+        return value
+
+    monkeypatch.setattr(rospy, "get_param", get_param)
+    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
+    return found
+
+
+@pytest.fixture
+def warned(monkeypatch):
+    found: List[str] = []
+    monkeypatch.setattr(
+        manager_settings.rospy, "logwarn", lambda text, *words: found.append(text % words)
+    )
+    return found
+
+
+def test_unknown_members_of_namespaces_are_named(given, warned):
+    given["watchdog"] = {"hang": 10, "memory": 5.0}
+    given["limits"] = {"nodelet": 5, "x": 1, "nodelets": 7}
+    given["keeps"] = True
+    settings = ManagerSettings.read()
+    assert (settings.watchdog.memory, settings.guards.nodelets) == (5.0, 7)
+    named = {text.split("~")[1].partition(";")[0] for text in warned}
+    assert named == {"keeps", "watchdog/hang", "limits/nodelet", "limits/x"}
+    assert "unknown parameter ~watchdog/hang; did you mean ~watchdog/hung?" in warned
+    assert "unknown parameter ~limits/nodelet; did you mean ~limits/nodelets?" in warned
+    (known,) = [text for text in warned if "/x" in text]
+    assert known.endswith("; known: ~" + " ~".join(f"limits/{each}" for each in GROUPS["limits"]))
+
+
+def test_the_members_are_those_that_the_help_describes():
+    for group, members in GROUPS.items():
+        assert MANAGER.count(f"~{group}/") == len(members)
+        assert all(f"~{group}/{each}" in MANAGER for each in members)
+
+
+@pytest.mark.parametrize("group", ["watchdog", "limits"])
+def test_a_namespace_is_no_value(given, warned, group):
+    given[group] = 10
+    with pytest.raises(BadParameter, match=f"'~{group}' is 10: expected a namespace with "):
+        ManagerSettings.read()
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), 1e10, -1.0, "soon", True])
+@pytest.mark.parametrize("name", ["spawn_timeout", "orphan_timeout", "recover"])
+def test_seconds_are_those_that_a_wait_can_last(given, name, value):
+    given[name] = value
+    with pytest.raises(BadParameter, match=f"'~{name}' is .*: expected seconds, at least"):
+        ManagerSettings.read()
+    given[name] = 1e6
+    assert getattr(ManagerSettings.read(), name) == 1e6
+
 
 
 def test_a_manager_makes_its_state_dir_absolute(tmp_path, monkeypatch):
