@@ -129,6 +129,7 @@ class ManagerNode(Closable):
         self._loop = loop
         self._keeper = kept
         self._passing = passing
+        settings.take_state()
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
         most = settings.guards.nodelets

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -21,12 +22,15 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.watchdog import NO_WATCHDOG, WatchdogLimits
 from dyknow.ros.manager import tenure
+from dyknow.ros.process.os_process import only_for_owner
 from dyknow.similar import did_you_mean
 
 #: Seconds by which the clock of another host may differ without a warning.
 MAX_CLOCK_OFFSET = 0.1
 #: Most seconds of a parameter, and of one that limits an answer of a socket.
 _MOST_SECONDS, _MOST_PATIENCE = 1e9, 1e6
+#: Ending of the file with the name of the node that has the files of the state.
+_BEARER = "node"
 _GUARDS = ("string_length", "array_length", "nodelets")
 _SIZES = ("text_size", "transformations")
 
@@ -158,6 +162,14 @@ class ManagerSettings:
         """Return a file of the durable state, of which each master and node name has its own."""
         return state_path(self.state_dir, rosgraph.get_master_uri(), rospy.get_name(), ending)
 
+    def take_state(self) -> None:
+        """Note that the files of the state are this node's."""
+        path = self.state_path(_BEARER)
+        with contextlib.suppress(OSError):  # it is noted, or cannot be written
+            os.makedirs(os.path.dirname(path), 0o700, exist_ok=True)
+            with open(path, "x", encoding="utf-8", opener=only_for_owner) as file:
+                file.write(rospy.get_name())
+
 
 def mirror_path() -> str:
     """Return the file with the mirror of the master, which is used before the parameters are."""
@@ -167,6 +179,9 @@ def mirror_path() -> str:
 def state_path(folder: str, master: str, node: str, ending: str) -> str:
     """Return a file of the durable state of a DyKnow manager.
 
+    Names that differ in ``_`` and ``/`` alone have the same key. The node that came first has its
+    files, and the others have files of their own.
+
     Args:
         folder: the value of ~state_dir; empty for the default, below ROS_HOME.
         master: address of the ROS master.
@@ -175,8 +190,24 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
     """
     folder = os.path.expanduser(folder or os.path.join(rospkg.get_ros_home(), "dyknow"))
     host, port = rosgraph.network.parse_http_host_and_port(master)
-    key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{node}")
-    return os.path.join(folder, f"{key}.{ending}")
+    place = os.path.join(folder, _plain(f"{host}-{port}"))
+    shared, own = place + _plain(node), place + node.replace("/", "+")
+    has_own = os.path.exists(f"{own}.{_BEARER}") or _bearer(shared) not in ("", node)
+    return f"{own if has_own else shared}.{ending}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text)
+
+
+def _bearer(key: str) -> str:
+    """Return the node that has the files of a key; empty if that is not noted."""
+    try:
+        with open(f"{key}.{_BEARER}", encoding="utf-8", errors="replace") as file:
+            name = file.read()
+    except OSError:
+        return ""
+    return name if name.startswith("/") else ""  # the power failed while it was written
 
 
 def unknown_parameters(given: Any) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ import rospy
 from dyknow.cli.node_help import MANAGER
 from dyknow.errors import BadParameter
 from dyknow.ros.manager import manager_settings
-from dyknow.ros.manager.manager_settings import GROUPS, ManagerSettings
+from dyknow.ros.manager.manager_settings import GROUPS, ManagerSettings, state_path
 
 
 @pytest.fixture
@@ -81,6 +81,36 @@ def test_seconds_are_those_that_a_wait_can_last(given, name, value):
     given[name] = 1e6
     assert getattr(ManagerSettings.read(), name) == 1e6
 
+
+def test_names_that_differ_in_their_separators_have_files_of_their_own(monkeypatch, tmp_path):
+    folder, master = str(tmp_path / "new"), "http://host:11311"
+    monkeypatch.setattr(manager_settings.rosgraph, "get_master_uri", lambda: master)
+    settings = ManagerSettings(state_dir=folder)
+    names = ("/uav_a/dyknow_manager", "/uav/a/dyknow_manager", "/uav_a/dyknow/manager")
+
+    def path(name: str) -> str:
+        return state_path(folder, master, name, "sqlite3")
+
+    for name in names:
+        monkeypatch.setattr(rospy, "get_name", lambda name=name: name)
+        for _ in range(2):
+            settings.take_state()
+            assert settings.state_path("sqlite3") == path(name)
+    assert [path(name).rpartition("/")[2] for name in names] == [
+        "host-11311-uav-a-dyknow-manager.sqlite3",
+        "host-11311+uav+a+dyknow_manager.sqlite3",
+        "host-11311+uav_a+dyknow+manager.sqlite3",
+    ]
+    (tmp_path / "new" / "host-11311-uav-a-dyknow-manager.node").unlink()
+    assert len({*map(path, names)}) == 3, "one that was reset"
+
+
+def test_where_nothing_can_be_noted_the_files_are_those_of_the_key(given, monkeypatch, tmp_path):
+    monkeypatch.setattr(manager_settings.rosgraph, "get_master_uri", lambda: "http://host:11311")
+    settings = ManagerSettings(state_dir=f"{tmp_path}/file/folder")
+    (tmp_path / "file").touch()
+    settings.take_state()
+    assert settings.state_path("lock").endswith("/host-11311-dyknow-manager.lock")
 
 
 def test_a_manager_makes_its_state_dir_absolute(tmp_path, monkeypatch):
