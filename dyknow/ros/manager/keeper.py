@@ -17,6 +17,7 @@ connections to the rest. A subscriber is notified only of publishers that it doe
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import logging
 import os
@@ -42,6 +43,9 @@ _SAVE_PERIOD = 5.0
 #: Seconds for each answer of a node.
 _PATIENCE = 1.0
 _ASKERS = 32
+#: Nodes of which a service is looked up again at each look: that of a node with a fixed port shows
+#: that it was started again, and the master's registrations do not.
+_IN_TURN = 20
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -55,10 +59,12 @@ class MasterKeeper:
         """Read the mirror of an earlier life from a file, if there is one."""
         self._master = master
         self._me = master.caller
-        #: For the two questions of each look, whose answers seldom change.
-        self._contents, self._names = (
-            Master(master.caller, master.uri, compares=True) for _ in range(2)
+        #: For the questions of each look, whose answers seldom change.
+        self._contents, self._names, self._services = (
+            Master(master.caller, master.uri, compares=True) for _ in range(3)
         )
+        #: The last node of which a service was looked up again.
+        self._looked_up = ""
         self._path = path
         self._clock = clock
         self._kept = self._saved = self._load()
@@ -102,8 +108,8 @@ class MasterKeeper:
     def _read(self) -> MasterMirror:
         """Read the contents of the master, with the process ids of nodes that are known.
 
-        The types of topics and the addresses of services, of which a node has one for life, are
-        looked up once.
+        The types of topics are looked up once, as are the addresses of services: a process has one
+        for all of them. Where a node has another one by now, a new process has taken its place.
         """
         me, known = self._me, self._kept or MasterMirror(0)
         asked = ("getPid",), ("getSystemState",), ("getParam", "/")
@@ -115,11 +121,24 @@ class MasterKeeper:
         names = sorted({each for part in state for _, nodes in part for each in nodes})
         uris = self._names.ask_all(("lookupNode", me, each) for each in names)
         nodes = {node: NodeAddress(uri) for node, uri in zip(names, uris) if uri}
-        same = {node: at for node, at in known.nodes.items() if _uri(nodes, node) == at.uri}
-        addresses = {
+        kept = {
             service: address
             for service, address in known.addresses.items()
-            if services.get(service) == known.services.get(service) and services[service] in same
+            if services.get(service) == known.services.get(service)
+        }
+        of_nodes = self._in_turn(services)
+        found = self._services.ask_all(("lookupService", me, each) for each in of_nodes.values())
+        present = dict(zip(of_nodes, found))
+        moved = {node for node, at in present.items() if kept.get(of_nodes[node], at) != at}
+        same = {
+            node: at
+            for node, at in known.nodes.items()
+            if _uri(nodes, node) == at.uri and node not in moved
+        }
+        addresses = {
+            service: address
+            for service, address in kept.items()
+            if services[service] in same and address == present.get(services[service], address)
         }
         new = [each for each in services if each not in addresses]
         types = known.types
@@ -127,8 +146,8 @@ class MasterKeeper:
             publishers.keys() | subscribers.keys()
         ):
             types = dict(self._master.ask("getTopicTypes"))
-        found = self._master.ask_all(("lookupService", me, each) for each in new)
-        addresses.update((service, at) for service, at in zip(new, found) if at)
+        looked_up = self._master.ask_all(("lookupService", me, each) for each in new)
+        addresses.update((service, at) for service, at in zip(new, looked_up) if at)
         return MasterMirror(
             pid or 0,
             {**nodes, **same},
@@ -139,6 +158,15 @@ class MasterKeeper:
             types,
             known.parameters if parameters is None else parameters,
         )
+
+    def _in_turn(self, services: Mapping[str, str]) -> dict[str, str]:
+        """Return one service of each node, of a few nodes at each look."""
+        of_nodes = {node: service for service, node in services.items()}
+        nodes = sorted(of_nodes)
+        begin = bisect.bisect(nodes, self._looked_up)
+        chosen = [*nodes[begin:], *nodes[:begin]][:_IN_TURN]
+        self._looked_up = chosen[-1] if chosen else ""
+        return {node: of_nodes[node] for node in chosen}
 
     def _with_processes(self, present: MasterMirror) -> MasterMirror:
         """Add the process ids of nodes that are new, by asking them."""

@@ -228,6 +228,42 @@ def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, 
     assert "have ended are not registered again: /gone, /replaced" in caplog.text
 
 
+def test_a_node_with_a_fixed_port_that_was_killed_and_started_again_is_registered(graph, keeper):
+    """The address of the node, and the registrations, are those of the process before."""
+    node, before, after = graph.node("/node"), graph.server(), graph.server()
+    node.publish("/words")
+    for service in ("/ask", "/node/get_loggers"):
+        node.offer(service, before.service)
+    keeper.look()
+    node.pid += 1
+    before.error = "nonexistent service"
+    node.offer("/ask", after.service)
+    keeper.look()  # it is about to register the rest
+    node.offer("/node/get_loggers", after.service)
+    keeper.look()
+    state = graph.core.state()
+    graph.core.renew()
+    keeper.look()
+    assert graph.core.state() == state
+    assert state[2].keys() == {"/ask", "/node/get_loggers"}
+
+
+def test_services_of_all_nodes_are_looked_up_in_turn(graph, keeper, monkeypatch):
+    monkeypatch.setattr(keeper_module, "_IN_TURN", 2)
+    nodes, after = [graph.node(f"/node_{number}") for number in range(5)], graph.server()
+    for node in nodes:
+        node.offer(f"{node.name}/get_loggers", graph.server().service)
+    keeper.look()
+    for node in nodes:
+        node.offer(f"{node.name}/get_loggers", after.service)
+    for _ in range(3):
+        keeper.look()
+    state = graph.core.state()
+    graph.core.renew()
+    keeper.look()
+    assert graph.core.state() == state
+
+
 @pytest.mark.parametrize("lists_topics", [True, False])
 def test_a_node_that_does_not_answer_gets_back_what_it_had(
     graph, keeper, monkeypatch, lists_topics
