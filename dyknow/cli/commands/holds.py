@@ -18,6 +18,7 @@ from dyknow.formulas import Formula, Truth, Verdict, parse
 
 if TYPE_CHECKING:
     from dyknow.formulas import Monitor
+    from dyknow.ros.acquiring import AcquiredStream
 
 #: Seconds between two looks for a topic that is not there yet.
 _POLL = 0.5
@@ -170,12 +171,22 @@ def _live(
     datatypes = {port: _datatype(shell, port, topic, latest) for port, topic in streams.items()}
     check(formula, {port: datatypes.get(port, "") for port in formula.ports})
     deadline = None if duration is None else time.monotonic() + duration
+    held: list[AcquiredStream] = []
+
+    def is_over() -> bool:
+        for stream in held:
+            if stream.state.ended:
+                why = stream.detail or stream.state.name.lower()
+                raise DyKnowError(f"the stream {stream.tag} has ended: {why}")
+        return deadline is not None and time.monotonic() >= deadline
+
     live = LiveTopics()
     with contextlib.ExitStack() as stack:
         for port, tag in tags.items():
             if port not in individual:
                 stream = stack.enter_context(acquire(tag, manager=client.manager))
                 streams[port], datatypes[port] = stream.topic, stream.datatype
+                held.append(stream)
         check(formula, {port: datatypes.get(port, "") for port in formula.ports})
         for port, topic in streams.items():
             subscriber = live.subscribe(port, "", topic, known_class(datatypes[port]))
@@ -185,9 +196,7 @@ def _live(
             individuals = IndividualStreams(client, individual, {}, live.subscribe)
             stack.callback(individuals.close)
             present = individuals.present
-        yield from live.verdicts(
-            monitor, present, lambda: deadline is not None and time.monotonic() >= deadline
-        )
+        yield from live.verdicts(monitor, present, is_over)
 
 
 def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:

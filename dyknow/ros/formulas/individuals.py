@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Callable, Mapping
 
 import rospy
 
+from dyknow.backoff import Backoff
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.formulas import Formula
+from dyknow.locks import state_lock
 from dyknow.manager.specifications.individual_tags import tag_of_individuals
-from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.specifications.tags import parse_tag
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.acquiring import AcquiredStream, acquire
 from dyknow.ros.client import ManagerClient
@@ -79,14 +82,22 @@ class IndividualStreams:
         self._subscribe = subscribe
         self._client_id = client_id
         self._streams: dict[tuple[str, str], tuple[AcquiredStream, Any]] = {}
+        self._closed = False
+        self._state_lock = state_lock("individuals of a formula")
+        #: Tags of streams that are of no use here: to acquire one may spawn nodelets.
+        self._useless = Backoff(time.monotonic, first=_PERIOD, tolerated=0)
+        #: Tags whose individuals have no stream, as the log says.
+        self._told: set[str] = set()
         #: Whether it has looked for individuals once.
         self.is_known = False
         self._worker = PeriodicWorker("individuals of a formula", self._look, _PERIOD)
         self._worker.start()
 
     def close(self) -> None:
-        """Release all streams."""
+        """Release all streams; one that is being acquired is released as soon as it is there."""
         self._worker.close()
+        with self._state_lock:
+            self._closed = True
         for key in list(self._streams):
             self._remove(key)
 
@@ -105,28 +116,52 @@ class IndividualStreams:
         return {variable: sorted(names) for variable, names in found.items()}
 
     def _look(self) -> None:
+        for key, (stream, _) in list(self._streams.items()):
+            if stream.state.ended:  # released by hand, say, or the manager began anew
+                self._remove(key)
         for port, term in self._terms.items():
             kind = self._classes.get(port)
             bindings = self._client.find_bindings(str(term), "" if kind is None else kind._type)
             names = {each.partition("=")[2] for each in bindings}
-            here = {name for of_port, name in self._streams if of_port == port}
-            for name in sorted(names - here):
-                self._add(port, name, term)
+            here = {name for of_port, name in list(self._streams) if of_port == port}
             for name in sorted(here - names):
                 self._remove((port, name))
+            for name in sorted(names - here):
+                self._try_to_add(port, name, str(term.substitute({term.variables[0]: name})))
         self.is_known = True
 
-    def _add(self, port: str, name: str, term: Term) -> None:
-        tag, kind = str(term.substitute({term.variables[0]: name})), self._classes.get(port, "")
-        try:
-            stream = acquire(tag, kind, client_id=self._client_id, manager=self._client.manager)
-        except DyKnowError as error:
-            rospy.logwarn_throttle(60, f"the individual {name} has no stream {tag}: {error}")
+    def _try_to_add(self, port: str, name: str, tag: str) -> None:
+        if self._closed or not self._useless.allows(tag):
             return
-        kind = kind or known_class(stream.datatype)
-        self._streams[port, name] = stream, self._subscribe(port, name, stream.topic, kind)
+        try:
+            self._add(port, name, tag)
+            self._told.discard(tag)
+        except DyKnowError as error:
+            if tag not in self._told:
+                rospy.logwarn("the individual %s has no stream %s: %s", name, tag, error)
+            self._told.add(tag)
 
-    def _remove(self, key: tuple[str, str]) -> None:
-        stream, subscriber = self._streams.pop(key)
+    def _add(self, port: str, name: str, tag: str) -> None:
+        kind = self._classes.get(port, "")
+        stream = acquire(tag, kind, client_id=self._client_id, manager=self._client.manager)
+        try:
+            kind = kind or known_class(stream.datatype)
+            subscriber = self._subscribe(port, name, stream.topic, kind)
+        except BaseException:
+            self._useless.failed(tag)
+            stream.release()
+            raise
+        with self._state_lock:
+            if not self._closed:
+                self._streams[port, name] = stream, subscriber
+                return
         subscriber.unregister()
         stream.release()
+
+    def _remove(self, key: tuple[str, str]) -> None:
+        with self._state_lock:
+            found = self._streams.pop(key, None)
+        if found is not None:
+            stream, subscriber = found
+            subscriber.unregister()
+            stream.release()

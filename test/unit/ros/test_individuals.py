@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The streams of a formula's individuals: claims that end, that are of no use, that come late."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, Callable, List, Optional
+
+import pytest
+import rospy
+from std_msgs.msg import Bool
+
+from dyknow.cli.commands import holds
+from dyknow.errors import Denied, DyKnowError
+from dyknow.formulas import parse
+from dyknow.model.streams import ClaimState
+from dyknow.ros import acquiring
+from dyknow.ros.formulas import individuals, sources
+
+
+class Stream:
+    """A claim, among those that are open."""
+
+    def __init__(self, open_: List[str], tag: str, datatype: str) -> None:
+        self.tag, self.datatype, self.topic, self.detail = tag, datatype, f"/{tag}", ""
+        self.state = ClaimState.ACTIVE
+        self._open = open_
+        open_.append(tag)
+
+    def release(self):
+        self._open.remove(self.tag)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *unused):
+        self.release()
+
+
+class Surroundings:
+    """A manager and topics; a test makes the rounds.
+
+    Attributes:
+        names: of the individuals that the manager knows.
+        open: tags of claims that were not released.
+        acquired: all claims, in the order of their requests.
+        subscribed: topics with a subscriber.
+        refusal: the individual whose topic is guarded.
+        impossible: tags of which no stream can be made.
+        meanwhile: called when a claim was made.
+    """
+
+    manager = "/manager"
+
+    def __init__(self):
+        self.names = ["a", "b"]
+        self.datatypes = {}
+        self.open: List[str] = []
+        self.acquired: List[Stream] = []
+        self.subscribed: List[str] = []
+        self.meanwhile: Callable[[], None] = lambda: None
+        self.refusal: Optional[str] = None
+        self.impossible: List[str] = []
+
+    def find_bindings(self, tag, datatype=""):
+        return [f"?c={name}" for name in self.names]
+
+    def acquire(self, tag, kind="", **unused):
+        if tag in self.impossible:
+            raise DyKnowError("nothing supplies it")
+        stream = Stream(self.open, tag, self.datatypes.get(tag, Bool._type))
+        self.acquired.append(stream)
+        self.meanwhile()
+        return stream
+
+    def subscribe(self, port, name, topic, kind):
+        if name == self.refusal:
+            raise Denied(topic, "guarded")
+        self.subscribed.append(topic)
+        return SimpleNamespace(unregister=lambda: self.subscribed.remove(topic))
+
+
+@pytest.fixture
+def around(monkeypatch):
+    around = Surroundings()
+    monkeypatch.setattr(individuals, "acquire", around.acquire)
+    idle = SimpleNamespace(start=lambda: None, close=lambda: None)
+    monkeypatch.setattr(individuals, "PeriodicWorker", lambda *unused: idle)
+    return around
+
+
+@pytest.fixture
+def told(monkeypatch):
+    lines: List[str] = []
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *args: lines.append(text % args))
+    return lines
+
+
+def streams(around):
+    return individuals.IndividualStreams(around, {"f": "Flag(?c)"}, {}, around.subscribe)
+
+
+@pytest.mark.parametrize("state", [ClaimState.RELEASED, ClaimState.EXPIRED])
+def test_an_individual_whose_claim_has_ended_is_acquired_again(around, state):
+    found = streams(around)
+    found._look()
+    first = around.acquired[0]
+    first.state = state
+    found._look()
+    assert [each.tag for each in around.acquired] == ["Flag(a)", "Flag(b)", "Flag(a)"]
+    assert found.present() == {"?c": ["a", "b"]}
+    assert sorted(around.subscribed) == ["/Flag(a)", "/Flag(b)"]
+
+
+def test_an_individual_whose_claim_has_ended_and_cannot_be_made_again_is_gone(around, told):
+    found = streams(around)
+    found._look()
+    around.acquired[0].state = ClaimState.EXPIRED
+    around.impossible = ["Flag(a)"]
+    found._look()
+    assert found.present() == {"?c": ["b"]}
+    assert told == ["the individual a has no stream Flag(a): nothing supplies it"]
+
+
+def test_a_stream_of_no_use_is_released_and_the_next_one_acquired(around, told, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(individuals.time, "monotonic", lambda: now[0])
+    around.datatypes["Flag(a)"] = "nobody_msgs/Foo"
+    found = streams(around)
+    for now[0] in range(100):
+        found._look()
+    assert found.present() == {"?c": ["b"]}
+    assert around.open == ["Flag(b)"]
+    assert len(told) == 1
+    assert "individual a has no stream Flag(a): the message type nobody_msgs/Foo" in told[0]
+    assert len(around.acquired) < 10  # each may have spawned nodelets
+    around.datatypes.clear()
+    now[0] += 100.0
+    found._look()
+    assert found.present() == {"?c": ["a", "b"]}
+
+
+def test_a_subscriber_that_is_refused_leaves_no_claim(around, told):
+    around.refusal = "a"
+    found = streams(around)
+    found._look()
+    assert around.open == ["Flag(b)"]
+    assert len(told) == 1
+
+
+def test_what_is_acquired_after_the_end_is_released_at_once(around):
+    found = streams(around)
+    around.meanwhile = found.close
+    found._look()
+    assert around.open == []
+    assert around.subscribed == []
+    assert [each.tag for each in around.acquired] == ["Flag(a)"]
+
+
+def test_holds_ends_with_a_stream_that_has_ended(around, monkeypatch):
+    class Topics:
+        subscribe = around.subscribe
+
+        def verdicts(self, monitor, present, is_over):
+            assert not is_over()
+            around.acquired[0].detail = "no such stream"
+            around.acquired[0].state = ClaimState.EXPIRED
+            is_over()
+            yield
+
+    monkeypatch.setattr(acquiring, "acquire", around.acquire)
+    monkeypatch.setattr(sources, "LiveTopics", Topics)
+    shell: Any = SimpleNamespace(client=around, resolve=str)
+    formula = parse("f")
+    verdicts = holds._live(shell, formula, formula.monitor(), {}, {"f": "Flag(a)"}, None)
+    with pytest.raises(DyKnowError, match=r"the stream Flag\(a\) has ended: no such stream"):
+        next(verdicts)
+    assert around.open == []
