@@ -66,7 +66,7 @@ class BlackBox(dyknow.Nodelet):
         self.recording = Recording(seconds, 1e6 * get_positive(nh, "~memory", 200.0, "MB"))
         self.after = get_positive(nh, "~after", 2.0, "s")
         self.pause = min(get_positive(nh, "~pause", 30.0, "s"), seconds / 2)
-        self.bags = int(get_positive(nh, "~bags", 20, "bags"))
+        self.bags = max(1, int(get_positive(nh, "~bags", 20, "bags")))
         default = os.path.join(rospkg.get_ros_home(), "black_box")
         self.folder = os.path.expanduser(nh.get_param("~folder", "") or default)
         self.prefix = self.name.strip("/").replace("/", "-") + "_"
@@ -82,6 +82,8 @@ class BlackBox(dyknow.Nodelet):
         self.causes: list[str] = []
         self.written = -self.pause
         self.keep(f"{self.manager}/stream_events", StreamEvent)
+        #: Bags that it has written, the last ones.
+        self.paths: list[str] = []
         self.keep(f"{self.manager}/model", rospy.AnyMsg)
         self.look()
         self.service = nh.Service("~write_bag", Trigger, self.on_request)
@@ -173,7 +175,8 @@ class BlackBox(dyknow.Nodelet):
                 os.makedirs(self.folder, exist_ok=True)
                 path = self.free_path()
                 left_out = write_bag(path, kept)
-                remove_all_but(self.folder, self.prefix, self.bags)
+                self.paths = [*self.paths, path][-self.bags :]
+                remove_all_but(self.folder, self.prefix, self.bags, self.paths)
             except OSError as error:
                 self.nh.logerr("%s: no bag is written: %s", self.name, error)
                 return TriggerResponse(False, str(error))

@@ -117,9 +117,11 @@ def write_bag(path: str, kept: Sequence[KeptMessage]) -> int:
             for topic, message, received, _ in kept:
                 when = genpy.Time.from_sec(max(received, 1e-9))
                 try:
-                    bag.write(topic, _raw(message), when, raw=True)
-                except genpy.SerializationError:
+                    raw = _raw(message)
+                except Exception:  # whatever its author put into its fields
                     left_out += 1
+                else:
+                    bag.write(topic, raw, when, raw=True)
         os.replace(unfinished, path)
         return left_out
     except BaseException:
@@ -137,8 +139,14 @@ def _raw(message: Any) -> tuple[str, bytes, str, Any]:
     return message._type, buffer.getvalue(), message._md5sum, type(message)
 
 
-def remove_all_but(folder: str, prefix: str, count: int) -> None:
-    """Remove the oldest bags of a folder whose names are so and a time."""
-    found = sorted(Path(folder).glob(f"{prefix}[0-9][0-9][0-9][0-9]-[0-9][0-9]-*{_ENDING}"))
+def remove_all_but(folder: str, prefix: str, count: int, own: Sequence[str]) -> None:
+    """Remove the oldest bags of a folder whose names are so and a time.
+
+    ``own`` are the newest ones, in the order written: the clock may have been set back since
+    others were.
+    """
+    paths = Path(folder).glob(f"{prefix}[0-9][0-9][0-9][0-9]-[0-9][0-9]-*{_ENDING}")
+    order = {Path(path).name: number for number, path in enumerate(own)}
+    found = sorted(paths, key=lambda path: (order.get(path.name, -1), path))
     for path in found[: max(0, len(found) - count)]:
         path.unlink()

@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import threading
+from pathlib import Path
 
 import pytest
 import rosbag
 import rospy
 from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from hypothesis import example, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image, JointState
@@ -21,6 +23,7 @@ from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
 
 from dyknow.errors import LoadFailed
+from dyknow.nodelets import black_box
 from dyknow.nodelets.black_box import CAUSE, BlackBox
 from dyknow.nodelets.recording import OVERHEAD, KeptMessage, Recording, memory_of, write_bag
 
@@ -209,13 +212,65 @@ def test_bags_of_another_black_box_stay(box):
 def test_a_message_that_cannot_be_serialised_is_left_out(box, monkeypatch):
     box, warned = box(), []
     monkeypatch.setattr(box.box.nh, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
-    for message in (String("before"), String(5), String("after")):
+    for message in (String("before"), String(5), String("half \ud800"), String("after")):
         box.send("/kept/a", message)
     box.send("/v", verdict(Verdict.FALSE))
     box.pass_time(3.0)
     (bag,) = box.bags()
     assert [m.data for topic, m in bag if topic == "/kept/a"] == ["before", "after"]
-    assert any("1 messages cannot be serialised" in line for line in warned)
+    assert any("2 messages cannot be serialised" in line for line in warned)
+
+
+def unusual_messages():
+    float_stamp, no_header, no_position = PoseStamped(), PoseStamped(), JointState()
+    float_stamp.header.stamp = 1700000000.5  # rospy.Time forgotten
+    no_header.header = no_position.position = None
+    no_definition = any_message(String("a"))
+    del no_definition._connection_header["message_definition"]
+    return [
+        float_stamp,
+        no_header,
+        no_position,
+        JointState(name=[b"x", 3]),
+        no_definition,
+        rospy.AnyMsg(),
+    ]
+
+
+def test_no_message_costs_the_bag(tmp_path):
+    path = str(tmp_path / "x.bag")
+    messages = [String("before"), *unusual_messages(), String("after")]
+    kept = [KeptMessage(f"/t{n}", each, 1.0 + n, 10) for n, each in enumerate(messages)]
+    assert write_bag(path, kept) == len(unusual_messages())
+    with rosbag.Bag(path) as bag:
+        assert [message.data for _, message, _ in bag.read_messages()] == ["before", "after"]
+
+
+def test_a_disk_that_is_full_is_an_error(tmp_path, monkeypatch):
+    def refuse(*unused, **also_unused):
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr(rosbag.Bag, "write", refuse)
+    with pytest.raises(OSError, match="no space left"):
+        write_bag(str(tmp_path / "x.bag"), [KeptMessage("/t", String("a"), 1.0, 10)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clock_that_was_set_back_costs_no_new_bag(box, monkeypatch):
+    box = box(bags=3)
+    for day in (1, 2, 3):
+        (box.folder / f"nodelet_2026-11-0{day}-10-00-00.bag").touch()
+    times = iter(["2024-01-01-00-00-09", "2024-01-01-00-00-05"])
+    monkeypatch.setattr(black_box.time, "strftime", lambda form: next(times))
+    for _ in range(2):
+        answer = box.harness.call("/nodelet/write_bag", TriggerRequest())
+        assert answer.success
+        assert Path(answer.message).exists()
+    assert {path.name for path in box.folder.glob("*.bag")} == {
+        "nodelet_2026-11-03-10-00-00.bag",
+        "nodelet_2024-01-01-00-00-09.bag",
+        "nodelet_2024-01-01-00-00-05.bag",
+    }
 
 
 def test_after_simulated_time_was_set_back_a_bag_is_written_within_the_pause(box):
