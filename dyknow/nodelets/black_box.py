@@ -32,6 +32,7 @@ _LOOK = 1.0
 _REST = 50.0
 _LOST = (Nodelet.LOST, Nodelet.FAILED)
 _TROUBLED = (StreamStatus.DEGRADED, StreamStatus.RECOVERING, StreamStatus.FAILED)
+_MADE = (StreamStatus.ACTIVE, *_TROUBLED)
 #: Topic of a bag with the cause of it.
 CAUSE = "/dyknow/black_box/cause"
 
@@ -39,9 +40,9 @@ CAUSE = "/dyknow/black_box/cause"
 class BlackBox(dyknow.Nodelet):
     """Keeps the last seconds of topics in memory, and writes them as a bag when there is a cause.
 
-    Causes are a verdict that becomes FALSE, a claim that is repaired, degraded or fails, a nodelet
-    that is lost or failed, and the service. Events of streams, verdicts and the model are always
-    kept.
+    Causes are a verdict that becomes FALSE, a claim that is repaired, degraded or fails or that
+    loses its stream, a nodelet that is lost or failed, and the service. Events of streams,
+    verdicts and the model are always kept.
 
     Parameters:
         ~topics (yaml, []): topics to keep; a name or a pattern such as ``/camera/*``.
@@ -81,9 +82,9 @@ class BlackBox(dyknow.Nodelet):
         #: Causes of a bag that waits for the messages after them.
         self.causes: list[str] = []
         self.written = -self.pause
-        self.keep(f"{self.manager}/stream_events", StreamEvent)
         #: Bags that it has written, the last ones.
         self.paths: list[str] = []
+        self.keep(f"{self.manager}/stream_events", StreamEvent)
         self.keep(f"{self.manager}/model", rospy.AnyMsg)
         self.look()
         self.service = nh.Service("~write_bag", Trigger, self.on_request)
@@ -138,13 +139,14 @@ class BlackBox(dyknow.Nodelet):
             self.model = message
             self.read_model()
         elif is_verdict:
-            before = self.values.get(topic)
+            known = self.values.get(topic)
             self.values[topic] = message.value
-            if message.value == Verdict.FALSE != before:
+            if message.value == Verdict.FALSE != known:
                 self.on_cause(f"the formula of {topic} is violated: {message.why}")
         elif isinstance(message, StreamEvent):
-            after = message.after
-            if after.state in _TROUBLED and after.state != message.before.state:
+            before, after = message.before, message.after
+            is_lost = after.state == StreamStatus.PENDING and before.state in _MADE
+            if is_lost or (after.state in _TROUBLED and after.state != before.state):
                 self.on_cause(f"stream {after.tag} of claim {after.claim_id}: {message.reason}")
 
     def on_cause(self, cause: str) -> None:

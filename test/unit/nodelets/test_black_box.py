@@ -189,6 +189,17 @@ def test_a_repair_and_a_lost_nodelet_are_causes(box):
     assert topics == {EVENTS, MODEL, CAUSE}
 
 
+@pytest.mark.parametrize("state", ["ACTIVE", "DEGRADED", "RECOVERING", "FAILED"])
+def test_a_claim_that_loses_its_stream_is_a_cause(box, state):
+    box = box()
+    after = StreamStatus(claim_id="c1", tag="Ball(x)", state=StreamStatus.PENDING)
+    box.send(EVENTS, StreamEvent(after=after, reason="requested; nothing supplies Ball(x)"))
+    before = StreamStatus(claim_id="c1", tag="Ball(x)", state=getattr(StreamStatus, state))
+    box.send(EVENTS, StreamEvent(before=before, after=after, reason="/camera is gone"))
+    box.pass_time(3.0)
+    assert box.causes() == [["stream Ball(x) of claim c1: /camera is gone"]]
+
+
 def test_causes_in_a_row_make_few_bags_and_old_bags_go(box):
     box = box(pause=10.0, bags=2)
     for _ in range(40):
