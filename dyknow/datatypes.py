@@ -29,9 +29,19 @@ def canonical(datatype: str) -> str:
     Where none can be had, because the type is not installed or stands for any, the name stands
     for itself.
     """
+    return _checksum(datatype) or datatype
+
+
+def is_built(datatype: str) -> bool:
+    """Whether the module that is generated for a message type can be found."""
+    return bool(_checksum(datatype))
+
+
+def _checksum(datatype: str) -> str:
+    """Return the checksum of a type; empty if none can be had."""
     match = _NAME.match(datatype)
     if match is None:
-        return datatype
+        return ""
     package, name = match.groups()
     for folder in sys.path:
         try:
@@ -41,7 +51,7 @@ def canonical(datatype: str) -> str:
         found = _CHECKSUM.search(text)
         if found is not None:
             return found.group(1)
-    return datatype
+    return ""
 
 
 def same_type(one: str, other: str) -> bool:

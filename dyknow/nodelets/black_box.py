@@ -14,7 +14,6 @@ from typing import Any
 import rospkg
 import rospy
 from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
-from roslib.message import get_message_class
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
@@ -25,6 +24,7 @@ from dyknow.nodelets.recording import KeptMessage, Recording, remove_all_but, wr
 from dyknow.periodic import in_background
 from dyknow.ros.parameters import get_positive
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.message_classes import message_class
 
 #: Seconds between two looks for topics, and at a model that has not been read yet.
 _LOOK = 1.0
@@ -104,7 +104,7 @@ class BlackBox(dyknow.Nodelet):
             is_wanted = is_named or datatype == Verdict._type
             if is_wanted and topic not in self.subscribers and datatype != "*":
                 try:
-                    self.keep(topic, get_message_class(datatype) or rospy.AnyMsg)
+                    self.keep(topic, message_class(datatype) or rospy.AnyMsg)
                 except DyKnowError as error:  # a topic that is denied, say: the others are kept
                     self.subscribers[topic] = None
                     self.nh.logwarn("%s: %s is not kept: %s", self.name, topic, error)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import roslib.message
-
 from dyknow.errors import BadParameter
+from dyknow.ros.wire.message_classes import message_class
 
 
 def get_datatype(nh: Any, parameter: str = "~datatype", default: str = "std_msgs/Header") -> Any:
@@ -19,12 +18,7 @@ def get_datatype(nh: Any, parameter: str = "~datatype", default: str = "std_msgs
         BadParameter: no message type of that name can be imported.
     """
     name = nh.get_param(parameter, default)
-    found = None
-    if isinstance(name, str) and "/" in name:
-        try:
-            found = roslib.message.get_message_class(name)
-        except ValueError:
-            found = None  # more than one slash; reported below like any other error
+    found = message_class(name) if isinstance(name, str) else None
     if found is None:
         expected = "a message type of a built package, such as sensor_msgs/Image"
         raise BadParameter(nh.resolve_name(parameter), name, expected)

@@ -10,21 +10,12 @@ from typing import Any, Mapping
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Formula, MessageType
 from dyknow.formulas.types import type_of
-
-
-def message_class(datatype: str) -> Any:
-    """Return the class of a message type; None if it is not built here."""
-    import roslib.message  # formulas alone need it
-
-    try:
-        return roslib.message.get_message_class(datatype)
-    except (ImportError, ValueError):
-        return None
+from dyknow.ros.wire.message_classes import message_class
 
 
 def message_type(datatype: str) -> MessageType | None:
     """Describe a message type; None if it is not built here."""
-    return type_of(message_class(datatype)) if "/" in datatype else None
+    return type_of(message_class(datatype))
 
 
 def known_class(datatype: str) -> Any:

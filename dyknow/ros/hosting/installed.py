@@ -20,6 +20,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
 from dyknow.nodelet.plugins import Plugins, exported_files, plugin_files
 from dyknow.ros.process import programs
+from dyknow.ros.wire.message_classes import message_class
 from dyknow.similar import did_you_mean
 
 _BASE_CLASS = "nodelet::Nodelet"
@@ -110,15 +111,9 @@ def missing_here(file: str, transformations: Sequence[Transformation]) -> Iterat
 
 
 def _missing_types(datatypes: set[str]) -> dict[str, str]:
-    import roslib.message  # here: a request for nodelet types alone does not wait for it
-
     found = {}
     for datatype in datatypes - {"", "*"}:
-        try:
-            known = roslib.message.get_message_class(datatype)
-        except (ValueError, ImportError):
-            known = None
-        if known is None:
+        if message_class(datatype) is None:
             hint = did_you_mean(datatype, _types_beside(datatype))
             found[datatype] = f"no message type '{datatype}' is installed{hint}"
     return found

@@ -11,7 +11,6 @@ from __future__ import annotations
 from io import BytesIO
 from typing import Any, Callable, Iterable
 
-import roslib.message
 import rospy
 from dyknow_msgs import msg
 from dyknow_msgs.srv import HandOver, HandOverRequest, HandOverResponse
@@ -25,6 +24,7 @@ from dyknow.nodelet.hand_over import HandedTopic, HandOvers
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import DIGEST_SIZE, Closable
 from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
+from dyknow.ros.wire.message_classes import message_class
 
 SERVICE = "hand_over"
 
@@ -95,4 +95,4 @@ def _parts(content: bytes, sizes: Iterable[int]) -> list[bytes]:
 
 
 def _message_class(datatype: str) -> Any:
-    return None if datatype == "*" else roslib.message.get_message_class(datatype)
+    return None if datatype == "*" else message_class(datatype)

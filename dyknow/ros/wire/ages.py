@@ -12,8 +12,9 @@ import functools
 import struct
 from typing import Any
 
-import roslib.message
 import rospy
+
+from dyknow.ros.wire.message_classes import message_class
 
 #: A header begins with its number, seconds and nanoseconds.
 _HEADER = struct.Struct("<III")
@@ -22,10 +23,7 @@ _HEADER = struct.Struct("<III")
 @functools.lru_cache(maxsize=1000)
 def is_stamped(datatype: str) -> bool | None:
     """Whether messages of a type begin with a header; None if the type is not known here."""
-    try:
-        found = roslib.message.get_message_class(datatype)
-    except ValueError:
-        found = None
+    found = message_class(datatype)
     return None if found is None else bool(getattr(found, "_has_header", False))
 
 
