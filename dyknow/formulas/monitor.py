@@ -12,6 +12,7 @@ from dyknow.errors import BadParameter, FormulaError
 from dyknow.formulas import syntax
 from dyknow.formulas.compiler import endless
 from dyknow.formulas.look_ahead import looks_ahead
+from dyknow.formulas.precision import narrowed
 from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
@@ -246,7 +247,7 @@ class Monitor:
         for each in readers:
             values = each.own[port]
             # An individual sees in its first state what came for an earlier one.
-            values.add(max(state, each.first), stamp, message, now + _AHEAD)
+            values.add(max(state, each.first), stamp, narrowed(message), now + _AHEAD)
             # A stamp far ahead of the clock passes no states that messages are still to come for.
             if values.latest > farthest:
                 values.latest = farthest

@@ -16,6 +16,7 @@ from dyknow.formulas.compiler import Evaluator, Input
 from dyknow.formulas.exact import ExactEvaluator
 from dyknow.formulas.log import Log
 from dyknow.formulas.look_ahead import looks_ahead
+from dyknow.formulas.precision import Single, original
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN
 from dyknow.formulas.tree import (
     SECOND,
@@ -362,12 +363,16 @@ def rate_states(call: Call, period: int) -> int:
 def _written(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "unknown"}[value]
+    if isinstance(value, Single):
+        return str(value)
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.9g}"
     if hasattr(value, "to_sec"):
-        return f"{value.to_sec():.6g}"
+        return f"{value.to_sec():.9g}"
     if isinstance(value, (int, str)):
         return repr(value)
     if hasattr(value, "UNKNOWN") and hasattr(value, "value"):  # a verdict
         return {0: "FALSE", 1: "TRUE"}.get(value.value, "UNKNOWN")
-    return _written(value.data) if hasattr(value, "data") else f"<{type(value).__name__}>"
+    if hasattr(value, "data"):
+        return _written(value.data)
+    return f"<{type(original(value)).__name__}>"

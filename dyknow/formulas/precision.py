@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Fields of type float32, which are read and compared in that precision.
+
+A message that is passed by reference has doubles in such fields, as its author wrote them; one
+that was sent or recorded has the nearest values of 32 bits, so that 0.2 is a little more than
+0.2. Here both are the same number, and it equals the constant 0.2.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence as AbstractSequence
+from ctypes import c_float
+from functools import lru_cache
+from typing import Any, Mapping
+
+from dyknow.formulas.types import known_type, type_of
+
+_ARRAY = re.compile(r"(.*)\[\d*\]\Z")
+
+
+class Single(float):
+    """A number of 32 bits; a double that it is compared with is rounded to as many."""
+
+    __slots__ = ()
+
+    def __lt__(self, other: float) -> bool:
+        return float.__lt__(self, _rounded(other))
+
+    def __le__(self, other: float) -> bool:
+        return float.__le__(self, _rounded(other))
+
+    def __gt__(self, other: float) -> bool:
+        return float.__gt__(self, _rounded(other))
+
+    def __ge__(self, other: float) -> bool:
+        return float.__ge__(self, _rounded(other))
+
+    def __eq__(self, other: object) -> bool:
+        return float.__eq__(self, _rounded(other))
+
+    def __ne__(self, other: object) -> bool:
+        return float.__ne__(self, _rounded(other))
+
+    __hash__ = float.__hash__
+
+    def __abs__(self) -> Single:
+        return Single(float.__abs__(self))
+
+    def __neg__(self) -> Single:
+        return Single(float.__neg__(self))
+
+    def __str__(self) -> str:
+        """Write the fewest digits that stand for it."""
+        texts = (f"{float(self):.{digits}g}" for digits in range(6, 9))
+        return next((text for text in texts if self == float(text)), f"{float(self):.9g}")
+
+
+class _Message:
+    """A message whose numbers are read in their precision."""
+
+    __slots__ = ("_message", "_types")
+
+    def __init__(self, message: Any) -> None:
+        self._message = message
+        self._types = _types_of(message.__class__)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._message, name)
+        datatype = self._types.get(name)
+        return value if datatype is None else _read(value, datatype)
+
+
+class _Array(AbstractSequence):  # type: ignore[type-arg]
+    """An array of these, or of numbers."""
+
+    __slots__ = ("_array", "_datatype")
+
+    def __init__(self, array: Any, datatype: str) -> None:
+        self._array = array
+        self._datatype = datatype
+
+    def __len__(self) -> int:
+        return len(self._array)
+
+    def __getitem__(self, index: Any) -> Any:
+        return _read(self._array[index], self._datatype)
+
+
+def narrowed(message: Any) -> Any:
+    """Return a view of a message with numbers of 32 bits, and any other message as it is."""
+    return _Message(message) if _types_of(message.__class__) else message
+
+
+def original(value: Any) -> Any:
+    """Return what a view shows."""
+    if isinstance(value, _Message):
+        return value._message
+    return value._array if isinstance(value, _Array) else value
+
+
+@lru_cache(maxsize=1000)
+def _types_of(message_class: Any) -> Mapping[str, str]:
+    """Return the types of the fields of a message that have numbers of 32 bits."""
+    found = type_of(message_class)
+    fields = {} if found is None else found.fields
+    return {name: datatype for name, datatype in fields.items() if _has_singles(datatype)}
+
+
+def _has_singles(datatype: str) -> bool:
+    array = _ARRAY.match(datatype)
+    element = array.group(1) if array else datatype
+    found = known_type(element) if "/" in element else None
+    fields = () if found is None else found.fields.values()
+    return element == "float32" or any(map(_has_singles, fields))
+
+
+def _read(value: Any, datatype: str) -> Any:
+    if datatype == "float32":
+        try:
+            return Single(c_float(value).value)
+        except TypeError:  # its author put something else there
+            return value
+    array = _ARRAY.match(datatype)
+    return _Array(value, array.group(1)) if array else narrowed(value)
+
+
+def _rounded(value: Any) -> Any:
+    return c_float(value).value if isinstance(value, float) else value

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A message by reference and the same one from the wire have the same verdict, and reason."""
+
+from __future__ import annotations
+
+import io
+from ctypes import c_float
+
+import numpy
+import pytest
+from geometry_msgs.msg import Point32, Polygon, PolygonStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs.msg import BatteryState, LaserScan
+from std_msgs.msg import Float32, Float64
+
+from dyknow.formulas import Truth, parse
+from dyknow.formulas.precision import Single, narrowed
+
+
+def received(message):
+    """The message as a subscriber in another process has it."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return type(message)().deserialize(buffer.getvalue())
+
+
+def judged(formula, message):
+    """The verdict about a message, and about the same one from the wire."""
+    found = []
+    for each in (message, received(message)):
+        monitor = parse(formula).monitor(period=1.0)
+        (verdict, *_) = monitor.feed("m", each, 10.0) + monitor.advance(11.0)
+        found.append((verdict.value, verdict.why))
+    assert found[0] == found[1]
+    return found[0]
+
+
+BATTERY = BatteryState(percentage=0.2, cell_voltage=[3.7, 0.1])
+SHAPE = PolygonStamped(polygon=Polygon([Point32(0.1, 0.7, -0.2)]))
+SCAN = LaserScan(ranges=numpy.array([0.3], dtype=numpy.float32))
+
+
+@pytest.mark.parametrize(
+    ("formula", "message", "is_true", "value"),
+    [
+        ("m.percentage > 0.2", BATTERY, False, "m.percentage = 0.2"),
+        ("m.percentage == 0.2", BATTERY, True, "m.percentage = 0.2"),
+        ("m.percentage != 0.2", BATTERY, False, "m.percentage = 0.2"),
+        ("0.2 >= m.percentage", BATTERY, True, "m.percentage = 0.2"),
+        ("0.2 < m.percentage", BATTERY, False, "m.percentage = 0.2"),
+        ("m.percentage > 0.19999998", BATTERY, True, "m.percentage = 0.2"),
+        ("m.cell_voltage[1] <= 0.1", BATTERY, True, "m.cell_voltage[1] = 0.1"),
+        ("abs(m.polygon.points[0].z) == 0.2", SHAPE, True, "m.polygon.points[0].z = -0.2"),
+        ("-m.polygon.points[0].z == 0.2", SHAPE, True, "m.polygon.points[0].z = -0.2"),
+        ("max(m.polygon.points[0].y, 0) <= 0.7", SHAPE, True, "m.polygon.points[0].y = 0.7"),
+        ("norm(m.polygon.points[0]) < 1", SHAPE, True, "m.polygon.points[0] = <Point32>"),
+        ("m.ranges[0] == 0.3", SCAN, True, "m.ranges[0] = 0.3"),
+        ("m.data <= 0.2", Float32(0.2), True, "m.data = 0.2"),
+        ("m.data == 16777217", Float32(16777216), True, "m.data = 16777216"),
+        ("m.data < 1e300", Float32(1e38), True, "m.data = 1e+38"),
+        ("m.data > 0.2", Float64(0.20000001), True, "m.data = 0.20000001"),
+    ],
+)
+def test_a_field_of_32_bits_is_compared_as_such(formula, message, is_true, value):
+    expected = Truth.TRUE if is_true else Truth.FALSE
+    assert judged(formula, message) == (expected, f"{value} at 10")
+
+
+@given(st.floats(width=32), st.floats(-10.0, 10.0), st.sampled_from(["<", "<=", ">", ">=", "=="]))
+def test_by_reference_and_from_the_wire_there_is_one_verdict(value, constant, operator):
+    judged(f"m.data {operator} {constant!r}", Float32(value))
+    if abs(value) < 10.0:
+        judged(f"m.data {operator} {value!r}", Float32(value * 1.00000001))
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, width=32))
+def test_the_digits_of_a_number_stand_for_it(value):
+    assert c_float(float(str(Single(value)))).value == value
+
+
+def test_an_array_has_its_length_and_numbers():
+    assert list(narrowed(BATTERY).cell_voltage) == [3.7, 0.1]
+
+
+def test_a_message_without_such_fields_is_read_as_it_is():
+    message = Float64(0.2)
+    assert narrowed(message) is message
+
+
+def test_a_field_with_something_else_in_it_is_unknown():
+    message = Float32()
+    message.data = "text"
+    monitor = parse("m.data > 0").monitor(period=1.0)
+    (verdict, *_) = monitor.feed("m", message, 10.0) + monitor.advance(11.0)
+    assert verdict.value is Truth.UNKNOWN
