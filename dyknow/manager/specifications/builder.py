@@ -16,9 +16,9 @@ from dyknow.manager.specifications.formula_parts import FormulaParts, no_types, 
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
-from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
 from dyknow.manager.specifications.xml_reader import XmlNode
-from dyknow.model.placeholders import fill, variables_of
+from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import (
     FORMULA,
     FORMULA_CLASS,
@@ -240,7 +240,7 @@ class Builder:
         if names and type_ not in ("string", "yaml"):
             return  # it is checked when the name is known
         try:
-            parse_value(type_, fill(text, names), self._limits)
+            parse_value(type_, filled(type_, text, names, self._limits), self._limits)
         except BadValue as error:
             self._problem(param, f"the parameter '{shorten(name)}': {error}")
             return

@@ -228,7 +228,7 @@ def _problem(type_: str, text: str) -> str:
 
 
 def _written(values: dict[str, str]) -> str:
-    return json.dumps(values, sort_keys=True)
+    return json.dumps(values, sort_keys=True, ensure_ascii=False)  # which YAML reads, too
 
 
 def _term(tag: str) -> Term | None:

@@ -16,8 +16,8 @@ from typing import Iterable, Mapping, Sequence
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import listed, meant, shorten
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags, types_of
-from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
-from dyknow.model.placeholders import fill, variables_of
+from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
+from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import OUT, Parameter, Transformation
 
 #: Parameters that every port of images reads, its own or those of its nodelet.
@@ -164,9 +164,13 @@ def set_on_load(
             for each in unbound
         ]
         if not unbound:
-            filled = fill(text, bindings)
-            problems += _problems_of_value(name, type_, filled)
-            result.append(Parameter(name, type_, filled))
+            try:
+                filled_text = filled(type_, text, bindings)
+                parse_value(type_, filled_text)
+            except BadValue as error:
+                problems.append(f"the parameter '{shorten(name)}': {error}")
+            else:
+                result.append(Parameter(name, type_, filled_text))
     if problems:
         raise InvalidParameters(transformation.label, problems)
     return (*result, *overriding)

@@ -11,12 +11,13 @@ the middle of a spawn.
 from __future__ import annotations
 
 import re
-from typing import Any, Dict, List, Union
+from typing import Any, Callable, Dict, List, Mapping, Union
 
 import yaml
 
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
+from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import Parameter
 
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
@@ -26,6 +27,8 @@ _DOUBLE = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
 )
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
+#: What ends a document of YAML.
+_END = re.compile(r"\n(\.\.\.\n)?\Z")
 _BOOLS: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -77,6 +80,49 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
 def value_of(parameter: Parameter) -> Value:
     """Return the value for the parameter server; lists and mappings are the caller's own."""
     return parse_value(parameter.type, parameter.text)
+
+
+def filled(
+    type_: str,
+    text: str,
+    names: Mapping[str, str],
+    limits: SpecificationLimits = DEFAULT_LIMITS,
+) -> str:
+    """Put names for the placeholders of a parameter; in YAML they are strings, or parts of them.
+
+    Args:
+        type_: as for ``parse_value``.
+        text: the value as written.
+        names: what each variable stands for.
+        limits: the caps on YAML.
+
+    Raises:
+        BadValue: the text is not YAML.
+        KeyError: a variable has no name.
+    """
+    variables = variables_of(text)
+    if type_ != "yaml" or not variables:
+        return fill(text, names)
+    mark = "\ue000"  # a letter of private use
+    while mark in text:
+        mark += "\ue001"
+    places = {each: f"{mark}{number}\ue002" for number, each in enumerate(variables)}
+    value = _parse_yaml(fill(text, places), limits)
+    place = re.compile(f"{mark}([0-9]+)\ue002")
+    named = _replaced(value, lambda each: place.sub(lambda m: names[variables[int(m[1])]], each))
+    written: str = yaml.safe_dump(
+        named, allow_unicode=True, default_flow_style=True, sort_keys=False, width=float("inf")
+    )
+    return _END.sub("", written)
+
+
+def _replaced(value: Value, replace: Callable[[str], str]) -> Value:
+    """Replace all strings of a value."""
+    if isinstance(value, list):
+        return [_replaced(each, replace) for each in value]
+    if isinstance(value, dict):
+        return {replace(key): _replaced(each, replace) for key, each in value.items()}
+    return replace(value) if isinstance(value, str) else value
 
 
 def _parse_int(text: str) -> int:

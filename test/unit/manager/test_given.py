@@ -13,6 +13,8 @@ from unit.manager.world import TRACKER, World
 
 from dyknow.errors import InvalidParameters, SpawnFailed
 from dyknow.manager.specifications.given import completed, set_on_load, undeclared
+from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.values import value_of
 from dyknow.model.transformation import Parameter, Port, Transformation
 
 TRANSFORMATION = Transformation(
@@ -26,6 +28,19 @@ TRANSFORMATION = Transformation(
     ),
     ports=(Port("in", "in", "", ("Image(?camera)", "Part(?camera, ?number)")),),
 )
+
+FORMULA = """<transformation type="formula"><label>f</label>
+  <ports>
+    <port type="in" datatype="std_msgs/Bool">a</port>
+    <port type="in" datatype="std_msgs/Bool">b</port>
+    <port type="in" datatype="std_msgs/Bool">d</port>
+    <port type="out">h</port>
+  </ports>
+  <tags>
+    <tag port="a">A(?r)</tag><tag port="b">B(?r, ?c)</tag><tag port="d">D({}, ?c)</tag>
+    <tag port="h">H(?r)</tag>
+  </tags>
+  <formula>a and every ?c (b and d)</formula></transformation>"""
 
 
 def given(**values: str) -> Tuple[Parameter, ...]:
@@ -111,6 +126,22 @@ def test_unfilled_and_wrongly_filled_ones_are_refused() -> None:
         "--param '?camera=NAME'",
         "the parameter 'number': expected an int, such as 42, found 'seven'",
     )
+
+
+@pytest.mark.parametrize("name", ["no", "7", "camera #2", "left: wide", '24" monitor', "~"])
+def test_in_yaml_a_variable_is_a_string(name: str) -> None:
+    parameters = (Parameter("who", "yaml", "{robot: ${?camera}, rate: 5}"),)
+    typed = TRANSFORMATION._replace(parameters=parameters)
+    (found,) = set_on_load(typed, completed(typed, given(v_camera=name)))
+    assert value_of(found) == {"robot": name, "rate": 5}
+
+
+@pytest.mark.parametrize("name", ["nao", '24" monitor', "back\\slash", "😀"])
+def test_individuals_of_a_formula_are_told_the_name_of_another_variable(name: str) -> None:
+    (formula,) = parse(FORMULA.format(name)).transformations
+    parameters = set_on_load(formula, completed(formula, given(v_r=name)))
+    values = {each.name: value_of(each) for each in parameters}
+    assert values["individuals"] == {"b": f"B({name}, ?c)", "d": f"D({name}, ?c)"}
 
 
 # In the life of a nodelet

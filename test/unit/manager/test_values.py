@@ -4,9 +4,11 @@
 """The values of parameters."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
 
 
 @pytest.mark.parametrize(
@@ -50,6 +52,30 @@ def test_values_are_what_the_parameter_server_is_to_hold(type_, text, value):
 )
 def test_a_parameter_without_type_gets_the_one_roslaunch_would_give(text, type_):
     assert infer_type(text) == type_
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value"),
+    [
+        ("{robot: ${?r}, rate: 5}", "no", {"robot": "no", "rate": 5}),
+        ("- ${?r}", "7", ["7"]),
+        ("[${?r}, '${?r}', \"${?r}\"]", "24\" 'x'", ["24\" 'x'"] * 3),
+        ("${?r}", "~", "~"),
+        ("${?r}_${?s}: [1.0e+20, .inf]", "a: b", {"a: b_left": [1e20, float("inf")]}),
+        ("a: |\n  ${?r}\n  b\n", "camera #2", {"a": "camera #2\nb\n"}),
+        ("['$${?r}', $$${?r}, \ue0000\ue002]", "x", ["${?r}", "$x", "\ue0000\ue002"]),
+        ("[true, ${?r}] # ${?s}", "null", [True, "null"]),
+    ],
+)
+def test_in_yaml_a_placeholder_stands_for_the_name(text, name, value):
+    names = {"?r": name, "?s": "left"}
+    assert parse_value("yaml", filled("yaml", text, names)) == value
+
+
+@given(st.text(st.characters(blacklist_categories=("Cc", "Cs")), min_size=1))
+def test_any_name_can_stand_in_yaml(name):
+    text = filled("yaml", "{x: [${?r}, 'a ${?r}'], ${?r}: 1}", {"?r": name})
+    assert parse_value("yaml", text) == {"x": [name, f"a {name}"], name: 1}
 
 
 def test_an_unknown_type_names_the_known_ones():
