@@ -10,6 +10,7 @@ the middle of a spawn.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any, Callable, Dict, List, Mapping, Union
 
@@ -41,7 +42,7 @@ def infer_type(text: str) -> str:
     """Return the type of a parameter that states none, as roslaunch does."""
     if _INT.match(text):
         return "int"
-    if _DOUBLE.match(text):
+    if "." in text and _DOUBLE.match(text):
         return "double"
     return "bool" if text.lower() in ("true", "false") else "string"
 
@@ -67,7 +68,10 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
     if type_ == "double":
         if not _DOUBLE.match(text.lower()):
             raise BadValue(f"expected a double, such as 0.5 or 1e-3, found '{shorten(text)}'")
-        return float(text)
+        number = float(text)
+        if math.isinf(number) and "inf" not in text.lower():
+            raise BadValue(f"expected a double of 64 bits, or inf, found '{shorten(text)}'")
+        return number
     if type_ == "bool":
         if text.lower() not in _BOOLS:
             raise BadValue(f"expected a bool, true or false, found '{shorten(text)}'")

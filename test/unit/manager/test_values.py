@@ -6,9 +6,12 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from roslaunch.loader import convert_value
 
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
+
+TYPES = {"int": int, "double": float, "bool": bool, "string": str}
 
 
 @pytest.mark.parametrize(
@@ -42,8 +45,10 @@ def test_values_are_what_the_parameter_server_is_to_hold(type_, text, value):
     [
         ("1", "int"),
         ("-0.5", "double"),
-        ("1e3", "double"),
-        ("nan", "double"),
+        ("1.e3", "double"),
+        ("1e3", "string"),
+        ("nan", "string"),
+        ("inf", "string"),
         ("TRUE", "bool"),
         ("yes", "string"),
         ("", "string"),
@@ -52,6 +57,19 @@ def test_values_are_what_the_parameter_server_is_to_hold(type_, text, value):
 )
 def test_a_parameter_without_type_gets_the_one_roslaunch_would_give(text, type_):
     assert infer_type(text) == type_
+    assert type(convert_value(text, "auto")) is TYPES[type_]
+
+
+@given(st.text("0123456789+-.eEx", max_size=8) | st.sampled_from(["1e400", "-inf", "nan."]))
+def test_each_text_gets_the_type_that_roslaunch_gives(text):
+    assert type(convert_value(text, "auto")) is TYPES[infer_type(text)]
+
+
+@pytest.mark.parametrize("text", ["1e400", "-1.0e999", "9" * 400])
+def test_a_number_that_a_double_cannot_hold_is_refused(text):
+    with pytest.raises(BadValue, match="expected a double of 64 bits, or inf, found"):
+        parse_value("double", text)
+    assert parse_value("double", "-Inf") == float("-inf")
 
 
 @pytest.mark.parametrize(
