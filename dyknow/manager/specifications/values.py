@@ -28,6 +28,8 @@ _DOUBLE = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
 )
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
+#: What XML, and so XML-RPC, has no way to write.
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 #: What ends a document of YAML.
 _END = re.compile(r"\n(\.\.\.\n)?\Z")
 _BOOLS: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
@@ -62,6 +64,7 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
         BadValue: The text is not of this type, or the parameter server cannot hold it.
     """
     if type_ == "string":
+        _check_text(text)
         return text
     if type_ == "int":
         return _parse_int(text)
@@ -188,18 +191,30 @@ def _check_yaml_events(text: str, limits: SpecificationLimits) -> None:
                 raise BadValue(f"expected YAML of at most {limits.yaml_nodes} values")
 
 
+def _check_text(text: str) -> None:
+    found = _NO_XML.search(text)
+    if found is not None:
+        raise BadValue(
+            "expected text without control characters, which the parameter server cannot hold, "
+            f"found {shorten(text)!r}"
+        )
+
+
 def _check_plain(value: Any) -> None:
-    if isinstance(value, list):
+    if isinstance(value, str):
+        _check_text(value)
+    elif isinstance(value, list):
         for item in value:
             _check_plain(item)
     elif isinstance(value, dict):
         for key, item in value.items():
             if not isinstance(key, str):
                 raise BadValue(f"expected YAML with strings as keys, found the key {key!r}")
+            _check_text(key)
             _check_plain(item)
     elif isinstance(value, int):
         _check_int(value, f"{value:#x}" if abs(value) > 2**64 else str(value))
-    elif not isinstance(value, (str, float)):
+    elif not isinstance(value, float):
         found = "an empty value" if value is None else f"a {type(value).__name__}"
         raise BadValue(
             "expected YAML of strings, numbers, bools, lists and mappings, which the parameter "

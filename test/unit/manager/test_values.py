@@ -96,6 +96,23 @@ def test_any_name_can_stand_in_yaml(name):
     assert parse_value("yaml", text) == {"x": [name, f"a {name}"], name: 1}
 
 
+@pytest.mark.parametrize(
+    ("type_", "text"),
+    [
+        ("yaml", '{text: "bell \\a"}'),
+        ("yaml", '["\\0"]'),
+        ("yaml", '{"\\e": 1}'),
+        ("string", "bell \a"),
+        ("string", "half \ud800"),
+    ],
+)
+def test_text_that_the_parameter_server_cannot_hold_is_refused(type_, text):
+    with pytest.raises(BadValue, match="expected text without control characters") as caught:
+        parse_value(type_, text)
+    assert str(caught.value).isprintable()
+    assert parse_value("yaml", '"a\\tb\\nc"') == "a\tb\nc"
+
+
 def test_an_unknown_type_names_the_known_ones():
     with pytest.raises(BadValue, match="string, int, double, bool or yaml, found 'float'"):
         parse_value("float", "1")
