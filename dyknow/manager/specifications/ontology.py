@@ -62,8 +62,8 @@ class Ontology:
     def individuals(self, concept: str) -> tuple[str, ...]:
         """Return the terms of the individuals of a class, those of its subclasses included.
 
-        An individual without a label goes by the last part of its URI. Of several labels the one
-        in the preferred language counts, as `Labels` says.
+        An individual without a label goes by the last part of its URI; one without a URI is left
+        out then. Of several labels the one in the preferred language counts, as `Labels` says.
 
         Args:
             concept: the URI of the class.
@@ -80,7 +80,9 @@ class Ontology:
         found: list[str] = []
         for individual in self._of(concept):
             terms = [label.text for label in self._labels.terms(individual)]
-            if not terms and not is_blank(individual):
+            if not terms and is_blank(individual):
+                continue
+            if not terms:
                 term = local_name(individual)
                 if self._individuals.get(term) != individual:
                     others = self._individuals.ambiguous.get(term, [self._individuals.get(term)])
@@ -88,7 +90,7 @@ class Ontology:
                     reasons.append(f"<{individual}> has no label, and '{term}' means {listed} too")
                 terms = [term]
             if len(terms) != 1:
-                listed = ", ".join(f"'{term}'" for term in terms) or "none"
+                listed = ", ".join(f"'{term}'" for term in terms)
                 reasons.append(f"<{individual}> has the labels {listed}; expected exactly one")
             found += terms
         if reasons:
@@ -97,6 +99,8 @@ class Ontology:
 
     def unlabelled(self, concept: str) -> tuple[str, ...]:
         """Return the URIs of the individuals of a class that have no label.
+
+        `_:` begins those of individuals that have no URI.
 
         Raises:
             UnknownConcept: no class has this URI.

@@ -44,7 +44,7 @@ class Concepts(Subsumption, Protocol):
         """Return the labels of a class's individuals, sorted, or raise an `OntologyError`."""
 
     def unlabelled(self, concept: str) -> tuple[str, ...]:
-        """Return the URIs of the individuals without a label."""
+        """Return the URIs of the individuals without a label; `_:` begins what has no URI."""
 
     def is_class(self, name: str) -> bool:
         """Whether a name stands for a class."""
@@ -79,6 +79,7 @@ class Expander:
         known = self._variables_are_known(node, names)
         if terms is None or not known or not self._labels_differ(node, names, terms):
             return None
+        self._check_arguments(node, args, terms)
         pieces = {
             (text, is_value): _cut(text, names, is_value) for text, _, is_value in node.texts()
         }
@@ -119,15 +120,37 @@ class Expander:
         except OntologyError as error:
             self._problem(arg, f"has no terms: {error}")
             return ()
-        for uri in self._ontology.unlabelled(text):
+        unlabelled = self._ontology.unlabelled(text)
+        anonymous = [uri for uri in unlabelled if uri.startswith("_:")]
+        if anonymous:
             self._findings.warning(
                 arg.line,
-                f"the individual <{shorten(uri)}> has no label; it goes by the last part of its "
-                "URI",
+                f"individuals of the class <{shorten(text)}> that have neither a URI nor a label "
+                f"are left out: {len(anonymous)}",
             )
+        for uri in unlabelled:
+            if uri not in anonymous:
+                self._findings.warning(
+                    arg.line,
+                    f"the individual <{shorten(uri)}> has no label; it goes by the last part of "
+                    "its URI",
+                )
         if not terms:
             self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
         return terms
+
+    def _check_arguments(self, node: XmlNode, args: list[XmlNode], terms: _Terms) -> None:
+        """Warn about labels of individuals that are no single argument of a tag."""
+        tags = [tag.text for tag in node.all("tags")]
+        for arg, found in zip(args, terms):
+            is_used = any(f"${{{arg.get('label')}}}" in tag for tag in tags)
+            for term in found if is_used and not arg.text.startswith("{") else ():
+                if set(term) & set("(),?"):
+                    self._findings.warning(
+                        arg.line,
+                        f"the individual '{shorten(term)}' is no single argument of a tag: its "
+                        "label has one of '(', ')', ',' and '?'",
+                    )
 
     def _explicit_terms(self, arg: XmlNode) -> tuple[str, ...]:
         terms = tuple(term.strip(BLANK) for term in arg.text[1:-1].split(";"))

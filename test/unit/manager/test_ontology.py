@@ -125,7 +125,6 @@ def test_a_missing_label_falls_back_to_the_end_of_the_uri(ontology: Load) -> Non
             ':a a :C . :b a :C ; rdfs:label "a" .',
             [f"<{BASE}a> has no label, and 'a' means <{BASE}b> too"],
         ),
-        ("[] a :C .", ["has the labels none; expected exactly one"]),
         (
             ':x a :C . o:x a :C . :y a :C . o:y a :C ; rdfs:label "y" .',
             [
@@ -434,6 +433,22 @@ def test_entities_that_explode_are_refused_before_they_do(
 
     with pytest.raises(OntologyFileError, match=reason):
         load_ontology([str(path)])
+
+
+def test_one_statement_of_rdf_needs_no_root(tmp_path: Path) -> None:
+    path = tmp_path / "o.owl"
+    path.write_text(
+        '<owl:Class xmlns:owl="http://www.w3.org/2002/07/owl#" rdf:about="urn:C" '
+        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"/>'
+    )
+    assert load_ontology([str(path)]).is_class("urn:C")
+
+
+def test_an_individual_without_a_name_is_left_out(ontology: Load) -> None:
+    found = ontology(':C a owl:Class . :l a :C ; rdfs:label "left" . :r :has [ a :C ] .')
+    assert found.individuals(BASE + "C") == ("left",)
+    (anonymous,) = found.unlabelled(BASE + "C")
+    assert anonymous.startswith("_:")
 
 
 def test_entities_are_shorthands_for_namespaces(tmp_path: Path) -> None:

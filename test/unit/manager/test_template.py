@@ -23,7 +23,11 @@ SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)
 class Concepts(NoOntology):
     """An ontology of a class with individuals, and of one without."""
 
-    CLASSES = {"http://example.org/#Camera": ("back", "front"), "urn:x": ()}
+    CLASSES = {
+        "http://example.org/#Camera": ("back", "front"),
+        "urn:lens": ("front, wide", "left"),
+        "urn:x": (),
+    }
 
     def is_class(self, name):
         return name in self.CLASSES
@@ -34,7 +38,7 @@ class Concepts(NoOntology):
         return self.CLASSES[concept]
 
     def unlabelled(self, concept):
-        return ("http://example.org/#back",) if self.CLASSES[concept] else ()
+        return ("http://example.org/#back", "_:n1") if "back" in self.CLASSES[concept] else ()
 
 
 def template(label, args, extra=""):
@@ -87,10 +91,30 @@ def test_the_terms_may_be_the_individuals_of_a_class():
     assert [(each.line > 0, each.message) for each in warned] == [
         (
             True,
+            "individuals of the class <http://example.org/#Camera> that have neither a URI nor a "
+            "label are left out: 1",
+        ),
+        (
+            True,
             "the individual <http://example.org/#back> has no label; it goes by the last part "
             "of its URI",
-        )
+        ),
     ]
+
+
+@pytest.mark.parametrize(
+    ("terms", "tag", "is_warned"),
+    [
+        ("urn:lens", "Image(${C})", True),
+        ("urn:lens", "Image(cam)", False),
+        ("{front, wide; left}", "Image(${C})", False),  # two arguments on purpose
+    ],
+)
+def test_an_individual_that_is_no_single_argument_is_warned_about(terms, tag, is_warned):
+    ports = f"<ports><port type='out'>o</port></ports><tags><tag port='o'>{tag}</tag></tags>"
+    found = parse(template("a ${C}", {"C": terms}, ports), ontology=Concepts())
+    expected = "the individual 'front, wide' is no single argument of a tag"
+    assert [each.message.split(":")[0] for each in found.warnings] == [expected] * is_warned
 
 
 def test_a_class_without_individuals_is_a_problem():
