@@ -14,7 +14,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Iterable, NamedTuple, Sequence
+from typing import Iterable, Mapping, NamedTuple, Sequence
 from urllib.parse import unquote, urljoin, urlsplit
 from xml.parsers import expat
 
@@ -245,6 +245,7 @@ def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
     try:
         if kind == "xml":
             _check_entities(data, limits)
+            _check_root(data)
         # Given bytes instead of a location, rdflib has nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
     except RecursionError as error:
@@ -266,6 +267,26 @@ def _check_format(path: str, data: bytes, kind: str) -> None:
 
 class _Begun(Exception):
     """The first element has begun: entities are only declared before it."""
+
+
+def _check_root(data: bytes) -> None:
+    """Raise ValueError for XML that is no RDF, such as a page that was fetched instead of a file.
+
+    A text that is not well-formed passes: the parser that follows refuses it.
+    """
+
+    def begin(name: str, attributes: Mapping[str, str]) -> None:
+        if name != f"{RDF} RDF" and not any(each.startswith(f"{RDF} ") for each in attributes):
+            is_owl = name == f"{OWL} Ontology"
+            tag = name.split(" ")[-1][:60]
+            found = "as OWL/XML, which is not read" if is_owl else f"with <{tag}>"
+            raise ValueError(f"it begins {found}; expected <rdf:RDF>")
+        raise _Begun
+
+    parser = expat.ParserCreate(namespace_separator=" ")
+    parser.StartElementHandler = begin
+    with contextlib.suppress(_Begun, expat.ExpatError):
+        parser.Parse(data, True)
 
 
 def _check_entities(data: bytes, limits: SpecificationLimits) -> None:

@@ -459,6 +459,15 @@ def test_entities_are_shorthands_for_namespaces(tmp_path: Path) -> None:
     assert load_ontology([str(path)]).individuals("http://example.org/D") == ("cam",)
 
 
+OWL_XML = """<?xml version="1.0"?>
+<!DOCTYPE owl:Ontology>
+<owl:Ontology xmlns:owl="http://www.w3.org/2002/07/owl#" ontologyIRI="http://example.org/o">
+  <owl:Declaration><owl:Class IRI="#Camera"/></owl:Declaration>
+</owl:Ontology>"""
+XHTML = """<html xmlns="http://www.w3.org/1999/xhtml"><head><title>404 not found</title></head>
+<body><p>There is no such file.</p></body></html>"""
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
@@ -468,6 +477,10 @@ def test_entities_are_shorthands_for_namespaces(tmp_path: Path) -> None:
         ("o.owl", "# mine\nPrefix(:=<urn:a>)\nOntology(<urn:a>)", "is in OWL functional syntax"),
         ("o.owl", "Prefix: : <urn:a>\nOntology: <urn:a>", "is in Manchester syntax"),
         ("o.owl", '<?xml version="1.0"?>\n<Ontology/>', "is in OWL/XML"),
+        ("o.owl", OWL_XML, "it begins as OWL/XML, which is not read; expected <rdf:RDF>"),
+        ("o.rdf", XHTML, "it begins with <html>; expected <rdf:RDF>"),
+        ("o.owl", "<!DOCTYPE html><html><body/></html>", "it begins with <html>"),
+        ("o.owl", "<Error><Code>NoSuchKey</Code></Error>", "it begins with <Error>"),
         ("o.owl", "@prefix : <urn:a> .", "is in Turtle, whose ending is .ttl; expected RDF/XML"),
         ("o.ttl", "<rdf:RDF></rdf:RDF>", "is in RDF/XML, whose endings are .owl and .rdf"),
         ("o.nt", "what is this", "is not valid nt"),
