@@ -18,7 +18,6 @@ from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from dyknow_msgs.msg import Verdict as VerdictMessage
-from roslib.message import get_message_class
 
 from dyknow import names
 from dyknow.datatypes import ANY
@@ -27,6 +26,7 @@ from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import Model
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.message_classes import message_class
 from dyknow.ros.wire.messages import counts_from, event_from, model_from
 from dyknow.ros.wire.topic_reader import TopicFollower
 from dyknow_rqt.graph.samples import Sample, sample_of
@@ -82,7 +82,7 @@ class RosRemote(Remote):
         if datatype in ANY:
             types = dict(self._master.ask("getTopicTypes"))
             datatype = types.get(topic, "")
-        found = get_message_class(datatype) if datatype not in ANY else None
+        found = message_class(datatype)
         if found is None:
             raise HostError(f"{topic}: messages of type '{datatype}' are not known here")
         reduced = _Reduced(found)
