@@ -18,7 +18,14 @@ import collections
 import threading
 from typing import Any, Callable
 
-from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive, Transport
+from dyknow.nodelet.middleware import (
+    HERE,
+    Converter,
+    OutsidePublisher,
+    OutsideSubscriber,
+    Receive,
+    Transport,
+)
 from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 
 #: Stands for "no message", since a message may be None.
@@ -208,8 +215,8 @@ class Subscription:
     """Callbacks with a queue on a strand, connected to one topic or to none."""
 
     __slots__ = tuple(
-        """_callbacks adapt closed connection datatype failed options owner queue_size receive
-        strand traffic""".split()
+        """_callbacks adapt closed connection converter datatype failed options owner queue_size
+        receive strand traffic""".split()
     )
 
     def __init__(
@@ -240,6 +247,8 @@ class Subscription:
         self.receive: Receive = _ignore
         self.traffic = Traffic(strand.clock)
         self.connection: Connection | None = None
+        #: Once a publication of a special class of messages has been on its topic.
+        self.converter: Converter | None = None
         self.closed = False
 
     @property
@@ -253,10 +262,28 @@ class Subscription:
 
     def add(self, callback: Callable[..., Any], args: tuple[Any, ...]) -> int:
         """Call this back too; returns the number of the callback."""
-        self._callbacks = (*self._callbacks, (callback, args))
+        with message_lock:
+            self._callbacks = (*self._callbacks, (callback, args))
+            self._receive_by_callbacks()
+            return len(self._callbacks) - 1
+
+    def convert(self, converter: Converter) -> None:
+        """Convert the messages from now on; the lock is held."""
+        if self.converter is None:
+            self.converter = converter
+            self._receive_by_callbacks()
+
+    def _receive_by_callbacks(self) -> None:
+        if not self._callbacks:
+            return
+        callback, args = self._callbacks[0]
         alone = len(self._callbacks) == 1 and not args
-        self.receive = self.adapt(callback if alone else self._call_all)
-        return len(self._callbacks) - 1
+        receive = self.adapt(callback if alone else self._call_all)
+        converter, datatype = self.converter, self.datatype
+        if converter is None:
+            self.receive = receive
+        else:
+            self.receive = lambda message: receive(converter(datatype, message))
 
     def _call_all(self, message: Any) -> None:
         errors: list[BaseException] = []
@@ -281,8 +308,9 @@ class Publication:
     """
 
     __slots__ = tuple(
-        """_build _fence _is_plain _is_sample_wanted _route _sample _sample_of _watchers closed
-        datatype latch latched options outside owner queue_size refusal topic traffic""".split()
+        """_build _converter _fence _is_plain _is_sample_wanted _route _sample _sample_of
+        _watchers closed datatype latch latched options outside owner queue_size refusal topic
+        traffic""".split()
     )
 
     def __init__(
@@ -309,6 +337,7 @@ class Publication:
         self.outside: OutsidePublisher | None = None
         self.closed = False
         self._build = transport.build
+        self._converter = transport.converter(datatype)
         self._sample_of = transport.sample_of
         self._sample: tuple[float | None, int] = (None, 0)
         self._is_sample_wanted = False
@@ -502,6 +531,9 @@ class Publication:
     ) -> None:
         self._route = route
         self._note_plain()
+        if self._converter is not None:
+            for connection in route or ():
+                connection.subscription.convert(self._converter)
         if self.latched is not NOTHING:
             for connection in newcomers:
                 connection.push_locked(self.latched)

@@ -23,6 +23,9 @@ from dyknow.errors import DyKnowError, HandleClosed
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 
+Converter = Callable[[Any, Any], Any]
+"""Returns a message in the given class, which is one of its type."""
+
 Parameter = Callable[[str, Any], Any]
 """Returns a parameter of a port by its name, or the given default."""
 
@@ -194,8 +197,15 @@ class Transport(ABC):
         return None
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Wrap ``receive`` so that it takes any message, if ``datatype`` stands for "any type"."""
+        """Wrap ``receive`` so that it takes the messages of all publishers of this process.
+
+        That is needed where ``datatype`` stands for "any type", or is a special class of its type.
+        """
         return receive
+
+    def converter(self, datatype: Any) -> Converter | None:
+        """Return how subscribers of other classes take messages of a special class of a type."""
+        return None
 
 
 class Services(ABC):

@@ -63,6 +63,8 @@ class ParkedConnection(Connection):
             if not self._is_cleared:
                 return False
             self.subscription, self._strand = subscription, subscription.strand
+            if own.converter is not None:
+                subscription.convert(own.converter)
             self._is_adopted = True
         return True
 

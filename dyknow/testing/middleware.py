@@ -23,7 +23,8 @@ from dyknow.nodelet.local import (
     LocalTransport,
     ManualTicker,
 )
-from dyknow.nodelet.middleware import Handler
+from dyknow.nodelet.middleware import Converter, Handler, Receive
+from dyknow.ros.transport.conversions import built, has_arrays, in_class, receive_in_class
 from dyknow.ros.transport.node import ClosedHandle, Interrupted, MessageTimeout
 
 #: Members of rospy that need neither a node nor a master.
@@ -68,7 +69,15 @@ class HarnessTransport(LocalTransport):
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
         """Make a message as ``rospy.Publisher.publish`` does."""
-        return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+        return built(datatype, args, kwds)
+
+    def converter(self, datatype: Any) -> Converter | None:
+        """Return what plain subscribers of ``numpy_msg`` publications need."""
+        return in_class if has_arrays(datatype) else None
+
+    def adapt(self, datatype: Any, receive: Receive) -> Receive:
+        """Give subscribers of ``numpy_msg`` arrays."""
+        return receive_in_class(datatype, receive)
 
 
 class HarnessServices(LocalServices):

@@ -12,10 +12,11 @@ from __future__ import annotations
 import copy
 import hashlib
 from io import BytesIO
-from typing import Any
+from typing import Any, Sequence
 
 import genpy
 import rospy
+import rospy.msg
 
 from dyknow.nodelet.middleware import DIGEST_SIZE, Receive
 
@@ -104,6 +105,40 @@ def serialised(any_class: Any, message: Any, header: dict[str, str] | None = Non
     return wrapped
 
 
+def has_arrays(datatype: Any) -> bool:
+    """Whether ``rospy.numpy_msg`` made a class of messages; numpy is not imported for that."""
+    return bool(datatype.__module__ == "rospy.numpy_msg")
+
+
+def in_class(datatype: Any, message: Any) -> Any:
+    """Return a message in a class of its type.
+
+    One of any type passes, and one of a class that its author has derived from that class.
+    """
+    if message.__class__ is datatype or "*" in (datatype._md5sum, message._md5sum):
+        return message
+    if isinstance(message, datatype) and not has_arrays(message.__class__):
+        return message
+    return copy_of(message, datatype)
+
+
+def receive_in_class(datatype: Any, receive: Receive) -> Receive:
+    """Give subscribers of a class that is not genpy's own messages of it, of any publisher."""
+    if not issubclass(datatype, genpy.Message) or genpy.Message in datatype.__bases__:
+        return receive
+    return lambda message: receive(
+        message if message.__class__ is datatype else in_class(datatype, message)
+    )
+
+
+def built(datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
+    """Make a message as ``rospy.Publisher.publish`` does; in a plain one there are no arrays."""
+    message = rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+    if has_arrays(message.__class__) and message.__class__ is not datatype:
+        return in_class(datatype, message)
+    return message
+
+
 class TypedReceiver:
     """Feeds a connection of a definite type from a rospy subscriber that may be of any type."""
 
@@ -124,4 +159,6 @@ class TypedReceiver:
                 return
             message = self._datatype().deserialize(message._buff)
             message._connection_header = header
+        elif message.__class__ is not self._datatype:  # of the first subscriber of the topic
+            message = in_class(self._datatype, message)
         self._receive(message)

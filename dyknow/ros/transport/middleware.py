@@ -11,7 +11,6 @@ import traceback
 from typing import Any, Sequence
 
 import rospy
-import rospy.msg
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
@@ -19,6 +18,7 @@ from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import (
     Closable,
     Codec,
+    Converter,
     Handler,
     Middleware,
     Parameter,
@@ -28,7 +28,15 @@ from dyknow.nodelet.middleware import (
 )
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros.transport import images
-from dyknow.ros.transport.conversions import digest, packed, serialised
+from dyknow.ros.transport.conversions import (
+    built,
+    digest,
+    has_arrays,
+    in_class,
+    packed,
+    receive_in_class,
+    serialised,
+)
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
@@ -103,7 +111,7 @@ class RospyTransport(Transport):
             return False
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: dict[str, Any]) -> Any:
-        return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+        return built(datatype, args, kwds)
 
     def digest(self, message: Any) -> bytes:
         return digest(message)
@@ -120,10 +128,13 @@ class RospyTransport(Transport):
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         return images.codec(datatype, parameter)
 
+    def converter(self, datatype: Any) -> Converter | None:
+        return in_class if has_arrays(datatype) else None
+
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Give subscribers of ``rospy.AnyMsg`` the serialised message that they expect."""
+        """Give subscribers of ``rospy.AnyMsg`` and ``numpy_msg`` the messages that they expect."""
         if datatype._md5sum != "*":
-            return receive
+            return receive_in_class(datatype, receive)
         return lambda message: receive(
             message if message._md5sum == "*" else serialised(datatype, message)
         )

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import rospy
-from std_msgs.msg import Int32
+from rospy.numpy_msg import numpy_msg
+from std_msgs.msg import Int32, Int32MultiArray
 from std_srvs.srv import SetBool, SetBoolRequest, Trigger, TriggerRequest, TriggerResponse
 
 import dyknow
@@ -38,6 +40,24 @@ class Multiplier(dyknow.Nodelet):
 
     def on_shutdown(self):
         self.ended = True
+
+
+class Ports(dyknow.Nodelet):
+    """Receives numbers in one class of messages, and publishes in another."""
+
+    received, published = numpy_msg(Int32MultiArray), Int32MultiArray
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.messages = []
+        self.pub = self.nh.Publisher("out", self.published, queue_size=1)
+        self.nh.Subscriber("in", self.received, self.messages.append)
+
+
+class Arrays(Ports):
+    """The same the other way round."""
+
+    received, published = Int32MultiArray, numpy_msg(Int32MultiArray)
 
 
 class Ticking(dyknow.Nodelet):
@@ -190,6 +210,58 @@ class TestServices:
         harness.load(Caller, "/caller")
         answer = harness.call("/caller/switch", SetBoolRequest(data=True))
         assert (answer.success, answer.message) == (True, "reset")
+
+
+class TestClassesOfMessages:
+    """Messages of one type may have two classes, as rospy.numpy_msg makes them."""
+
+    def test_a_subscriber_of_arrays_gets_arrays(self, harness):
+        nodelet = harness.load(Ports, ports={"in": "/numbers"})
+        harness.publish("/numbers", Int32MultiArray(data=[1, 2]))
+        harness.drain()
+        (message,) = nodelet.messages
+        assert type(message) is numpy_msg(Int32MultiArray)
+        assert list(message.data * 2) == [2, 4]
+
+    @pytest.mark.parametrize("is_first", [True, False])
+    def test_a_plain_subscriber_of_arrays_gets_lists(self, harness, is_first):
+        if is_first:
+            receiver = harness.load(Arrays, "/receiver", ports={"in": "/numbers"})
+        sender = harness.load(Arrays, "/sender", ports={"out": "/numbers"})
+        if not is_first:
+            receiver = harness.load(Arrays, "/receiver", ports={"in": "/numbers"})
+        anything = harness.listen("/numbers")
+        sender.pub.publish(data=np.array([1, 2], np.int32))
+        harness.drain()
+        (message,) = receiver.messages
+        assert (type(message), list(message.data)) == (Int32MultiArray, [1, 2])
+        assert isinstance(anything[0].data, np.ndarray)
+
+    def test_a_plain_publisher_publishes_lists(self, harness):
+        sender = harness.load(Ports, "/sender", ports={"out": "/numbers"})
+        receiver = harness.load(Arrays, "/receiver", ports={"in": "/numbers"})
+        sender.pub.publish(numpy_msg(Int32MultiArray)(data=np.array([1, 2], np.int32)))
+        harness.drain()
+        assert type(receiver.messages[0]) is Int32MultiArray
+
+    def test_a_class_that_its_author_has_derived_passes_by_reference(self, harness):
+        class Counted(Int32MultiArray):
+            pass
+
+        sender = harness.load(Ports, "/sender", ports={"out": "/numbers"})
+        receiver = harness.load(Arrays, "/receiver", ports={"in": "/numbers"})
+        message = Counted(data=[1])
+        sender.pub.publish(message)
+        harness.drain()
+        assert receiver.messages[0] is message
+
+    def test_of_one_class_they_pass_by_reference(self, harness):
+        sender = harness.load(Arrays, "/sender", ports={"out": "/numbers"})
+        receiver = harness.load(Ports, "/receiver", ports={"in": "/numbers"})
+        message = numpy_msg(Int32MultiArray)(data=np.array([1, 2], np.int32))
+        sender.pub.publish(message)
+        harness.drain()
+        assert receiver.messages[0] is message
 
 
 class TestTime:
