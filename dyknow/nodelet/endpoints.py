@@ -387,7 +387,7 @@ class Publication:
     def heard(self) -> bool:
         """Whether a message published now reaches a subscriber, or is kept for later."""
         outside = self.outside
-        return bool(self._route or (outside is not None and (self.latch or outside.heard)))
+        return bool(self.latch or self._route or (outside is not None and outside.heard))
 
     def drop(self) -> None:
         """Count a message that could not be published."""

@@ -182,6 +182,15 @@ def test_a_latched_form_is_there_for_later_subscribers(bench):
     assert numbers(form) == [-4]
 
 
+def test_a_form_that_was_latched_while_disconnected_is_sent_at_the_connection(bench):
+    out = bench.nh.Publisher("out", Message, latch=True, queue_size=1)
+    out.publish(4)
+    bench.connect(out="/a")
+    plain, form = bench.listen("/a"), bench.listen("/a/pressed", Pressed)
+    bench.world.drain()
+    assert (numbers(plain), numbers(form)) == ([4], [-4])
+
+
 def test_a_lazy_nodelet_sees_the_subscribers_of_both(bench):
     events = []
 
