@@ -279,7 +279,8 @@ class Context:
     def release(self, *endpoints: Endpoint) -> None:
         """Take endpoints of this nodelet off the bus for good."""
         with self._lock:
-            self._spent += sum(each.traffic.busy for each in self._endpoints if each in endpoints)
+            ended = [each for each in self._endpoints if each in endpoints]
+            self._spent += sum(each.traffic.settle() for each in ended)
             self._endpoints = [each for each in self._endpoints if each not in endpoints]
         self.runtime.bus.release(endpoints)
         for endpoint in endpoints:
@@ -335,7 +336,7 @@ class Context:
     def busy(self, with_running: bool = False) -> float:
         """Seconds that its callbacks have taken so far; on request with those that still run."""
         with self._lock:
-            ended = self._spent + sum(each.traffic.busy for each in self._endpoints)
+            ended = self._spent + sum(each.traffic.unsettled for each in self._endpoints)
             return ended + (sum(each.age for each in self._strands) if with_running else 0.0)
 
     def callback_age(self) -> float:

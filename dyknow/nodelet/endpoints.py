@@ -58,12 +58,12 @@ class Traffic:
         last: when the last message was published, or its callback began.
     """
 
-    __slots__ = tuple("_before _begin busy clock dropped last longest messages".split())
+    __slots__ = tuple("_before _begin _settled busy clock dropped last longest messages".split())
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.messages = self.dropped = 0
-        self.last = self.busy = self.longest = 0.0
+        self.last = self.busy = self.longest = self._settled = 0.0
         #: Number and time of the first message of this stretch and of the one before.
         self._begin = self._before = (0, 0.0)
 
@@ -84,6 +84,17 @@ class Traffic:
             self._before = self._begin = (number, now)
         elif number % _STRETCH == 1:
             self._before, self._begin = self._begin, (number, now)
+
+    @property
+    def unsettled(self) -> float:
+        """Seconds that callbacks took since ``settle``."""
+        return self.busy - self._settled
+
+    def settle(self) -> float:
+        """Return what is unsettled, for the nodelet's sum: another end may continue the counts."""
+        unsettled = self.unsettled
+        self._settled += unsettled
+        return unsettled
 
     def rate(self) -> float:
         """Return Hz over the last messages; 0 for less than two, and when none come any more."""

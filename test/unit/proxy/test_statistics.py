@@ -58,6 +58,19 @@ def test_callback_times_and_rates_of_an_in_port(bench):
     assert bench.context.busy(with_running=True) == 1.0, "its time stays"
 
 
+def test_the_time_of_callbacks_counts_once_when_a_port_is_subscribed_again(bench):
+    def work(message):
+        bench.clock.seconds += message.number
+
+    for number in range(1, 4):
+        subscriber = bench.nh.Subscriber("in", Message, work)
+        bench.connect(**{"in": "/t"})
+        bench.send("/t", 0.5)
+        assert bench.context.busy() == 0.5 * number
+        subscriber.unregister()
+        assert bench.context.busy() == 0.5 * number
+
+
 def test_a_callback_that_still_runs_has_taken_its_time(bench):
     seen = []
 
