@@ -24,6 +24,7 @@ from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Codec, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.nodelet.texts import encodable, sendable
 from dyknow.nodelet.timers import Timer, TimerQueue
 
 #: Seconds between two log entries of the same error at the same place.
@@ -174,7 +175,7 @@ class Context:
     def note_error(self, text: str, now: float) -> None:
         """Count an error of a callback."""
         self.callback_errors += 1
-        self._last_error = now, text
+        self._last_error = now, sendable(text)
 
     def recent_error(self) -> str:
         """Return the last error of a callback, unless it was long ago; empty for none."""
@@ -199,7 +200,8 @@ class Context:
         self._failures[place] = (now, 0)
         lines = traceback.format_exception(type(error), error, error.__traceback__)
         more = f" (and {unlogged} times more since)" if unlogged else ""
-        _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, "".join(lines))
+        text = encodable("".join(lines))
+        _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, text)
 
     def publication(
         self, what: str, datatype: Any, latch: bool, queue_size: int | None, **options: Any

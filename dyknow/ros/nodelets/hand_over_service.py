@@ -23,6 +23,7 @@ from dyknow.nodelet.context import Context
 from dyknow.nodelet.hand_over import HandedTopic, HandOvers
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import DIGEST_SIZE, Closable
+from dyknow.nodelet.texts import sendable
 from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
 from dyknow.ros.wire.message_classes import message_class
 
@@ -53,7 +54,7 @@ class HandOverService(Closable):
             self._guards.check_protection(caller_of(request), name)
             return HandOverResponse(self._step(name, request.step, request.topics))
         except DyKnowError as error:
-            raise rospy.ServiceException(str(error)) from error
+            raise rospy.ServiceException(sendable(error)) from error
 
     def _step(self, name: str, step: int, topics: Any) -> list[msg.HandedTopic]:
         moves = self._hand_overs

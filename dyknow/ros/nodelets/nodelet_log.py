@@ -13,6 +13,8 @@ import rospy
 import rospy.impl.rosout
 from rosgraph_msgs.msg import Log
 
+from dyknow.nodelet.texts import encodable
+
 #: rospy's logger, below which each nodelet has its own.
 _ROOT = "rosout."
 
@@ -36,6 +38,10 @@ class NodeletLog(rospy.impl.rosout.RosOutHandler):
                 made.setLevel(handler.level)
                 logger.addHandler(made)
                 logger.removeHandler(handler)
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return a line that can be sent, also of a text with half of a surrogate pair."""
+        return encodable(super().format(record))
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish a line; those of the process itself as rospy does."""

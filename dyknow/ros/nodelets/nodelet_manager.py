@@ -34,6 +34,7 @@ from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
+from dyknow.nodelet.texts import encodable, sendable
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonded_nodelets import BondedNodelets
 from dyknow.ros.bonding.bonds import Bonds
@@ -329,8 +330,8 @@ def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     cause = error.__cause__
     lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
     text = "\n".join([str(error), "".join(lines)]).rstrip()
-    rospy.logerr("%s [%s]: %s", what, for_log(name), text)
-    return rospy.ServiceException(str(error))
+    rospy.logerr("%s [%s]: %s", what, for_log(name), encodable(text))
+    return rospy.ServiceException(sendable(error))
 
 
 def _for(caller: str) -> str:

@@ -32,6 +32,7 @@ from dyknow.nodelet.leases import Leases, Sight, suspended_clock
 from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.texts import sendable
 from dyknow.periodic import PeriodicWorker
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.announcements import Announcer
@@ -87,7 +88,7 @@ class PollService(Closable):
         try:
             self._guards.current().check_sizes(texts)
         except LimitExceeded as error:
-            raise rospy.ServiceException(str(error)) from error
+            raise rospy.ServiceException(sendable(error)) from error
         if len(request.topics) != len(request.nodelets):
             raise rospy.ServiceException("expected as many nodelets as topics")
         for guards in request.guards:

@@ -15,6 +15,7 @@ from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.texts import sendable
 from dyknow.ros.nodelets.process_guards import caller_of
 from dyknow.ros.wire.messages import config_pairs, port_message, statistics_message
 
@@ -89,7 +90,7 @@ class ProxyServices(Closable):
             self._proxy.set_config(config)
         except DyKnowError as error:
             rospy.logerr("%s: set_config of %s: %s", name, for_log(caller), for_log(error))
-            return srv.SetConfigResponse(False, str(error))
+            return srv.SetConfigResponse(False, sendable(error))
         made = ", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config)
         rospy.loginfo("%s: %s connected %s", name, for_log(caller), for_log(made))
         return srv.SetConfigResponse(True, "")

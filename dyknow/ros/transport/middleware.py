@@ -27,6 +27,7 @@ from dyknow.nodelet.middleware import (
     Transport,
 )
 from dyknow.nodelet.scheduler import Executor
+from dyknow.nodelet.texts import encodable
 from dyknow.ros.transport import images
 from dyknow.ros.transport.conversions import (
     built,
@@ -161,6 +162,7 @@ class _Service(Closable):
             clear_frames(error)  # rospy's frame refers to the traceback, and that to all of them
 
         options = {**options, "error_handler": failed}
+        handler = functools.partial(_answer, handler)
         self._service = rospy.Service(name, service_class, handler, **options)
 
     def close(self) -> None:
@@ -169,7 +171,20 @@ class _Service(Closable):
             service.shutdown("closed")
 
 
+def _answer(handler: Handler, request: Any) -> Any:
+    """Call a handler; make its error one that rospy can send, else the client waits."""
+    try:
+        return handler(request)
+    except Exception as error:
+        text = str(error)
+        if encodable(text) == text:
+            raise
+        if isinstance(error, rospy.ServiceException):
+            raise rospy.ServiceException(encodable(text)) from error
+        raise RuntimeError(encodable(f"{type(error).__name__}: {text}")) from error
+
+
 def _log_failure(service: str, error: Any, error_type: Any, value: Any, trace: Any) -> None:
     """Log the exception of a handler; rospy's own entry does not name the service."""
     text = "".join(traceback.format_exception(error_type, value, trace))
-    rospy.logerr("the handler of service %s raised: %s\n%s", service, error, text)
+    rospy.logerr("the handler of service %s raised: %s", service, encodable(f"{error}\n{text}"))

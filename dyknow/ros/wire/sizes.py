@@ -21,7 +21,7 @@ def size_of(message: Any) -> int:
     """
     try:
         return _size(message)
-    except (AttributeError, TypeError):  # its author put something else there
+    except (AttributeError, TypeError, ValueError):  # its author put something else there
         return 0
 
 
