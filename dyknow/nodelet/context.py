@@ -27,7 +27,7 @@ from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.nodelet.texts import encodable, sendable
 from dyknow.nodelet.timers import Timer, TimerQueue
 
-#: Seconds between two log entries of the same error at the same place.
+#: Seconds between two log entries of errors of one type at the same place.
 _LOG_PAUSE = 1.0
 #: Seconds for which the last error of a callback is reported.
 _RECENT = 30.0
@@ -51,6 +51,15 @@ def _bound(what: str, queue_size: Any) -> int | None:
         return None if queue_size is None else max(0, math.ceil(queue_size))
     except (TypeError, ValueError, OverflowError):
         raise BadQueueSize(what, queue_size) from None
+
+
+def _origin(error: BaseException) -> tuple[str, int]:
+    """Return the file and line in which an error was raised."""
+    trace, place = error.__traceback__, ("", 0)
+    while trace is not None:
+        place = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+        trace = trace.tb_next
+    return place
 
 
 class Runtime:
@@ -128,7 +137,7 @@ class Context:
         #: Called when the nodelet is unloaded and none of its callbacks runs any more.
         self.last_hooks: list[Callable[[], None]] = []
         #: By place: when it was last logged, and how many were not logged since.
-        self._failures: dict[tuple[str, type, str], tuple[float, int]] = {}
+        self._failures: dict[tuple[str, type, tuple[str, int]], tuple[float, int]] = {}
         self._lock = state_lock("context")
         self._held = True
         self._strands = [self.strand]
@@ -185,12 +194,12 @@ class Context:
     def failed(self, what: str, error: BaseException) -> None:
         """Count and log an error of a callback; the nodelet lives on.
 
-        The same error at the same place is logged once a second, with the number of repetitions: a
-        callback that fails on every message must not fill the disk.
+        Errors of one type and line are logged once a second, with the number of repetitions: a
+        callback that fails on every message must not fill the disk, whatever differs in the texts.
         """
         now = self.runtime.clock()
         self.note_error(f"{what}: {type(error).__name__}: {error}", now)
-        place = (what, type(error), str(error))
+        place = (what, type(error), _origin(error))
         since, unlogged = self._failures.get(place, (now - _LOG_PAUSE, 0))
         if now - since < _LOG_PAUSE:
             self._failures[place] = (since, unlogged + 1)

@@ -211,3 +211,26 @@ def test_errors_are_counted_reported_for_a_while_and_logged_once_a_second(caplog
     assert context.recent_error() == "'in': ValueError: same"
     clock.seconds += 2.0
     assert context.recent_error() == ""
+
+
+def test_errors_of_one_line_are_one_whatever_their_texts(caplog):
+    world = World(clock=FakeClock())
+    handle = world.handle("/n")
+
+    def receive(message):
+        raise LookupError(f"no data at {message.number} " + "x" * 1000 * message.number)
+
+    def receive_again(message):
+        raise LookupError("elsewhere")
+
+    handle.Subscriber("/t", Message, receive)
+    handle.Subscriber("/t", Message, receive_again)
+    publisher = world.publisher("/t")
+    for number in range(20):
+        publisher.publish(number)
+        world.drain()
+    assert handle.context.callback_errors == 40
+    assert [record.getMessage().splitlines()[-1] for record in caplog.records] == [
+        "LookupError: no data at 0 ",
+        "LookupError: elsewhere",
+    ]
