@@ -6,6 +6,9 @@
 A publication that moves to a topic with subscribers in this process publishes there at once. Its
 registration follows, which takes as long as the master does. `AwaitedPublisher` keeps the messages
 of that time for the outside, and passes them on, in order.
+
+One that latches owes a new registration its last message. What another thread publishes while that
+is sent waits here, and follows it.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import time
 from typing import Any
 
 from dyknow.locks import state_lock
-from dyknow.nodelet.endpoints import MOST_KEPT
+from dyknow.nodelet.endpoints import MOST_KEPT, NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher
 
 #: Seconds for which a later message waits at most until those that were kept are sent.
@@ -33,13 +36,27 @@ class AwaitedPublisher(OutsidePublisher):
     Args:
         topic: where they were published.
         queue_size: of the publication; 0 or None for no bound of its own.
+        latch: whether that latches.
+        registration: has the peers meanwhile, if it is there already.
+
+    Attributes:
+        owed: a latched message that the registration gets unless one is published before.
     """
 
     heard: bool = True
 
-    def __init__(self, topic: str, queue_size: int | None) -> None:
+    def __init__(
+        self,
+        topic: str,
+        queue_size: int | None,
+        latch: bool = False,
+        registration: OutsidePublisher | None = None,
+    ) -> None:
         self.in_flight = 0
         self.changed = None
+        self.owed = NOTHING
+        self._latch = latch
+        self._registration = registration
         self._topic = topic
         self._lock = state_lock("messages for a registration")
         self._kept: collections.deque[Any] = collections.deque(maxlen=queue_size or MOST_KEPT)
@@ -49,7 +66,7 @@ class AwaitedPublisher(OutsidePublisher):
         self._is_closed = False
 
     def peers(self) -> tuple[Any, ...]:
-        return ()
+        return self._registration.peers() if self._registration is not None else ()
 
     def publish(self, message: Any) -> None:
         """Keep a message; later ones follow those that were kept."""
@@ -61,13 +78,15 @@ class AwaitedPublisher(OutsidePublisher):
                 return
         if threading.get_ident() != self._passing_thread:  # a finalizer may publish there
             self._is_passed.wait(_LONGEST_PASSING)
-        successor.publish(message)
+        self._send(successor, message)
 
     def publish_to(self, peer: Any, message: Any) -> None:
-        """Do nothing: it has no peers."""
+        if self._registration is not None:
+            self._registration.publish_to(peer, message)
 
     def latch(self, message: Any) -> None:
-        """Do nothing: a publication that latches owes its registration the last message."""
+        """Keep a message likewise; the registration latches it."""
+        self.publish(message)
 
     def wait(self, seconds: float) -> None:
         """Return at once: nobody can connect yet."""
@@ -76,12 +95,12 @@ class AwaitedPublisher(OutsidePublisher):
         """Send all that was kept through the registration, and what still comes after it."""
         with self._lock:
             self._successor, self._passing_thread = successor, threading.get_ident()
-            kept = list(self._kept)
+            kept = list(self._kept) or [each for each in (self.owed,) if each is not NOTHING]
             self._kept.clear()
         try:
             for message in kept:
                 try:
-                    successor.publish(message)
+                    self._send(successor, message)
                 except Exception as error:  # the boundary: its publisher has gone on
                     _log.warning("a message on %s was not sent: %s", self._topic, error)
         finally:
@@ -97,5 +116,8 @@ class AwaitedPublisher(OutsidePublisher):
 
     def close(self) -> None:
         with self._lock:
-            self._is_closed = True
+            self._is_closed, self.owed = True, NOTHING
             self._kept.clear()
+
+    def _send(self, successor: OutsidePublisher, message: Any) -> None:
+        (successor.latch if self._latch else successor.publish)(message)

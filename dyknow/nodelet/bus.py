@@ -70,7 +70,7 @@ class _Part:
         registration: on the new topic.
         is_live: whether the topic has other ends in this process.
         is_late: whether the registration is made after the switch.
-        awaited: takes its place until then, for a publication that does not latch.
+        awaited: takes its place until then, and while the latched message of a publication is sent.
         drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
         before: number of messages that a publication had published at the switch.
@@ -388,7 +388,10 @@ class Bus:
 
     def _put_in_place(self, part: _Part) -> None:
         """Give an endpoint the registration that was made after its switch."""
-        made, endpoint, awaited, owed = part.registration, part.endpoint, part.awaited, NOTHING
+        made, endpoint = part.registration, part.endpoint
+        if part.is_publication and part.awaited is None and made is not None and endpoint.latch:
+            part.awaited = self._before_latched(part)
+        awaited = part.awaited
         if awaited is not None:
             self._pass_on(part, awaited)
         if made is None and awaited is None:
@@ -400,19 +403,26 @@ class Bus:
             else:
                 current = endpoint.topic == part.topic and not endpoint.closed
                 if current:
-                    owed = endpoint.set_outside(made)
-                    if not part.is_late and endpoint.traffic.messages != part.before:
-                        owed = NOTHING  # it went through the registration when it was published
+                    endpoint.set_outside(made)
         if made is None:
             return
         if not current and awaited is not None and awaited.drain(_RELEASE_DRAIN):
             self._leave_later(endpoint, made)  # moved on meanwhile, or released
         elif not current:
             made.close()
-        while owed is not NOTHING:
-            made.latch(owed)
-            # A message published meanwhile may have overtaken it: the last is to stay.
-            owed = NOTHING if endpoint.latched is owed else endpoint.latched
+
+    def _before_latched(self, part: _Part) -> AwaitedPublisher | None:
+        """Keep what a publication publishes from now on until its latched message is sent.
+
+        None if it owes none: it has published since the switch, or left the topic.
+        """
+        endpoint = part.endpoint
+        awaited = AwaitedPublisher(part.topic, None, latch=True, registration=part.registration)
+        with self._lock:
+            if endpoint.topic != part.topic or endpoint.closed:
+                return None
+            awaited.owed = endpoint.set_outside_unless_published(awaited, part.before)
+        return None if awaited.owed is NOTHING else awaited
 
     def _pass_on(self, part: _Part, awaited: AwaitedPublisher) -> None:
         """Send what was published since the switch, if that is still allowed, and outside."""
@@ -563,8 +573,8 @@ class Bus:
 
     def _move(self, part: _Part) -> None:
         publication: Publication = part.endpoint
-        if part.is_late and not publication.latch:
-            part.awaited = AwaitedPublisher(part.topic, publication.queue_size)
+        if part.is_late:
+            part.awaited = AwaitedPublisher(part.topic, publication.queue_size, publication.latch)
         self._leave(publication)
         route = None
         if part.topic:
@@ -573,7 +583,9 @@ class Bus:
             route = topic.route
         fence = self._fences.get(part.topic)
         outside = part.registration or part.awaited
-        part.before = publication.connect(part.topic, outside, route, fence)
+        part.before, owed = publication.connect(part.topic, outside, route, fence)
+        if part.awaited is not None:
+            part.awaited.owed = owed
 
 
 def _is_registered(publication: Publication) -> bool:

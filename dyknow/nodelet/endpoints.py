@@ -437,13 +437,24 @@ class Publication:
             self._note_plain()
             return self._sample
 
-    def set_outside(self, outside: OutsidePublisher | None) -> Any:
-        """Publish through this registration too; returns the latched message that it is owed."""
+    def set_outside(self, outside: OutsidePublisher | None) -> None:
+        """Publish through this registration too."""
         with message_lock:
             self._set_outside(outside)
-            owed = self.latched
         self._changed()
-        return owed
+
+    def set_outside_unless_published(self, outside: OutsidePublisher, before: int) -> Any:
+        """Publish through ``outside`` if nothing was published since ``before``.
+
+        Returns:
+            The latched message that it is owed; ``NOTHING``, and nothing changes, without one.
+        """
+        with message_lock:
+            if self.traffic.messages != before:
+                return NOTHING
+            if self.latched is not NOTHING:
+                self._set_outside(outside)
+            return self.latched
 
     def connect(
         self,
@@ -451,18 +462,18 @@ class Publication:
         outside: OutsidePublisher | None,
         route: tuple[Connection, ...] | None,
         fence: Fence | None = None,
-    ) -> int:
+    ) -> tuple[int, Any]:
         """Publish on another topic from now on; nowhere, if ``route`` is None.
 
         Returns:
-            How many messages were published before.
+            How many messages were published before, and the latched one of them.
         """
         with message_lock:
             self._fence = fence
             self.topic = topic
             self._set_outside(outside)
             self._reroute(route, newcomers=route or ())
-            before = self.traffic.messages
+            before = self.traffic.messages, self.latched
         self._changed()
         return before
 

@@ -93,22 +93,46 @@ def test_messages_until_the_switch_go_before_the_new_and_later_ones_are_dropped(
 
 
 @pytest.mark.parametrize("alive", [False, True])
-def test_the_last_latched_message_stays_outside(bench, alive):
+def test_a_message_published_while_the_latched_one_is_sent_follows_it(bench, alive):
     if alive:  # so that the switch goes before the registration
         bench.probe.Subscriber("/new", Message, print)
     bench.out.publish(1)
-    got = []
+    got, threads = [], []
 
-    def listen(message):
-        got.append(message)
-        if len(got) == 1:  # another thread publishes while the latched message is handed over
-            bench.out.publish(2)
-            got.append(message)
+    class Made(LocalPublisher):
+        def latch(self, message):
+            if not threads:
+                threads.append(in_thread(lambda: bench.out.publish(2)))
+                eventually(lambda: bench.out.publication.latched.number == 2)
+            super().latch(message)
 
-    bench.transport.listeners.setdefault("/new", []).append(listen)
+    bench.transport.listen("/new", lambda message: got.append(message.number))
+    bench.transport.on_made = lambda made: setattr(made, "__class__", Made)
     bench.connect(out="/new")
-    assert numbers(got)[0] == 1
-    assert numbers(got)[-1] == 2
+    join(*threads)
+    assert got == [1, 2]
+
+
+def test_subscribers_stay_while_the_latched_message_is_sent(bench):
+    bench.out.publish(1)
+    peers = []
+    bench.transport.listen("/new", lambda message: peers.append(bench.out.get_num_connections()))
+    bench.connect(out="/new")
+    assert peers == [1]
+
+
+def test_messages_of_a_latching_port_during_its_registration_go_outside_in_order(bench):
+    bench.probe.Subscriber("/new", Message, print)
+    for handle in (bench.out, bench.spare):
+        handle.unregister()
+    bench.out = bench.nh.Publisher("out", Message, latch=True, queue_size=2)
+    bench.out.publish(0)
+    got = []
+    bench.transport.listen("/new", lambda message: got.append(message.number))
+    bench.transport.on_register = lambda topic: [bench.out.publish(n) for n in (1, 2)]
+    bench.connect(out="/new")
+    bench.out.publish(3)
+    assert got == [1, 2, 3]
 
 
 def test_a_latched_message_published_at_the_switch_goes_outside_once(bench):
