@@ -70,7 +70,7 @@ class _Part:
         registration: on the new topic.
         is_live: whether the topic has other ends in this process.
         is_late: whether the registration is made after the switch.
-        awaited: takes its place until then, and while the latched message of a publication is sent.
+        awaited: of a publication, takes its place until then, and while a latched message is sent.
         drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
         before: number of messages that a publication had published at the switch.

@@ -31,13 +31,14 @@ class ParkedConnection(Connection):
         digest: returns the bytes by which a message is known in both processes.
     """
 
-    __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_until")
+    __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_made", "_until")
 
     def __init__(
         self, subscription: Subscription, topic: str, digest: Callable[[Any], bytes]
     ) -> None:
         super().__init__(subscription, topic)
         self._digest = digest
+        self._made = self._strand.clock()
         #: When its first message came; 0 before.
         self._began = 0.0
         #: How often each message is yet to be left out, until a moment.
@@ -81,8 +82,10 @@ class ParkedConnection(Connection):
     def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> bool:
         """Drop the messages that the nodelet received in the other process, but for waiting ones.
 
-        Where messages are equal byte for byte, those that came before the first one here do not
-        count. Of each latching publisher the last message stays: the new instance needs it.
+        Messages that came there before this was made do not come here, so they do not count: equal
+        ones may follow. Where messages are equal byte for byte, those that came before the first
+        one here do not count either. Of each latching publisher the last message stays: the new
+        instance needs it.
 
         Args:
             given: digests with their times of arrival, by the same clock as here.
@@ -99,14 +102,18 @@ class ParkedConnection(Connection):
             since = self._began - _SKEW
             self._until = self._strand.clock() + LATENESS
             self._due = collections.Counter(
-                digest for time, digest in given if often[digest] == 1 or time >= since
+                digest
+                for time, digest in given
+                if time >= self._made - _SKEW and (often[digest] == 1 or time >= since)
             )
             held = list(self._queue)
             self._queue.clear()
         latched = {_latching(each): each for each in held if _latching(each)}
         there = set(map(self._digest_of, waiting)) - {None}
-        last = {id(each) for each in latched.values() if self._digest_of(each) not in there}
-        kept = [each for each in held if not self._is_due(each) or id(each) in last]
+        again = {id(each) for each in latched.values() if self._digest_of(each) in there}
+        last = set(map(id, latched.values())) - again
+        fresh = [each for each in held if not self._is_due(each) or id(each) in last]
+        kept = [each for each in fresh if id(each) not in again]
         with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))
             self._is_cleared = True

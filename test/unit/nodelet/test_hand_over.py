@@ -223,6 +223,32 @@ def test_equal_messages_are_counted_from_the_first_that_came_here():
     assert received == [7, 7]
 
 
+def test_an_equal_message_follows_one_that_came_before_the_nodelet_was_parked():
+    clock, received = FakeClock(), []
+    with places(clock, received) as (old, new):
+        move = steps(old, new)
+        next(move)
+        clock.seconds += 0.05
+        old.send(7)
+        clock.seconds += 0.05
+        for _ in range(5):
+            next(move, None)
+        clock.seconds += 0.9
+        new.send(7)
+        new.world.drain()
+    assert received == [7, 7]
+
+
+def test_a_latched_message_that_waits_in_the_other_process_comes_once():
+    clock = FakeClock()
+    place, topics, received = parked(clock=clock)
+    place.send(1, kind=Latched)
+    content = place.world.transport.pack(Message(1))
+    given = given_in(place, topics, [(clock() - 1.0, 1)])
+    finish(place, [replace(e, waiting=(content,)) if e.topic == "/t" else e for e in given])
+    assert received == [1]
+
+
 def test_late_messages_are_left_out_for_some_seconds_only():
     clock = FakeClock()
     place, topics, received = parked(clock=clock)
