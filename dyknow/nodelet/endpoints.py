@@ -408,7 +408,7 @@ class Publication:
     def publish_to(self, topic: str, peer: Any, message: Any) -> None:
         """Send a message to one of the ``peers`` of a topic, uncounted; nothing if it has left."""
         with message_lock:
-            if topic != self.topic or (self._fence and not self._fence(self.owner)):
+            if topic != self.topic or self._is_fenced():
                 return
             if peer is HERE:
                 for connection in self._route or ():
@@ -520,7 +520,7 @@ class Publication:
         """Latch a message, sample its age and size; returns whether it may be sent."""
         if self.closed:
             raise self.refusal()
-        if self._route is None or (self._fence is not None and not self._fence(self.owner)):
+        if self._route is None or self._is_fenced():
             self.traffic.dropped += 1
             if self._route is None and self.latch:
                 self.latched = message
@@ -532,6 +532,9 @@ class Publication:
             self._note_plain()
             self._sample = self._sample_of(message)
         return True
+
+    def _is_fenced(self) -> bool:
+        return self._fence is not None and not self._fence(self.owner)
 
     def _note_plain(self) -> None:
         self._is_plain = (
@@ -556,7 +559,7 @@ class Publication:
         if self._converter is not None:
             for connection in route or ():
                 connection.subscription.convert(self._converter)
-        if self.latched is not NOTHING:
+        if self.latched is not NOTHING and newcomers and not self._is_fenced():
             for connection in newcomers:
                 connection.push_locked(self.latched)
 

@@ -343,3 +343,20 @@ def test_messages_that_come_while_kept_ones_are_passed_on_follow_them():
     join(threads.pop())
     assert sent == [0, "within", 1, 3, "after"]
     assert awaited.drain(0.0)
+
+
+def test_a_publication_whose_lease_has_run_out_gives_nobody_its_latched_message(live):
+    live.out.publish(1)
+    is_allowed = [False]
+    live.world.bus.fence({"/b": lambda owner: is_allowed[0]})
+    live.connect(out="/b")
+    late = live.world.listen("/b")
+    live.world.drain()
+    assert (live.inside["/b"], live.outside["/b"], late) == ([], [], [])
+    is_allowed[0] = True
+    later = live.world.listen("/b")
+    live.world.drain()
+    assert (live.inside["/b"], late, later) == ([], [], [1])
+    live.out.publish(2)
+    live.world.drain()
+    assert (live.inside["/b"], live.outside["/b"], late, later) == ([2], [2], [2], [1, 2])
