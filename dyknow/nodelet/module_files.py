@@ -13,6 +13,7 @@ import ast
 import contextlib
 import functools
 import importlib.util
+import math
 import os
 import re
 import sys
@@ -142,8 +143,13 @@ def script_file(path: str) -> str:
     return os.path.realpath(found.group(2)) if found else real
 
 
-def source_files(top: str, path: Collection[str] | None = None) -> dict[str, str]:
-    """Return the source files of a top-level module and its submodules, by module name."""
+def source_files(
+    top: str, path: Collection[str] | None = None, most: float = math.inf
+) -> dict[str, str]:
+    """Return the source files of a top-level module and its submodules, by module name.
+
+    With more than ``most`` files there are none.
+    """
     spec = package_spec(top, sys.path if path is None else path)
     if spec is None:
         return {}
@@ -159,7 +165,7 @@ def source_files(top: str, path: Collection[str] | None = None) -> dict[str, str
             for name in sorted(each[:-3] for each in names if each.endswith(".py")):
                 module = package if name == "__init__" else f"{package}.{name}"
                 files.setdefault(module, os.path.join(here, f"{name}.py"))
-            if len(files) > _MOST_FILES:
+            if len(files) > most:
                 return {}
     return files
 
@@ -249,7 +255,7 @@ class Dependents:
         if top in seen or top == self._library or top in self._apart or is_standard(top):
             return top == self._library
         seen[top] = False
-        files = source_files(top).values()
+        files = source_files(top, most=_MOST_FILES).values()
         names = _imported_tops(files) - {top}
         return self._library in names or any(self._looked_up(name, seen) for name in names)
 

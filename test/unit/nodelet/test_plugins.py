@@ -283,6 +283,15 @@ def test_a_changed_file_begins_a_generation_and_unchanged_ones_are_shared(
     assert first.said == "old"
 
 
+def test_a_changed_file_of_a_large_package_is_used(package: Written) -> None:
+    for number in range(101):
+        package.write(f"module_{number}", "")
+    imports = ClassImports()
+    assert package.load(imports).said == "old"
+    package.write("words", "word = 'new'")
+    assert package.load(imports).said == "new"
+
+
 def test_a_mended_file_is_used(package: Written) -> None:
     imports = ClassImports()
     for broken, error in (("word = (", "SyntaxError"), ("raise ValueError('boo')", "boo")):
