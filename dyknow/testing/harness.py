@@ -126,7 +126,8 @@ class NodeletHarness(Harness):
         Args:
             nodelet_class: what to load.
             name: global name.
-            ports: topics that ports are connected to from the start; the rest is disconnected.
+            ports: topics that ports are connected to from the start; the rest is disconnected, and
+                ports with an empty topic.
             parameters: private parameters by their names without ``~``.
             remappings: of names that are not ports, as in a load request.
             my_argv: arguments for the nodelet.
@@ -134,7 +135,7 @@ class NodeletHarness(Harness):
         Raises:
             LoadFailed: ``on_init`` raised; ``__cause__`` is its error.
             NameTaken: a nodelet of that name is loaded.
-            UnknownPort: ``ports`` names one that the nodelet does not have.
+            UnknownPort: ``ports`` names one that the nodelet does not have; it is unloaded.
         """
         name, ports = _global(name), ports or {}
         for key, value in (parameters or {}).items():
@@ -144,7 +145,11 @@ class NodeletHarness(Harness):
         self._classes[name] = nodelet_class
         nodelet = self._loader.load(name, name, table, my_argv)
         assert isinstance(nodelet, nodelet_class)
-        check_ports(ports, self.topics(nodelet))
+        try:
+            check_ports(ports, self.topics(nodelet))
+        except UnknownPort:
+            self._loader.unload(name)
+            raise
         return nodelet
 
     def unload(self, nodelet: Nodelet) -> None:
@@ -316,6 +321,7 @@ def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> dict[str, str
     return {
         names.resolve(port, namespace, nodelet): names.resolve(topic, "/", nodelet)
         for port, topic in ports.items()
+        if topic
         for namespace in (names.parent(nodelet), nodelet)
     }
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import copy
 import functools
+import logging
 from dataclasses import dataclass
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Iterator, Sequence
 
 import rospy
 import rospy.msg
@@ -137,7 +138,8 @@ class HarnessNode(LocalNode):
         return getattr(members, name)
 
     def _log(self, level: str, text: Any, *args: Any, **options: Any) -> None:
-        self.log.append(LogEntry(level, str(text) % args if args else str(text)))
+        record = logging.LogRecord("", 0, "", 0, text, args, None)  # which knows a single mapping
+        self.log.append(LogEntry(level, record.getMessage()))
 
     def _log_limited(self, level: str, period: Any, text: Any, *args: Any, **options: Any) -> None:
         # Every call is an entry: a test wants to see them, however fast its time passes.
@@ -201,7 +203,7 @@ class _Members:
         return tree
 
     def _keep(self, tree: ParamDictionary) -> None:
-        parameters = {name: tree.get_param(name) for name in tree.get_param_names()}
+        parameters = dict(_leaves(tree.get_param("/"), ""))
         self._node.parameters.clear()
         self._node.parameters.update(parameters)
 
@@ -215,6 +217,16 @@ class _Members:
         name = self._resolve(service)
         if name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{name}' is not offered in the harness")
+
+
+def _leaves(tree: dict[str, Any], namespace: str) -> Iterator[tuple[str, Any]]:
+    """Return the values in a tree of parameters by name; an empty dictionary is one, too."""
+    for key, value in tree.items():
+        name = f"{namespace}/{key}"
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, name)
+        else:
+            yield name, value
 
 
 class LocalServiceProxy:

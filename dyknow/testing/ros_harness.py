@@ -20,7 +20,7 @@ from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from roslib.packages import find_node
 
 from dyknow import names
-from dyknow.errors import PeerTimeout
+from dyknow.errors import PeerTimeout, UnknownPort
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.master import Master
@@ -92,14 +92,15 @@ class RosHarness(Harness):
         Args:
             nodelet_type: ``package/Class``.
             name: global name.
-            ports: topics that ports are connected to from the start; the rest is disconnected.
+            ports: topics that ports are connected to from the start; the rest is disconnected, and
+                ports with an empty topic.
             parameters: private parameters by their names without ``~``.
             remappings: as in a load request.
             my_argv: arguments for the nodelet.
 
         Raises:
             rospy.ServiceException: it could not be loaded; the text says why.
-            UnknownPort: ``ports`` names one that the nodelet does not have.
+            UnknownPort: ``ports`` names one that the nodelet does not have; it is unloaded.
         """
         name, ports = names.resolve(name, "/", "/"), ports or {}
         for key, value in (parameters or {}).items():
@@ -114,8 +115,11 @@ class RosHarness(Harness):
             remap_target_args=list(table.values()),
             my_argv=list(my_argv),
         )
-        if ports:
-            check_ports(ports, self.topics(name))
+        try:
+            check_ports(ports, self.topics(name) if ports else ())
+        except UnknownPort:
+            self.unload(name)
+            raise
         return name
 
     def unload(self, name: str) -> None:

@@ -63,6 +63,8 @@ def test_what_cannot_be_loaded_says_why(harness):
         harness.load("nowhere/Nothing")
     with pytest.raises(UnknownPort):
         harness.load("dyknow/Relay", "/misnamed", ports={"inn": "/in"})
+    name = harness.load("dyknow/Relay", "/misnamed", ports={"in": "", "out": "/out"})
+    assert harness.topics(name) == {"in": "", "out": "/out"}
 
 
 def test_what_does_not_come_true_tells_what_the_nodelet_manager_printed(harness):

@@ -106,9 +106,13 @@ class TestPorts:
     def test_a_port_that_is_not_there(self, harness):
         with pytest.raises(UnknownPort, match="unknown port 'inn'; known ports: in, out"):
             harness.load(Multiplier, ports={"inn": "/numbers"})
-        nodelet = harness.load(Multiplier, "/other")
+        nodelet = harness.load(Multiplier)
         with pytest.raises(InvalidConfiguration, match="unknown port 'inn'"):
             harness.connect(nodelet, {"inn": "/numbers"})
+
+    def test_an_empty_topic_leaves_one_disconnected(self, harness):
+        nodelet = harness.load(Multiplier, ports={"in": "", "out": "/out"})
+        assert harness.topics(nodelet) == {"in": "", "out": "/out"}
 
     def test_connect_moves_them_and_tells_the_nodelet(self, harness):
         nodelet = harness.load(Multiplier, ports={"in": "/numbers"})
@@ -147,6 +151,13 @@ class TestLife:
         nh.get_param("/")["nodelet"].clear()
         assert harness.parameters == {"/nodelet/gains": 5}
 
+    def test_a_parameter_may_be_an_empty_dictionary(self, harness):
+        nh = harness.load(Multiplier, parameters={"gains": {}, "factor": 2}).nh
+        nh.set_param("~limits", {"low": {}})
+        assert nh.get_param("~") == {"gains": {}, "factor": 2, "limits": {"low": {}}}
+        nh.delete_param("~limits/low")
+        assert nh.get_param("~limits") == {}
+
     def test_what_on_init_raises_fails_the_load(self, harness):
         class Broken(dyknow.Nodelet):
             def on_init(self):
@@ -170,7 +181,9 @@ class TestLife:
         nodelet = harness.load(Multiplier)
         nodelet.nh.logwarn("%s of %d", "one", 2)
         nodelet.nh.loginfo_throttle(5.0, "again")
-        assert harness.log == [LogEntry("warn", "one of 2"), LogEntry("info", "again")]
+        nodelet.nh.loginfo("%(count)d of 100 %%", {"count": 3})
+        texts = [("warn", "one of 2"), ("info", "again"), ("info", "3 of 100 %")]
+        assert harness.log == [LogEntry(*each) for each in texts]
         with pytest.raises(AttributeError, match=r"no 'sleep' without ROS; .* RosHarness"):
             nodelet.nh.sleep(1.0)
 
