@@ -116,6 +116,7 @@ class ParkedConnection(Connection):
         kept = [each for each in fresh if id(each) not in again]
         with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))
+            self._limit = max(self._limit, len(self._queue))  # a longer queue would have none
             self._is_cleared = True
         return True
 

@@ -21,6 +21,7 @@ from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 import dyknow
 from dyknow.errors import CannotMove, DyKnowError, UnknownNodelet, UnloadedMeanwhile
 from dyknow.nodelet import hand_over
+from dyknow.nodelet.endpoints import MOST_KEPT
 from dyknow.nodelet.hand_over import HandOvers
 from dyknow.nodelet.parked import LATENESS
 from dyknow.nodelet.scheduler import ManualExecutor
@@ -211,6 +212,21 @@ def test_what_waits_has_room_beside_the_limit_of_the_queue(runs_meanwhile, expec
         place.send(number)
     place.world.drain()
     assert received == expected
+
+
+def test_what_comes_during_a_load_is_bounded_beside_what_waits():
+    place, topics, received = parked()
+    for number in range(5):
+        place.send(number)
+    content = place.world.transport.pack(Message("waits"))
+    waiting = (content,) * MOST_KEPT
+    place.moves.take(NAME, [replace(e, waiting=waiting) if e.topic == "/t" else e for e in topics])
+    for number in range(2000):
+        place.send(number)
+    place.load()
+    place.world.drain()
+    assert len(received) == MOST_KEPT + 5
+    assert received[-1] == 1999
 
 
 def test_equal_messages_are_counted_from_the_first_that_came_here():
