@@ -65,7 +65,7 @@ auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direc
   auto& registry = Registry::instance();
   const std::string resolved = handle.resolveName(options.topic);
   const auto owner = registry.ownerOf(handle, options.callback_queue);
-  const auto name = namePort(*owner, handle, options.topic);
+  const auto name = namePort(*owner, handle, options.topic, direction);
   const auto port = owner->declare(name, direction, resolved);
   if (owner->name == ros::this_node::getName())
   {

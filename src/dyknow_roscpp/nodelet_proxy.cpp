@@ -104,7 +104,7 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
     for (auto each = ports_.begin(); each != ports_.end(); ++each)
     {
       const auto& known = **each;
-      if (known.name.label == port_name.label && known.is_to_come)
+      if (known.name.label == port_name.label && known.resolved.empty())
       {
         first = known.topic();  // now it has come, and its direction is known
         ports_.erase(each);
@@ -115,7 +115,7 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
         return *each;
       }
     }
-    port = std::make_shared<Port>(name, port_name, direction, first);
+    port = std::make_shared<Port>(name, port_name, direction, first, topic);
     ports_.push_back(port);
   }
   on_change_(name);
@@ -319,7 +319,7 @@ std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text, const st
     return nullptr;
   }
   // Of which direction it will be is not known; usually the subscription is lazy.
-  return std::make_shared<Port>(name, port_name, Direction::IN, topicAtStart(remapping->second), true);
+  return std::make_shared<Port>(name, port_name, Direction::IN, topicAtStart(remapping->second));
 }
 
 std::string NodeletProxy::topicAtStart(const std::string& remapped) const

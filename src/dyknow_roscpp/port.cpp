@@ -21,11 +21,11 @@ std::string topicBeside(const PortName& name, const std::string& image)
   return names::join(is_below ? image : names::parent(image), last);
 }
 
-Port::Port(std::string owner, PortName name, Direction direction, std::string topic, bool is_to_come)
+Port::Port(std::string owner, PortName name, Direction direction, std::string topic, std::string resolved)
   : owner(std::move(owner))
   , name(std::move(name))
   , direction(direction)
-  , is_to_come(is_to_come)
+  , resolved(std::move(resolved))
   , topic_(std::move(topic))
 {
 }

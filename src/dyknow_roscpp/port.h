@@ -71,12 +71,13 @@ std::string topicBeside(const PortName& name, const std::string& image);
 class Port
 {
 public:
-  Port(std::string owner, PortName name, Direction direction, std::string topic, bool is_to_come = false);
+  /// @param resolved empty: it is to come, no handle has been made on it yet
+  Port(std::string owner, PortName name, Direction direction, std::string topic, std::string resolved = "");
 
   const std::string owner;  ///< name of the node or nodelet
   const PortName name;
   const Direction direction;
-  const bool is_to_come;  ///< no handle has been made on it yet
+  const std::string resolved;  ///< what roscpp made of its name, and wrote into the options of its handle
   std::atomic<bool> is_watched{false};  ///< an out-port whose code is notified of its subscribers
   /// An out-port keeps a message for subscribers that connect later.
   std::atomic<bool> latched{false};

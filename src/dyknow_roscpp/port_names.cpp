@@ -54,14 +54,34 @@ PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, 
   return {names::portOf(origin, owner.name), origin, ""};
 }
 
-/// The port of a resolved name that was noted; its label is empty if there is none.
-PortName notedPort(const NodeletProxy& owner, const std::string& resolved)
+/// The port of a resolved name on which no handle is open; its label is empty if there is none.
+PortName leftPort(const NodeletProxy& owner, const std::string& resolved, Direction direction)
 {
+  PortName left;
+  for (const auto& [name, port] : owner.ports())
+  {
+    if (port->direction == direction && port->resolved == resolved && port->ends().empty() &&
+        (left.label.empty() || port->name.origin == resolved))
+    {
+      left = port->name;
+    }
+  }
+  return left;
+}
+
+/// The port of a resolved name that was left or noted; its label is empty if there is none.
+PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direction direction)
+{
+  const auto left = leftPort(owner, resolved, direction);
   std::lock_guard<std::mutex> lock(tableLock());
   const auto& noted = table()[owner.name];
   if (const auto found = noted.find(resolved); found != noted.end())
   {
     return {found->second, names::globalOf(found->second, owner.name), ""};
+  }
+  if (!left.label.empty())
+  {
+    return left;
   }
   // image_transport puts a transport's topic below that of the image, and the camera's beside it.
   const auto last = resolved.rfind('/') + 1;
@@ -88,16 +108,17 @@ PortName notedPort(const NodeletProxy& owner, const std::string& resolved)
 
 }  // namespace
 
-PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic)
+PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic,
+                  Direction direction)
 {
   if (topic.empty() || topic[0] != '/')
   {
     return relativePort(owner, handle, topic);
   }
-  const auto noted = notedPort(owner, topic);
-  if (!noted.label.empty())
+  const auto known = knownPort(owner, topic, direction);
+  if (!known.label.empty())
   {
-    return noted;
+    return known;
   }
   return {names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic, topic, ""};
 }

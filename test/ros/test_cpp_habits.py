@@ -205,6 +205,28 @@ class ViewTest(HabitsCase):
         self.assertIn("published at the end: 1", node.output)
 
 
+class AgainTest(HabitsCase):
+    """A node makes its handles again; its ports stay where they were connected."""
+
+    def setUp(self):
+        super().setUp()
+        command = (*RUN, *PROGRAM, "0", "-1", "/in:=/a", "__name:=habits")
+        self.node = self.run_process(*command)
+
+    def tearDown(self):
+        self.stop(self.node)
+
+    def test_with_the_same_options(self):
+        """Into which roscpp has written the resolved names."""
+        self.move("/habits", "in", "/b")
+        self.move("/habits", "out", "/moved")
+        self.call("/habits/again")
+        hears("/moved", "right", is_whole=True)
+        self.move("/habits", "in", "/a")
+        hears("/moved", "left", is_whole=True)
+        self.assertEqual(graph.topics_of_ports("/habits"), {"in": "/a", "out": "/moved"})
+
+
 class HelpTest(HabitsCase):
     def test_no_node_is_started(self):
         for option in ("-h", "--help"):

@@ -1,8 +1,8 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
-/// @file A node with habits of public ones: it starts roscpp again and again, subscribes anew, looks at itself,
-/// and makes mistakes that roscpp answers.
+/// @file A node with habits of public ones: it starts roscpp again and again, makes handles again with the options
+/// of before (as message_filters does), looks at itself, and makes mistakes that roscpp answers.
 ///
 /// habits N PAUSE...: N times a handle that lives for an instant; then for each pause (s) such a handle (if it is
 /// not negative), the pause, and a relay that works until SIGUSR1.
@@ -138,8 +138,11 @@ public:
   explicit Relay(Queue& queue)
     : nh_(handle("", queue))
     , private_nh_(handle("~", queue))
-    , out_(nh_.advertise<std_msgs::String>("out", 10))
-    , in_(subscribe())
+    , publication_(ros::AdvertiseOptions::create<std_msgs::String>("out", 10, {}, {}, {}, nullptr))
+    , subscription_(ros::SubscribeOptions::create<std_msgs::String>(
+          "in", 10, [this](const std_msgs::StringConstPtr& message) { out_.publish(message); }, {}, nullptr))
+    , out_(nh_.advertise(publication_))
+    , in_(nh_.subscribe(subscription_))
     , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
     , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
     , refused_(private_nh_.advertiseService("refused", &Relay::onRefused, this))
@@ -167,14 +170,12 @@ private:
     return nh;
   }
 
-  ros::Subscriber subscribe() { return nh_.subscribe("in", 10, &Relay::onMessage, this); }
-
-  void onMessage(const std_msgs::StringConstPtr& message) { out_.publish(message); }
-
   bool onAgain(Request&, Answer& answer)
   {
     in_.shutdown();
-    in_ = subscribe();
+    in_ = nh_.subscribe(subscription_);
+    out_.shutdown();
+    out_ = nh_.advertise(publication_);
     answer.success = true;
     return true;
   }
@@ -219,7 +220,8 @@ private:
         answer.message += refusal([&] { nh_.advertise(publication); });
       }
     }
-    answer.message += refusal([&] { nh_.subscribe("not a name", 1, &Relay::onMessage, this); });
+    subscription_.topic = "not a name";
+    answer.message += refusal([&] { nh_.subscribe(subscription_); });
     answer.success = true;
     return true;
   }
@@ -246,6 +248,8 @@ private:
 
   ros::NodeHandle nh_;
   ros::NodeHandle private_nh_;
+  ros::AdvertiseOptions publication_;
+  ros::SubscribeOptions subscription_;
   ros::Publisher out_;
   ros::Subscriber in_;
   ros::ServiceServer again_;
