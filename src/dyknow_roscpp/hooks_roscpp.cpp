@@ -94,7 +94,12 @@ auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direc
     bool is_made;
   } undo{registry, options, resolved, key, *end, false};
   options.topic = key;
+  const std::string before = port->datatype();
   auto made = make(options);
+  if (!before.empty() && port->datatype() != before)
+  {
+    announceChange(owner->name);
+  }
   undo.is_made = static_cast<bool>(made);
   return made;
 }

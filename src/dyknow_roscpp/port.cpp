@@ -51,7 +51,9 @@ std::string Port::datatype() const
 Traffic Port::join(const std::shared_ptr<End>& end, const std::string& datatype)
 {
   std::lock_guard<std::mutex> lock(state_lock_);
-  if (datatype_.empty() || datatype_ == "*")
+  const bool is_alone =
+      std::all_of(shares_.begin(), shares_.end(), [](const auto& share) { return share.end.expired(); });
+  if (is_alone || datatype_ == "*")
   {
     datatype_ = datatype;
   }

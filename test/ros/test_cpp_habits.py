@@ -22,6 +22,7 @@ from processes import BUSY, becomes, eventually, finished, run
 from rosgraph_msgs.msg import Log, TopicStatistics
 from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
@@ -205,6 +206,11 @@ class ViewTest(HabitsCase):
         self.assertIn("published at the end: 1", node.output)
 
 
+def types(changes: NodeletChanges) -> dict[str, str]:
+    """The types of ports in an announcement of one node."""
+    return {port.name: port.datatype for each in changes.nodelets for port in each.ports}
+
+
 class AgainTest(HabitsCase):
     """A node makes its handles again; its ports stay where they were connected."""
 
@@ -225,6 +231,13 @@ class AgainTest(HabitsCase):
         self.move("/habits", "in", "/a")
         hears("/moved", "left", is_whole=True)
         self.assertEqual(graph.topics_of_ports("/habits"), {"in": "/a", "out": "/moved"})
+
+    def test_with_another_type(self):
+        told = self.enter(Heard(NODES_TOPIC, NodeletChanges, types))
+        self.call("/habits/retyped")
+        told.has(lambda found: found.get("out") == "std_msgs/Header")
+        self.publisher("/headers", Header)
+        self.move("/habits", "out", "/headers")
 
 
 class HelpTest(HabitsCase):

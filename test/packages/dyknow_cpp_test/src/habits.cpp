@@ -12,6 +12,7 @@
 #include <ros/poll_set.h>
 #include <ros/ros.h>
 #include <ros/transport/transport_tcp.h>
+#include <std_msgs/Header.h>
 #include <std_msgs/String.h>
 #include <std_srvs/Trigger.h>
 #include <sys/eventfd.h>
@@ -144,6 +145,7 @@ public:
     , out_(nh_.advertise(publication_))
     , in_(nh_.subscribe(subscription_))
     , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
+    , retyped_(private_nh_.advertiseService("retyped", &Relay::onRetyped, this))
     , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
     , refused_(private_nh_.advertiseService("refused", &Relay::onRefused, this))
     , accepted_(private_nh_.advertiseService("accepted", &Relay::onAccepted, this))
@@ -176,6 +178,16 @@ private:
     in_ = nh_.subscribe(subscription_);
     out_.shutdown();
     out_ = nh_.advertise(publication_);
+    answer.success = true;
+    return true;
+  }
+
+  /// Advertises its topic with another type.
+  bool onRetyped(Request&, Answer& answer)
+  {
+    in_.shutdown();
+    out_.shutdown();
+    out_ = nh_.advertise<std_msgs::Header>("out", 10);
     answer.success = true;
     return true;
   }
@@ -253,6 +265,7 @@ private:
   ros::Publisher out_;
   ros::Subscriber in_;
   ros::ServiceServer again_;
+  ros::ServiceServer retyped_;
   ros::ServiceServer seen_;
   ros::ServiceServer refused_;
   ros::ServiceServer accepted_;
