@@ -12,6 +12,7 @@
 #include <ros/service_callback_helper.h>
 #include <ros/service_manager.h>
 #include <ros/service_publication.h>
+#include <ros/this_node.h>
 
 #include <algorithm>
 #include <cstring>
@@ -277,8 +278,14 @@ bool ServiceManager::advertiseService(const AdvertiseServiceOptions& ops)
     }
     options.helper = boost::make_shared<dyknow::GuardedCallback>(ops.helper, check);
   }
+  const bool is_of_handle = dyknow::Registry::isKey(ops.service);
+  if (is_of_handle)
+  {
+    const std::string nodelet = dyknow::Registry::instance().nodeletOf(ops.callback_queue);
+    dyknow::giveWay(options.service, nodelet.empty() ? this_node::getName() : nodelet);
+  }
   const bool is_advertised = next(this, options);
-  if (is_advertised && dyknow::Registry::isKey(ops.service))
+  if (is_advertised && is_of_handle)
   {
     dyknow::OfferedServices::instance().enter(ops.service, ops.callback_queue);
   }

@@ -17,6 +17,8 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cstdlib>
 #include <ctime>
 #include <fstream>
@@ -46,6 +48,8 @@ constexpr std::chrono::milliseconds WINDOW(20);
 constexpr int QUEUE_SIZE = 1000;
 /// Where a process with live ports announces its nodelets, and changes of them: DyKnow managers find it by that.
 constexpr char NODES[] = "/dyknow/rewirable_nodes";
+/// What each nodelet and node offers, below its name.
+constexpr std::array<const char*, 3> SERVICES{"/get_config", "/set_config", "/get_statistics"};
 /// Characters of one text in the log.
 constexpr std::size_t LONGEST_LOG = 4096;
 
@@ -235,6 +239,9 @@ std::string pollService()
   return names::join(ros::this_node::getName(), "poll");
 }
 
+/// Whether the node's own code has offered a service of that name, which is registered then.
+std::atomic<bool> g_is_poll_taken{false};
+
 /// The services of this process; leaked on purpose, see later.cpp.
 ///
 /// Without any ros::NodeHandle: a node ends with its last one, which must not be ours. The next one may start
@@ -285,9 +292,20 @@ public:
   {
     const std::lock_guard<std::mutex> turn(turn_lock_);
     proxy.is_offered = false;
-    for (const char* each : {"/get_config", "/set_config", "/get_statistics"})
+    for (const char* each : SERVICES)
     {
       ros::ServiceManager::instance()->unadvertiseService(proxy.name + each);
+    }
+  }
+
+  /// Withdraws a service unless it is not ours.
+  void giveWay(const std::string& service)
+  {
+    const std::lock_guard<std::mutex> turn(turn_lock_);
+    const auto present = ros::ServiceManager::instance()->lookupServicePublication(service);
+    if (present && present->getDataType().compare(0, 12, "dyknow_msgs/") == 0)
+    {
+      ros::ServiceManager::instance()->unadvertiseService(service);
     }
   }
 
@@ -538,9 +556,22 @@ void offerServicesAgain()
   Services::instance().offerEverything();
 }
 
+void giveWay(const std::string& service, const std::string& owner)
+{
+  const bool is_poll = service == pollService();
+  if (is_poll || std::any_of(SERVICES.begin(), SERVICES.end(),
+                             [&](const char* each) { return service == owner + each; }))
+  {
+    ROS_ERROR("%s: its own service '%s' has the name of one of DyKnow's, which cannot connect its ports then",
+              owner.c_str(), service.c_str());
+    Services::instance().giveWay(service);
+    g_is_poll_taken = g_is_poll_taken || is_poll;
+  }
+}
+
 bool isOwnService(const std::string& service)
 {
-  return service == pollService();
+  return service == pollService() && !g_is_poll_taken;
 }
 
 bool isOwnTopic(const std::string& topic)

@@ -35,7 +35,12 @@ void offerManagerServices();
 /// each start.
 void offerServicesAgain();
 
-/// Whether a service is `~poll`, which is not registered: DyKnow managers look up another one of the process.
+/// Makes room for a service of the own code of a node or nodelet: if it has the name of one of these, it wins,
+/// which is logged.
+void giveWay(const std::string& service, const std::string& owner);
+
+/// Whether a service is our `~poll`, which is not registered: DyKnow managers look up another one of the
+/// process.
 bool isOwnService(const std::string& service);
 
 /// Whether a topic is one of those that the process offers.

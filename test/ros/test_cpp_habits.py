@@ -240,6 +240,19 @@ class AgainTest(HabitsCase):
         self.move("/habits", "out", "/headers")
 
 
+class OwnServicesTest(HabitsCase):
+    def test_they_win(self):
+        """A node's own services are there, even if they have names of DyKnow's."""
+        node = self.run_process(*RUN, *PROGRAM, "0", "-1", "__name:=habits")
+        self.call("/habits/get_config", GetConfig)
+        self.assertTrue(self.call("/habits/taken").success)
+        for name in ("poll", "get_config"):
+            self.assertEqual(self.call(f"/habits/{name}").message, "its own")
+            node.wait_for(f"'/habits/{name}'")
+        self.stop(node)
+        becomes(lambda: graph.registered("/habits"), set())
+
+
 class HelpTest(HabitsCase):
     def test_no_node_is_started(self):
         for option in ("-h", "--help"):

@@ -23,6 +23,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <vector>
 
 namespace
 {
@@ -146,6 +147,7 @@ public:
     , in_(nh_.subscribe(subscription_))
     , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
     , retyped_(private_nh_.advertiseService("retyped", &Relay::onRetyped, this))
+    , taken_(private_nh_.advertiseService("taken", &Relay::onTaken, this))
     , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
     , refused_(private_nh_.advertiseService("refused", &Relay::onRefused, this))
     , accepted_(private_nh_.advertiseService("accepted", &Relay::onAccepted, this))
@@ -190,6 +192,24 @@ private:
     out_ = nh_.advertise<std_msgs::Header>("out", 10);
     answer.success = true;
     return true;
+  }
+
+  /// Offers services of its own that have names of DyKnow's.
+  bool onTaken(Request&, Answer& answer)
+  {
+    answer.success = true;
+    for (const char* name : {"poll", "get_config"})
+    {
+      own_.push_back(private_nh_.advertiseService(name, &Relay::onOwn, this));
+      answer.success = answer.success && own_.back();
+    }
+    return true;
+  }
+
+  bool onOwn(Request&, Answer& answer)
+  {
+    answer.message = "its own";
+    return answer.success = true;
   }
 
   /// What the node knows of its topics.
@@ -266,9 +286,11 @@ private:
   ros::Subscriber in_;
   ros::ServiceServer again_;
   ros::ServiceServer retyped_;
+  ros::ServiceServer taken_;
   ros::ServiceServer seen_;
   ros::ServiceServer refused_;
   ros::ServiceServer accepted_;
+  std::vector<ros::ServiceServer> own_;
 };
 
 /// A parameter by way of a handle of its own: where it is the only one, roscpp is started and shut down.
