@@ -49,13 +49,12 @@ template <class Options>
 bool isPort(const ros::NodeHandle& handle, const Options& options)
 {
   const auto& datatype = options.datatype;
-  if (options.md5sum.empty() || datatype.empty() || datatype == "bond/Status" || datatype == STATISTICS ||
-      datatype.compare(0, 12, "dyknow_msgs/") == 0)
+  if (options.md5sum.empty() || datatype.empty() || datatype == "bond/Status" || datatype == STATISTICS)
   {
     return false;
   }
   const std::string topic = handle.resolveName(options.topic);
-  return topic != "/rosout" && topic != "/clock";
+  return topic != "/rosout" && topic != "/clock" && !isOwnTopic(topic);
 }
 
 /// Makes the object behind a handle, and the handle with it: `make` gets the options with the key as topic.

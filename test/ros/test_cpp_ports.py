@@ -284,6 +284,7 @@ class PortTest(CppCase):
                 "loop_in": "/robot/loop",
                 "text": "/robot/text",
                 "point": "/robot/point",
+                "verdict": "/robot/verdict",
             },
         )
         self.assertEqual(ports["loop_in"].direction, Port.IN)

@@ -1,6 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
+#include <dyknow_msgs/Verdict.h>
 #include <geometry_msgs/Point.h>
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
@@ -30,6 +31,7 @@ class Names : public nodelet::Nodelet
     advertise(nh, "loop");
     subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
     subscribers_.push_back(nh.subscribe("/clock", 1, &Names::onMessage, this));
+    subscribers_.push_back(nh.subscribe("verdict", 1, &Names::onVerdict, this));
     strings_ = nh.advertise<std_msgs::String>("text", 1);
     points_ = nh.advertise<geometry_msgs::Point>("point", 1);
   }
@@ -40,6 +42,8 @@ class Names : public nodelet::Nodelet
   }
 
   void onMessage(const std_msgs::HeaderConstPtr&) {}
+
+  void onVerdict(const dyknow_msgs::VerdictConstPtr&) {}
 
   std::vector<ros::Publisher> publishers_;
   std::vector<ros::Subscriber> subscribers_;
