@@ -8,6 +8,7 @@
 #include <ros/this_node.h>
 #include <ros/xmlrpc_manager.h>
 #include <xmlrpcpp/XmlRpcClient.h>
+#include <xmlrpcpp/XmlRpcException.h>
 
 #include <algorithm>
 #include <cstdlib>
@@ -40,6 +41,9 @@ std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)
   return "";
 }
 
+/// Characters of the longest type that is looked up: regular expressions take some of the stack for each.
+constexpr std::size_t LONGEST_TYPE = 255;
+
 /// Where Debian has the modules of its ROS packages, which no set-up file adds to PYTHONPATH.
 constexpr const char* SYSTEM_MODULES = "/usr/lib/python3/dist-packages";
 
@@ -49,7 +53,7 @@ std::string canonical(const std::string& datatype)
   static const std::regex name("([A-Za-z]\\w*)/([A-Za-z]\\w*)");
   static const std::regex checksum("\\s*_md5sum = \"([0-9a-f]{32})\"");
   std::smatch match;
-  if (!std::regex_match(datatype, match, name))
+  if (datatype.size() > LONGEST_TYPE || !std::regex_match(datatype, match, name))
   {
     return datatype;
   }
@@ -125,6 +129,18 @@ XmlRpc::XmlRpcValue askMaster(const std::string& question, const std::string& ar
 
 std::string MasterState::datatypeOf(const std::string& topic) const
 {
+  try
+  {
+    return typeOn(topic);
+  }
+  catch (const XmlRpc::XmlRpcException& error)
+  {
+    throw Refusal("the ROS master's answer is wrong: " + error.getMessage());
+  }
+}
+
+std::string MasterState::typeOn(const std::string& topic) const
+{
   if (!nodesOn(PUBLISHERS, topic).empty())
   {
     return typeIn(askMaster("getTopicTypes", "", deadline_), topic);
@@ -188,6 +204,10 @@ std::string MasterState::subscribedType(const std::string& node, const std::stri
   catch (const Refusal&)
   {
     return "";  // a node that does not answer says nothing of the topic
+  }
+  catch (const XmlRpc::XmlRpcException&)
+  {
+    return "";  // nor does one whose answer is wrong
   }
 }
 

@@ -52,6 +52,7 @@ public:
   void requireAnswer() const;
 
 private:
+  std::string typeOn(const std::string& topic) const;
   std::vector<std::string> nodesOn(int side, const std::string& topic) const;
   std::string subscribedType(const std::string& node, const std::string& topic) const;
 

@@ -12,6 +12,7 @@ import os
 import statistics
 import threading
 import time
+from xmlrpc.server import SimpleXMLRPCServer
 
 import graph
 import rosgraph
@@ -505,6 +506,25 @@ class RefusalTest(CppCase):
             becomes(lambda t=topic: [len(each) for each in graph.nodes_on(t)], [0, 1])
         self.mismatch("/two")
         connect("/n", out="/one")
+
+    def test_nodes_that_answer_wrongly(self):
+        """They say nothing of their topics, or the names of types that there cannot be."""
+        server = SimpleXMLRPCServer(("localhost", 0), logRequests=False)
+        server.register_function(lambda caller: [1, "", self.subscriptions], "getSubscriptions")
+        server.register_function(lambda *_: [1, "", 0], "publisherUpdate")
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        for undo in (server.server_close, thread.join, server.shutdown):
+            self.addCleanup(undo)
+        node, uri = rosgraph.Master("/odd"), f"http://localhost:{server.server_address[1]}/"
+        for number, self.subscriptions in enumerate((0, "odd", ["/odd_2"], [["/odd_3"]], [[]])):
+            with self.subTest(self.subscriptions):
+                node.registerSubscriber(f"/odd_{number}", "*", uri)
+                self.addCleanup(node.unregisterSubscriber, f"/odd_{number}", uri)
+                connect("/n", out=f"/odd_{number}")
+        connect("/n", out="/a")
+        self.subscriptions = [["/odd_0", "long/" + 300000 * "x"]]
+        self.assertIn("carries long/xxx", set_config("/n", out="/odd_0").message)
 
     @contextlib.contextmanager
     def guarded(self, **guards):
