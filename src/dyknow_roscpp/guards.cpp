@@ -111,7 +111,17 @@ std::string Guards::loader()
 
 void Guards::readRewirable()
 {
-  is_rewirable = ros::param::param(names::join(ros::this_node::getName(), "rewirable"), true);
+  XmlRpc::XmlRpcValue value;
+  if (!ros::param::get(names::join(ros::this_node::getName(), "rewirable"), value))
+  {
+    value = true;
+  }
+  const bool is_flag = value.getType() == XmlRpc::XmlRpcValue::TypeBoolean;
+  is_rewirable = is_flag && static_cast<bool>(value);
+  if (!is_flag)
+  {
+    ROS_ERROR_STREAM_ONCE("parameter '~rewirable' is " << value << ": expected true or false; false is taken");
+  }
 }
 
 void Guards::checkRewirable(const std::string& what)

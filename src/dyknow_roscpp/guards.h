@@ -40,7 +40,8 @@ public:
   /// The loader of the nodelet that this thread makes; else the manager that started the process.
   static std::string loader();
 
-  /// Reads `~rewirable`: whether the ports of this process may be connected elsewhere.
+  /// Reads `~rewirable`: whether the ports of this process may be connected elsewhere. A value that is neither
+  /// true nor false is logged, and stands for false.
   static void readRewirable();
 
   /// Takes the guards of a manager, in place of those that it handed over before.

@@ -43,7 +43,7 @@ from std_srvs.srv import Trigger
 
 from dyknow import errors
 from dyknow.errors import HostError
-from dyknow.guards import Guards
+from dyknow.guards import NOT_REWIRABLE, Guards
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
@@ -551,6 +551,18 @@ class RefusalTest(CppCase):
         )
         with self.guarded(read_only=True):
             self.refused_for(set_config("/n", out="/x"), denied)
+
+
+class RewirableTest(TellingCase):
+    def test_a_flag_that_is_none(self):
+        """It does not open what it may have been meant to close."""
+        manager = self.enter(CppManager("/flagged", *OURS, "_rewirable:=0"))
+        manager.load("Source", "/source")
+        self.addCleanup(manager.unload_all)
+        answer = set_config("/source", out="/x")
+        denied = errors.Denied("connecting ports of '/source'", NOT_REWIRABLE)
+        self.assertEqual((answer.success, answer.message), (False, str(denied)))
+        self.assertIn("'~rewirable' is 0: expected true or false", manager.output)
 
 
 class HungMasterTest(TellingCase):
