@@ -111,19 +111,28 @@ bool isNotAtWork(const std::string& uri)
   {
     return false;
   }
-  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> address(found, freeaddrinfo);
-  const Socket socket(*address);
-  const int error = socket.connectTo(*address);
-  if (error != 0)
-  {
-    return error == ECONNREFUSED || error == ECONNRESET;
-  }
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> addresses(found, freeaddrinfo);
   const std::string body = "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param>"
                            "<value><string>" +
                            ros::this_node::getName() + "</string></value></param></params></methodCall>";
-  return !socket.isAnswered("POST /RPC2 HTTP/1.0\r\nHost: " + host +
-                            "\r\nContent-Type: text/xml\r\nContent-Length: " + std::to_string(body.size()) +
-                            "\r\n\r\n" + body);
+  bool is_refused = false;
+  for (const addrinfo* each = found; each != nullptr; each = each->ai_next)
+  {
+    const Socket socket(*each);
+    const int error = socket.connectTo(*each);
+    if (error == 0)
+    {
+      return !socket.isAnswered("POST /RPC2 HTTP/1.0\r\nHost: " + host +
+                                "\r\nContent-Type: text/xml\r\nContent-Length: " +
+                                std::to_string(body.size()) + "\r\n\r\n" + body);
+    }
+    if (error == ETIMEDOUT)
+    {
+      return false;  // at once, as the time is up
+    }
+    is_refused = is_refused || error == ECONNREFUSED || error == ECONNRESET;
+  }
+  return is_refused;
 }
 
 }  // namespace

@@ -12,6 +12,9 @@ import os
 import statistics
 import threading
 import time
+import unittest
+from pathlib import Path
+from urllib.parse import urlsplit
 from xmlrpc.server import SimpleXMLRPCServer
 
 import graph
@@ -47,6 +50,7 @@ from dyknow.guards import NOT_REWIRABLE, Guards
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
+from dyknow.ros.wire.poll_client import PollClient
 from dyknow.ros.wire.service_client import ServiceClient
 
 RATE = 1000
@@ -563,6 +567,49 @@ class RewirableTest(TellingCase):
         denied = errors.Denied("connecting ports of '/source'", NOT_REWIRABLE)
         self.assertEqual((answer.success, answer.message), (False, str(denied)))
         self.assertIn("'~rewirable' is 0: expected true or false", manager.output)
+
+
+class LeaseTest(CppCase):
+    """Which messages pass on a topic of a claim, by the leases that a DyKnow manager grants."""
+
+    def lease(self, duration: float, nodelet: str = "/source", host: str = "", **request) -> None:
+        """Grant a lease for so many seconds, in which a nodelet publishes on ``/claim``."""
+        uri = urlsplit(rospy.get_node_uri())
+        request.setdefault("topics", ["/claim"])
+        request.setdefault("nodelets", [nodelet])
+        uri = uri._replace(netloc=f"{host or uri.hostname}:{uri.port}").geturl()
+        clock = 0.0
+        with contextlib.closing(
+            PollClient(Master("/dyknow_manager"), self.manager.name, False)
+        ) as client:
+            for _ in range(2):  # the first answer has the clock that the second request confirms
+                answer = client.ask(
+                    5.0 * BUSY, uri=uri, confirmed=clock, duration=duration, **request
+                )
+                clock = answer.clock
+
+    def end_lease(self) -> None:
+        self.lease(1.0, topics=[], nodelets=[])
+
+    def tearDown(self):
+        self.end_lease()
+        super().tearDown()
+
+    def dropped(self) -> int:
+        return graph.port_statistics("/source", "out").dropped
+
+    @unittest.skipIf(os.geteuid(), "root may mount, others may not")
+    def test_it_ends_though_the_first_address_of_the_manager_refuses(self):
+        """A node listens at one address, and its host's name may have several."""
+        hosts = self.make_folder() / "hosts"
+        present = Path("/etc/hosts").read_text()  # has the name of this host, too
+        hosts.write_text(f"::1 localhost\n127.0.0.1 localhost\n{present}")
+        mounted = ("unshare", "--mount", "sh", "-c", 'mount --bind "$0" /etc/hosts && exec "$@"')
+        self.manager = self.enter(CppManager("/other_hosts", *mounted, str(hosts), *OURS))
+        self.load("Source", "out", "/claim", count=100 * COUNT, rate=100.0)
+        self.lease(1.0, host="localhost")
+        start("/source")
+        eventually(self.dropped, 20.0, "the lease ends")
 
 
 class HungMasterTest(TellingCase):
