@@ -13,7 +13,7 @@ import json
 import sys
 from pathlib import Path
 
-from dyknow import errors, similar
+from dyknow import errors, names, similar
 from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards
 from dyknow.nodelet import leases
 
@@ -44,6 +44,7 @@ TEXTS = {
         _A_PATTERN, "{1}"
     ),
 }
+WORDS = {"FORMS": names.FORMS}
 NUMBERS = {
     "STRING_LENGTH": NO_GUARDS.string_length,
     "ARRAY_LENGTH": NO_GUARDS.array_length,
@@ -59,6 +60,10 @@ def header() -> str:
     lines = [f"constexpr {kinds[type(n)]} {name} = {n};" for name, n in NUMBERS.items()]
     lines += [
         f"constexpr char {name}[] = {json.dumps(str(text))};" for name, text in TEXTS.items()
+    ]
+    lines += [
+        f"constexpr const char* {name}[] = {{{json.dumps(words)[1:-1]}}};"
+        for name, words in WORDS.items()
     ]
     body = "\n".join(lines)
     return (

@@ -31,19 +31,38 @@ constexpr std::chrono::milliseconds PERIOD(200);
 /// For a connection to a manager's host, and for an answer.
 constexpr int PATIENCE_MS = 400;
 
-/// Nodelets that publish on a topic, each with the topic.
-void addPublishing(const std::string& topic, std::set<std::pair<std::string, std::string>>& found)
+/// The topic in `producers` whose messages a topic carries, maybe in another form; empty if there is none.
+std::string claimed(const Leases::Producers& producers, const std::string& topic)
 {
+  const auto last = topic.rfind('/');
+  const auto& forms = shared::FORMS;
+  const bool is_form = std::count(std::begin(forms), std::end(forms), topic.substr(last + 1)) > 0;
+  for (const auto& each : {topic, is_form ? topic.substr(0, last) : ""})
+  {
+    if (producers.count(each) > 0)
+    {
+      return each;
+    }
+  }
+  return "";
+}
+
+/// Nodelets that publish messages of topics of claims, each with the topic of the claim.
+std::set<std::pair<std::string, std::string>> publishing(const Leases::Producers& producers)
+{
+  std::set<std::pair<std::string, std::string>> found;
   for (const auto& proxy : Registry::instance().owners())
   {
     for (const auto& each : proxy->ports())
     {
-      if (each.port->direction == Direction::OUT && each.port->topic() == topic)
+      const std::string topic = claimed(producers, each.port->topic());
+      if (each.port->direction == Direction::OUT && !topic.empty())
       {
         found.emplace(proxy->name, topic);
       }
     }
   }
+  return found;
 }
 
 class Socket
@@ -154,11 +173,7 @@ void Leases::renew(const std::string& manager, const std::string& uri, double co
                    const Producers& producers)
 {
   const double moment = clock();
-  std::set<std::pair<std::string, std::string>> present;
-  for (const auto& each : producers)
-  {
-    addPublishing(each.first, present);
-  }
+  const auto present = publishing(producers);
   std::lock_guard<std::mutex> lock(state_lock_);
   const auto known = leases_.find(manager);
   if (producers.empty())
@@ -198,8 +213,9 @@ bool Leases::mayPublishThere(const std::string& nodelet, const std::string& topi
                       [&](const auto& each)
                       {
                         const Lease& lease = each.second;
-                        return lease.producers.count(topic) > 0 &&
-                               (clock() > lease.until || lease.fenced.count({nodelet, topic}) > 0);
+                        const std::string claim = claimed(lease.producers, topic);
+                        return !claim.empty() &&
+                               (clock() > lease.until || lease.fenced.count({nodelet, claim}) > 0);
                       });
 }
 

@@ -56,6 +56,8 @@ from dyknow.ros.wire.service_client import ServiceClient
 RATE = 1000
 #: Messages of one test; many in the long run.
 COUNT = int(os.environ.get("DYKNOW_TEST_MESSAGES", RATE))
+#: Seconds of a lease that has run out when it is granted.
+RUN_OUT = 1e-6
 MANAGER = "/cpp_manager"
 
 
@@ -597,6 +599,20 @@ class LeaseTest(CppCase):
 
     def dropped(self) -> int:
         return graph.port_statistics("/source", "out").dropped
+
+    def test_another_form_of_the_messages(self):
+        """image_transport's, on a topic below: it comes from the same nodelets."""
+        self.load("Source", "out", "/claim/compressed", count=1)
+        self.lease(60.0)
+        self.sends(1)
+        self.assertEqual(self.dropped(), 0)
+        self.end_lease()
+        self.lease(RUN_OUT)
+        self.sends(2)
+        self.assertEqual(self.dropped(), 1)
+        self.lease(60.0, "/another")  # which has replaced it meanwhile
+        self.sends(3)
+        self.assertEqual(self.dropped(), 2)
 
     @unittest.skipIf(os.geteuid(), "root may mount, others may not")
     def test_it_ends_though_the_first_address_of_the_manager_refuses(self):
