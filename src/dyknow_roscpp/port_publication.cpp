@@ -143,6 +143,7 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   if (active_ && !Leases::instance().mayPublish(port_->owner, active_->topic))
   {
     traffic_.dropped();
+    message = passed_;  // ros::Publisher keeps it, if it is latched, in place of the one before
     return;
   }
   if (active_)
@@ -161,6 +162,7 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   if (is_latched_)
   {
     port_->latched = true;
+    passed_ = message;
     if (prepared_ && message.buf && (!active_ || active_->topic != prepared_->topic))
     {
       prepared_->send(message);  // roscpp has pushed what was latched when they connected

@@ -131,6 +131,7 @@ private:
   std::shared_ptr<void> notice_;  ///< that it moves to the topic of `prepared_`, for `isAnyMovingTo`
   bool is_prepared_ = false;
   std::vector<RegistrationPtr> lingering_;
+  ros::SerializedMessage passed_;  ///< the last one of those that are latched
 };
 
 }  // namespace dyknow

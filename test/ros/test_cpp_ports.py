@@ -614,6 +614,17 @@ class LeaseTest(CppCase):
         self.sends(3)
         self.assertEqual(self.dropped(), 2)
 
+    def test_a_latched_message(self):
+        """The last one that passed is kept for subscribers to come."""
+        self.load("Source", "out", "/claim", latch=True, count=1)
+        self.sends(1)
+        self.lease(RUN_OUT)
+        self.sends(2)
+        self.assertEqual(self.dropped(), 1)
+        self.lease(60.0)
+        heard = self.enter(Heard("/claim", note=lambda message: message.seq))
+        becomes(heard.copy, [0])
+
     @unittest.skipIf(os.geteuid(), "root may mount, others may not")
     def test_it_ends_though_the_first_address_of_the_manager_refuses(self):
         """A node listens at one address, and its host's name may have several."""
