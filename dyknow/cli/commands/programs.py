@@ -25,8 +25,10 @@ from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
 from dyknow.ros.process.programs import find_program
+from dyknow.ros.process.signals import ENDING, ENDS, sigint
 
 if TYPE_CHECKING:
+    from dyknow.ros.client import ProxyClient
     from dyknow.ros.process.os_process import ProcessId
     from dyknow.ros.wire.master import Master
 
@@ -93,8 +95,10 @@ _SHARED = re.compile(
     *_PROGRAM,
 )
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
-    from dyknow.ros.process import os_process
-    from dyknow.ros.wire.master import Master
+    with sigint(ENDS, *ENDING):  # an import may drop what is raised in it, and go on
+        from dyknow.ros.client import ProxyClient
+        from dyknow.ros.process import os_process
+        from dyknow.ros.wire.master import Master
 
     path = find_program(arguments.package, arguments.executable)
     name = f"/dyknow_probe_{os.getpid()}/{_base(arguments.executable)}"
@@ -109,7 +113,7 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
         command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *arguments.words, *own)
         process = os_process.start(command, output, os.getcwd())
         try:
-            ports = _settled(master, name, process, output, arguments)
+            ports = _settled(ProxyClient(master), name, process, output, arguments)
             found: Any = {}
             with contextlib.suppress(LookupError, PeerTimeout):
                 found = master.ask("getParam", name)
@@ -151,16 +155,13 @@ def _base(executable: str) -> str:
 
 
 def _settled(
-    master: Master, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
+    client: ProxyClient, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
 ) -> list[PortState]:
     """Wait until a node has made its ports.
 
     Raises:
         CannotRun: it ended, or made none in time.
     """
-    from dyknow.ros.client import ProxyClient
-
-    client = ProxyClient(master)
     begin = since = time.monotonic()
     ports: list[PortState] = []
     while True:
