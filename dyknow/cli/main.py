@@ -36,7 +36,7 @@ from dyknow.cli.shell import (
     written,
 )
 from dyknow.errors import DyKnowError, ManagerUnreachable
-from dyknow.ros.process.signals import ENDING, ENDS, RAISES, handled, raise_once, sigint
+from dyknow.ros.process.signals import ENDING, RAISES, sigint
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         with written(sys.stdout):  # help, too
             arguments = parse(sys.argv[1:] if words is None else words)
-        with sigint(RAISES), handled(raise_once, *ENDING):
+        with sigint(RAISES, *ENDING):
             return _run(arguments)
     except SystemExit as end:  # argparse's
         return end.code if isinstance(end.code, int) else FAILED
@@ -280,8 +280,8 @@ def execute(arguments: argparse.Namespace, shell: Shell) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     def connect() -> ShellClient:
-        with sigint(ENDS, *ENDING):
-            from dyknow.ros.shell.shell_client import ShellClient
+        from dyknow.ros.shell.shell_client import ShellClient
+
         return ShellClient(arguments.manager_node, arguments.timeout)
 
     shell = Shell(connect, arguments.json)

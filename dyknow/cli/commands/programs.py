@@ -25,7 +25,6 @@ from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
 from dyknow.ros.process.programs import find_program
-from dyknow.ros.process.signals import ENDING, ENDS, sigint
 
 if TYPE_CHECKING:
     from dyknow.ros.client import ProxyClient
@@ -95,10 +94,9 @@ _SHARED = re.compile(
     *_PROGRAM,
 )
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
-    with sigint(ENDS, *ENDING):  # an import may drop what is raised in it, and go on
-        from dyknow.ros.client import ProxyClient
-        from dyknow.ros.process import os_process
-        from dyknow.ros.wire.master import Master
+    from dyknow.ros.client import ProxyClient
+    from dyknow.ros.process import os_process
+    from dyknow.ros.wire.master import Master
 
     path = find_program(arguments.package, arguments.executable)
     name = f"/dyknow_probe_{os.getpid()}/{_base(arguments.executable)}"

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import threading
 from typing import Any, Callable, Iterable, Iterator
 
 from dyknow.periodic import attempt, in_background
@@ -27,32 +28,40 @@ FAILED = 255
 #: Stopped before it could do its work; as a shell shows for SIGINT.
 INTERRUPTED = 130
 
-#: What SIGINT may do: end the process, or raise KeyboardInterrupt.
-ENDS, RAISES = signal.SIG_DFL, signal.default_int_handler
-
-
 #: Signals that end a command as SIGINT does, from a supervisor and from a terminal that is closed.
 ENDING = (signal.SIGTERM, signal.SIGHUP)
+_AGAIN = 0.05  # s
 
 
-def raise_once(number: int, frame: Any) -> None:
-    """Raise KeyboardInterrupt, and ignore the signal from then on.
+def raise_interrupt(number: int, frame: Any) -> None:
+    """Raise KeyboardInterrupt; while a module is imported, once that is done.
 
-    A terminal that is closed sends SIGHUP twice: the second must not stop what then cleans up.
+    Modules are loaded with callbacks that print an exception and drop it. Any signal but SIGINT
+    is ignored from then on: a terminal that is closed sends SIGHUP twice, and the second must not
+    stop what then cleans up.
     """
-    signal.signal(number, signal.SIG_IGN)
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            main = threading.main_thread().ident
+            assert main is not None
+            again = threading.Timer(_AGAIN, signal.pthread_kill, (main, number))
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    if number != signal.SIGINT:
+        signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
-def sigint(handler: Any, *others: int) -> contextlib.AbstractContextManager[None]:
-    """Handle SIGINT and other signals as `handled` does."""
-    return handled(handler, signal.SIGINT, *others)
+#: What SIGINT may do: end the process, or raise KeyboardInterrupt.
+ENDS, RAISES = signal.SIG_DFL, raise_interrupt
 
 
 @contextlib.contextmanager
-def handled(handler: Any, *numbers: int) -> Iterator[None]:
-    """Handle signals so, except those that are ignored; as before at the end."""
-    former = {number: signal.getsignal(number) for number in numbers}
+def sigint(handler: Any, *others: int) -> Iterator[None]:
+    """Handle SIGINT and other signals so, except those that are ignored; as before at the end."""
+    former = {number: signal.getsignal(number) for number in (signal.SIGINT, *others)}
     former = {each: before for each, before in former.items() if before is not signal.SIG_IGN}
     try:
         for number in former:

@@ -9,9 +9,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from clocks import PATIENCE
 
 from dyknow.cli import main as command_line
 from dyknow.cli.shell import INTERRUPTED
@@ -127,6 +129,28 @@ def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
         assert command_line.main(["list"]) == INTERRUPTED
         assert signal.getsignal(number) is signal.SIG_DFL
     assert done == ["list"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *ENDING])
+def test_a_signal_lets_an_import_end(number, tmp_path, monkeypatch):
+    """Of any module, at any depth: what is raised in an import may be dropped in there."""
+    (tmp_path / "outer.py").write_text("import inner\nis_done = True\n")
+    (tmp_path / "inner.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    imported = []
+
+    def run(arguments):
+        import outer
+
+        imported.append(outer.is_done)
+        threading.Event().wait(PATIENCE)
+
+    monkeypatch.setattr(command_line, "_run", run)
+    with sigint(ENDS, *ENDING):
+        assert command_line.main(["list"]) == INTERRUPTED
+    assert imported == [True]
+    for name in ("outer", "inner"):
+        del sys.modules[name]
 
 
 def test_a_command_under_nohup_goes_on(monkeypatch):
