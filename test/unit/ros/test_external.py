@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from types import SimpleNamespace
+from typing import Any
 from typing import List
 
 import pytest
@@ -91,8 +92,9 @@ def test_those_with_nodelets_of_an_earlier_life_are_used_unless_they_are_gone(gr
 def test_late_nodelets_are_unloaded_though_the_unload_of_one_takes_long(graph, monkeypatch):
     graph.nodes[FAR] = SmallManager()
     graph.nodes[FAR].nodelets = ["/a", "/b", "/c"]
-    children = SimpleNamespace(find=lambda name: None, all=list)
-    host = RosHost(context(graph), children, SimpleNamespace(), [FAR])
+    children: Any = SimpleNamespace(find=lambda name: None, all=list)
+    registrar: Any = SimpleNamespace()
+    host = RosHost(context(graph), children, registrar, [FAR])
     tries = []
 
     def unload(manager, name):
