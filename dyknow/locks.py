@@ -84,12 +84,12 @@ def reentrant_state_lock(name: str) -> Any:
     return threading.RLock() if _checker is None else CheckedLock(_checker, name, reentrant=True)
 
 
-def state_condition(name: str) -> threading.Condition:
-    """Make a condition on a state lock, reentrant as that of ``threading``.
+def state_condition(name: str, lock: Any = None) -> threading.Condition:
+    """Make a condition on a state lock, reentrant as that of ``threading``; it may share one.
 
     A wait gives up the lock of the condition, so it may be the only state lock that is held.
     """
-    return threading.Condition(reentrant_state_lock(name))
+    return threading.Condition(lock or reentrant_state_lock(name))
 
 
 def module_lock() -> Any:

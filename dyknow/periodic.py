@@ -32,7 +32,7 @@ from typing import (
 )
 
 from dyknow.errors import DyKnowError
-from dyknow.locks import state_condition, state_lock
+from dyknow.locks import reentrant_state_lock, state_condition, state_lock
 
 #: Least seconds between two rounds of a key, however often it is woken.
 PAUSE = 0.05
@@ -157,7 +157,13 @@ class ControlLoop:
         self._clock = clock
         self._logger = logger
         self._name = name
-        self._changed = state_condition("control loop")
+        lock = reentrant_state_lock("control loop")
+        #: One idle thread watches the keys; the others wait to take its place, so that what
+        #: happens wakes one thread.
+        self._changed = state_condition("control loop", lock)
+        self._place_is_free = state_condition("control loop", lock)
+        self._is_watched = False
+        self._ended = state_condition("control loop", lock)
         self._keys: dict[str, _Key] = {}
         self._threads: list[threading.Thread] = []
         self._started = self._closed = False
@@ -188,7 +194,7 @@ class ControlLoop:
         if found.wanted <= found.begun:  # else its next round is requested already
             with self._changed:
                 found.wanted = found.begun + 1
-                self._changed.notify_all()
+                self._changed.notify()
         return found.wanted
 
     def wait_for(self, key: str, number: int, timeout: float) -> bool:
@@ -196,9 +202,9 @@ class ControlLoop:
 
         After ``close`` the round that is running ends, and no other begins.
         """
-        with self._changed:
+        with self._ended:
             found = self._keys[key]
-            self._changed.wait_for(
+            self._ended.wait_for(
                 lambda: found.ended >= number or (self._closed and found.begun < number), timeout
             )
             return found.ended >= number
@@ -216,7 +222,7 @@ class ControlLoop:
         """Let the next round of a standing key come in so many seconds; None for a wake."""
         with self._changed:
             _, self._keys[key].due = self._times(after)
-            self._changed.notify_all()
+            self._changed.notify()
 
     def start(self) -> None:
         """Start the threads, unless they were started or the loop is closed."""
@@ -242,7 +248,8 @@ class ControlLoop:
         with self._changed:
             self._closed = True
             threads = self._threads
-            self._changed.notify_all()
+            for each in (self._changed, self._place_is_free, self._ended):
+                each.notify_all()
         deadline = time.monotonic() + timeout
         for thread in threads:
             if thread is not threading.current_thread():
@@ -256,7 +263,7 @@ class ControlLoop:
         with self._changed:
             if key.name not in self._keys:
                 self._keys[key.name] = key
-                self._changed.notify_all()
+                self._changed.notify()
                 if self._started:
                     try:
                         self._start_threads()
@@ -284,8 +291,15 @@ class ControlLoop:
                 left = math.inf if key is None else key.next - self._clock.now()
                 if key is not None and left <= 0.0:
                     key.begun += 1
+                    if not self._is_watched:
+                        self._place_is_free.notify()
                     return key
-                self._clock.wait(self._changed, None if left == math.inf else left)
+                if self._is_watched:
+                    self._clock.wait(self._place_is_free, None)
+                else:
+                    self._is_watched = True
+                    self._clock.wait(self._changed, None if left == math.inf else left)
+                    self._is_watched = False
         return None
 
     def _first(self) -> _Key | None:
@@ -309,7 +323,8 @@ class ControlLoop:
                 key.earliest, key.due = self._times(cast("Optional[float]", after), pause)
             else:
                 del self._keys[key.name]
-            self._changed.notify_all()
+            self._changed.notify()
+            self._ended.notify_all()
 
 
 class PeriodicWorker:

@@ -161,6 +161,25 @@ def test_slow_rounds_hold_up_no_other_key(gate: Gate) -> None:
     loop.close()
 
 
+def test_what_happens_wakes_one_thread_and_not_all() -> None:
+    waits: List[float] = []
+
+    class CountingClock(SteppedClock):
+        def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+            waits.append(self.now())
+            super().wait(condition, seconds)
+
+    clock = CountingClock()
+    loop = ControlLoop(20, clock)
+    loop.add("key", lambda: 1.0, after=1.0)
+    loop.start()
+    clock.settle(21)
+    del waits[:]
+    clock.advance(100.0, 21)
+    loop.close(PATIENCE)
+    assert 100 <= len(waits) <= 400  # the watch is handed on, and both threads wait again
+
+
 def test_a_worker_works_periodically_until_it_is_closed() -> None:
     clock = SteppedClock()
     rounds: List[float] = []
