@@ -13,6 +13,7 @@ transformations of templates too, so that every specification is read again then
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 import traceback
@@ -31,9 +32,11 @@ from dyknow.ros.manager.manager_settings import ManagerSettings
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
 
-#: Seconds between two looks, and how many times as long as a look the pause is at least, so that
-#: they take little of a processor. Reading what has changed, which happens once, does not count.
-LOOK_PERIOD, _REST = 1.0, 50.0
+#: Seconds between two looks at the files.
+LOOK_PERIOD = 1.0
+#: Seconds between two crawls of ROS_PACKAGE_PATH, and how many times as long as a crawl the pause
+#: is at least, so that they take little of a processor: a hundred packages take 10 ms.
+CRAWL_PERIOD, _REST = 5.0, 100.0
 
 #: In place of a path among the stored labels of files: the files that packages exported.
 _EXPORTED = ""
@@ -50,6 +53,26 @@ def exported() -> dict[str, list[str]]:
     return found
 
 
+class PackageExports:
+    """Those files, crawled for from time to time and remembered meanwhile."""
+
+    def __init__(self, crawl: Exported = exported, clock: Callable[[], float] = time.monotonic):
+        """Make it without a crawl."""
+        self._crawl = crawl
+        self._clock = clock
+        self._found: Mapping[str, Sequence[str]] = {}
+        self._next = -math.inf
+
+    def __call__(self) -> Mapping[str, Sequence[str]]:
+        """List the files by attribute, as the last crawl found them."""
+        if self._clock() >= self._next:
+            began = time.thread_time()
+            self._found = self._crawl()
+            pause = max(CRAWL_PERIOD, _REST * (time.thread_time() - began))
+            self._next = self._clock() + pause
+        return self._found
+
+
 class LibraryFiles:
     """Follows the files.
 
@@ -63,7 +86,7 @@ class LibraryFiles:
         self,
         settings: ManagerSettings,
         store: Store,
-        exported: Exported = exported,
+        exported: Exported,
     ) -> None:
         self._settings = settings
         self._store = store
@@ -82,8 +105,6 @@ class LibraryFiles:
         self._labels = {path: frozenset(self._kept[path]) for path in self._stamps}
         #: By specification file, the fault that was logged, and the stamp of the file then.
         self._said: dict[str, tuple[Stamp | None, str]] = {}
-        #: Seconds of a processor that the last look took at which nothing was read.
-        self._took = 0.0
 
     @property
     def labels(self) -> frozenset[str]:
@@ -117,7 +138,6 @@ class LibraryFiles:
 
         ``on_change`` is called after a change, with the labels that were read again.
         """
-        began = time.thread_time()
         before = library.revision
         read = self._related, dict(self._stamps)
         had = dict(self._labels)
@@ -141,14 +161,11 @@ class LibraryFiles:
             self._said.pop(path, None)
             self._forget(library, self._labels.pop(path, frozenset()))
         labels |= self._restore(library, wanted, had)
-        is_read = read != (self._related, self._stamps)
-        if is_read:
+        if read != (self._related, self._stamps):
             self._keep(found.get("transformations", ()))
         if library.revision != before:
             on_change(labels)
-        if not is_read:
-            self._took = time.thread_time() - began
-        return max(LOOK_PERIOD, _REST * self._took)
+        return LOOK_PERIOD
 
     def _ontologies(self, found: Mapping[str, Sequence[str]]) -> Sequence[str]:
         return tuple(dict.fromkeys((*self._settings.ontologies, *found.get("ontology", ()))))

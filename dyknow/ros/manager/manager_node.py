@@ -51,7 +51,7 @@ from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.manager.boot_wiring import BootWiring
 from dyknow.ros.manager.diagnostics import DiagnosticsTopic
 from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
-from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles
+from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles, PackageExports
 from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
 from dyknow.ros.manager.services import (
     CountsTopic,
@@ -164,7 +164,7 @@ class ManagerNode(Closable):
             settings.nodelet_managers,
             lambda: loop.wake(_RECONCILE),
         )
-        self._files = LibraryFiles(settings, self._store)
+        self._files = LibraryFiles(settings, self._store, PackageExports())
         self._reconciler = open_reconciler(
             self._host,
             self._store,

@@ -206,29 +206,21 @@ def test_a_file_that_cannot_be_read_once_is_read_later(files, logged, monkeypatc
     assert files.labels == ["a"]
 
 
-def test_the_pause_is_that_of_looks_at_which_nothing_is_read(files, monkeypatch):
-    """Reading the first ontology takes half a second, and the next individual came 25 s later."""
+def test_packages_are_crawled_less_often_the_longer_it_takes(monkeypatch):
     clock = HandClock()
     monkeypatch.setattr(library_files.time, "thread_time", clock.now)
-    files.write("own.xml", simple("a"))
-    files.begin()
-    pauses = []
+    crawls = []
 
-    def look(library_reads, seconds):
-        def exported():
-            clock.time += seconds
-            return {}
+    def crawl():
+        crawls.append(clock.now())
+        clock.time += 0.1 if len(crawls) == 2 else 0.01
+        return {"transformations": [str(len(crawls))]}
 
-        files.files._exported = exported
-        if library_reads:
-            files.write("own.xml", simple(library_reads))
-        pauses.append(files.look())
-
-    look("b", 0.5)
-    look("", 0.1)
-    look("c", 0.5)
-    look("", 0.001)
-    assert pauses == pytest.approx([1.0, 5.0, 5.0, 1.0])
+    exports = library_files.PackageExports(crawl, clock)
+    for _ in range(40):
+        assert exports() == {"transformations": [str(len(crawls))]}
+        clock.time += 1.0
+    assert [round(when) for when in crawls] == [0, 5, 15, 20, 25, 30, 35]
 
 
 def test_exports_can_be_left_out(tmp_path):
