@@ -8,8 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from types import SimpleNamespace
-from typing import Any
-from typing import List
+from typing import Any, List
 
 import pytest
 from clocks import PATIENCE, HandClock, eventually, wait_for
