@@ -107,7 +107,12 @@ class Leases:
         claim; without any the lease ends, and fences none.
         """
         now = self._clock()
-        present = {(name, topic) for topic in producers for name in self._owners(topic)}
+        present = {
+            (name, topic)
+            for topic in producers
+            for each in (topic, *_forms_of(topic))
+            for name in self._owners(each)
+        }
         with self._state_lock:
             known = self._leases.get(manager)
             if not producers:
@@ -124,7 +129,7 @@ class Leases:
             is_new, self._topics = topics != self._topics, topics
         while is_new:
             fences = {t: functools.partial(self.may_publish, topic=t) for t in topics}
-            forms = {names.below(t, form): fences[t] for t in fences for form in names.FORMS}
+            forms = {each: fences[t] for t in fences for each in _forms_of(t)}
             self._guard({**forms, **fences})
             with self._state_lock:  # the fences of another renewal may have come before these
                 is_new, topics = topics != self._topics, self._topics
@@ -149,3 +154,7 @@ class Leases:
             with self._state_lock:
                 if sight is Sight.NOT_AT_WORK and self._clock() < lease.until:
                     lease.until = max(lease.until, now + EXTENSION)
+
+
+def _forms_of(topic: str) -> list[str]:
+    return [names.below(topic, form) for form in names.FORMS]

@@ -109,15 +109,23 @@ ADDRESSES = Addresses()
 
 
 def connect(host: str, port: int, timeout: float) -> socket.socket:
-    """Connect to a host, its look-up included; raises ``OSError``, ``socket.timeout`` if late."""
+    """Connect to a host, its look-up included, at the first of its addresses that answers.
+
+    Raises:
+        socket.timeout: one was silent until the time was up.
+        ConnectionError: no address answers, and one refuses.
+        OSError: no address can be found, or reached.
+    """
     deadline = time.monotonic() + timeout
     failure: OSError | None = None
     for address in ADDRESSES.of(host, timeout):
         try:
             left = max(0.001, deadline - time.monotonic())
             connection = socket.create_connection((address, port), left)
+        except socket.timeout:
+            raise
         except OSError as error:
-            failure = failure or error
+            failure = error if isinstance(error, ConnectionError) else failure or error
             continue
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

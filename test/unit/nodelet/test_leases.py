@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dyknow.names import FORMS, below
 from dyknow.nodelet.endpoints import Fence
 from dyknow.nodelet.leases import EXTENSION, Leases, Sight
 
@@ -86,6 +87,17 @@ def test_after_a_pause_only_the_nodelets_that_the_manager_names_publish(process:
     assert not process.may("/old")
     process.renew(process.now, "/old")
     assert process.may("/old")
+
+
+def test_a_part_that_publishes_another_form_alone_is_replaced_with_it(process: Process) -> None:
+    compressed = below(TOPIC, FORMS[0])
+    process.publishing = {compressed: ["/old"]}
+    process.now += 10.0
+    process.renew(process.renew(0.0, "/new"), "/new")
+    process.now += 1.0
+    process.renew(process.now, "/new")
+    assert not process.may("/old", compressed)
+    assert process.may("/new", compressed)
 
 
 def test_topics_of_no_claim_are_open_to_all(process: Process) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 from typing import Tuple
@@ -12,7 +13,7 @@ from typing import Tuple
 import pytest
 from clocks import PATIENCE, HandClock
 
-from dyknow.ros.wire.addresses import FRESH, Addresses, refuses
+from dyknow.ros.wire.addresses import FRESH, Addresses, connect, refuses
 
 
 class NameServer:
@@ -97,3 +98,29 @@ def test_an_address_refuses_once_nothing_listens_there():
         server.listen()
         assert not refuses(uri, PATIENCE)
     assert refuses(uri, PATIENCE)
+
+
+@pytest.mark.parametrize(
+    ("failures", "raised"),
+    [
+        ([OSError(errno.ENETUNREACH, "no route"), ConnectionRefusedError()], ConnectionError),
+        ([ConnectionRefusedError(), OSError(errno.ENETUNREACH, "no route")], ConnectionError),
+        ([ConnectionRefusedError(), socket.timeout()], socket.timeout),
+        ([OSError(errno.ENETUNREACH, "no route")], OSError),
+    ],
+    ids=["no route and refused", "refused and no route", "refused and silent", "no route"],
+)
+def test_all_addresses_of_a_host_say_whether_it_is_there(monkeypatch, failures, raised):
+    """A host that is silent at one of its addresses may be cut off: it refuses nothing."""
+    left = list(failures)
+
+    def fail(address, timeout):
+        raise left.pop(0)
+
+    monkeypatch.setattr(socket, "create_connection", fail)
+    found = ("192.0.2.1",) * len(failures)
+    monkeypatch.setattr("dyknow.ros.wire.addresses.ADDRESSES", Addresses(lambda host: found))
+    with pytest.raises(raised) as caught:
+        connect("robot", 1, PATIENCE)
+    assert isinstance(caught.value, ConnectionError) == (raised is ConnectionError)
+    assert not left
