@@ -280,6 +280,7 @@ def execute(arguments: argparse.Namespace, shell: Shell) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     def connect() -> ShellClient:
+        import dyknow.ros.lean  # noqa: F401
         from dyknow.ros.shell.shell_client import ShellClient
 
         return ShellClient(arguments.manager_node, arguments.timeout)

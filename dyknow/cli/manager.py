@@ -32,6 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return FAILED
+    import dyknow.ros.lean  # noqa: F401
     from dyknow.cli.boot import CALLS  # after --help, which needs no ROS
     from dyknow.ros.manager.manager_node import run
 

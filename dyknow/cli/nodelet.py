@@ -161,6 +161,8 @@ def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
         except CannotRun as error:
             print(f"nodelet: {error}", file=sys.stderr)
             return FAILED
+    import dyknow.ros.lean  # noqa: F401
+
     if command.action in ("load", "unload"):
         from dyknow.ros.nodelets import nodelet_client
 

@@ -42,6 +42,16 @@ PARSERS = {"lxml", "rdflib", "urllib.request", "importlib.resources"}
         ("from dyknow import ManagerClient", {"rospy"}),
         # Each of these costs every re-wirable script its time at the start.
         ("import dyknow.ros.nodelets.script_process", PARSERS),
+        *(
+            (f"import dyknow.ros.lean, dyknow.ros.{name}", {"numpy"})
+            for name in (
+                "manager.manager_node",
+                "nodelets.nodelet_client",
+                "nodelets.nodelet_manager",
+                "nodelets.script_process",
+                "shell.shell_client",
+            )
+        ),
     ],
 )
 def test_a_name_loads_what_it_needs_alone(statement: str, unwanted: set[str]) -> None:
@@ -52,3 +62,22 @@ def test_names_are_listed_and_others_refused() -> None:
     assert {"ManagerClient", "Nodelet", "NodeHandle", "acquire", "formulas"} <= set(dir(dyknow))
     with pytest.raises(AttributeError, match="nonesuch"):
         dyknow.nonesuch  # noqa: B018
+
+
+ACCEPTED = """
+import numpy
+from genpy import message
+
+kinds = {bool, bytes, float, int, str, *numpy.sctypeDict.values()}
+print(*sorted(f"{kind.__module__}.{kind.__name__}" for kind in kinds if kind in FLOATS))
+""".replace("FLOATS", "message._valid_float_types")
+
+
+def test_fields_of_floats_accept_what_genpy_accepts_with_numpy() -> None:
+    def accepted(statement: str) -> str:
+        command = [sys.executable, "-c", statement + ACCEPTED]
+        done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+        return done.stdout
+
+    assert accepted("import dyknow.ros.lean") == accepted("")
+    assert "numpy.float32" in accepted("")

@@ -20,7 +20,8 @@ from dataclasses import replace
 from typing import Any, Sequence
 
 if __name__ == "__main__":
-    import dyknow.interruptible  # noqa: F401
+    import dyknow.interruptible
+    import dyknow.ros.lean  # noqa: F401
 import rosgraph.names
 import rospy
 
