@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "usual")
 #: Examples of each profile, to those of the usual one.
-SHARES = {"usual": 0.4, "slow": 0.1, "random": 5.0}
+SHARES = {"usual": 0.25, "slow": 0.1, "random": 5.0}
 
 
 def register_profiles() -> None:
