@@ -20,9 +20,8 @@ load_workspace() {
 export PATH="/usr/bin:$PATH"
 load_workspace
 
-# Tests start hundreds of processes: none is to compile again what another one has compiled.
+# Tests start hundreds of processes: none is to compile again what another one, or the distribution, has compiled.
 unset PYTHONDONTWRITEBYTECODE
-export PYTHONPYCACHEPREFIX="$root/build/pycache"
 # Nor to start threads for the linear algebra that numpy is imported with and no test uses.
 export OPENBLAS_NUM_THREADS=1
 exec "$@"

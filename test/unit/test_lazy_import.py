@@ -69,7 +69,7 @@ import numpy
 from genpy import message
 
 kinds = {bool, bytes, float, int, str, *numpy.sctypeDict.values()}
-print(*sorted(f"{kind.__module__}.{kind.__name__}" for kind in kinds if kind in FLOATS))
+print(*sorted({f"{kind.__module__}.{kind.__name__}" for kind in kinds if kind in FLOATS}))
 """.replace("FLOATS", "message._valid_float_types")
 
 
