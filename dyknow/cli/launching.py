@@ -31,6 +31,7 @@ from dyknow import names
 from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node, said
 from dyknow.cli.rewirable import NO_LIBRARY, find_in_workspaces, find_library, obstacle
 from dyknow.errors import CannotLaunch, CannotRun
+from dyknow.ros.process import signals
 from dyknow.ros.process.programs import interpreter
 
 #: Nodes that are left alone unless `--only` names them, and why.
@@ -311,6 +312,7 @@ def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
     """
     for node, treatment in zip(parent.config.nodes, treatments):
         node.launch_prefix = treatment.prefix or None
+    signals.raise_swallowed()  # roslaunch drops all that is raised while it sets up its log
     try:
         parent.start()
         parent.spin()

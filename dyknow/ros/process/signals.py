@@ -31,6 +31,8 @@ INTERRUPTED = 130
 #: Signals that end a command as SIGINT does, from a supervisor and from a terminal that is closed.
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.05  # s
+#: Set when `raise_interrupt` raises; cleared by the next `sigint`.
+_raised = threading.Event()
 
 
 def raise_interrupt(number: int, frame: Any) -> None:
@@ -51,7 +53,14 @@ def raise_interrupt(number: int, frame: Any) -> None:
         frame = frame.f_back
     if number != signal.SIGINT:
         signal.signal(number, signal.SIG_IGN)
+    _raised.set()
     raise KeyboardInterrupt
+
+
+def raise_swallowed() -> None:
+    """Raise KeyboardInterrupt again if a library has caught one that a signal raised."""
+    if _raised.is_set():
+        raise KeyboardInterrupt
 
 
 #: What SIGINT may do: end the process, or raise KeyboardInterrupt.
@@ -61,6 +70,7 @@ ENDS, RAISES = signal.SIG_DFL, raise_interrupt
 @contextlib.contextmanager
 def sigint(handler: Any, *others: int) -> Iterator[None]:
     """Handle SIGINT and other signals so, except those that are ignored; as before at the end."""
+    _raised.clear()
     former = {number: signal.getsignal(number) for number in (signal.SIGINT, *others)}
     former = {each: before for each, before in former.items() if before is not signal.SIG_IGN}
     try:

@@ -5,23 +5,27 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 import roslaunch.config
 from roslaunch.core import Machine, Node
+from roslaunch.parent import ROSLaunchParent
 from roslaunch.xmlloader import XmlLoader
 from unit.cli.fake_client import cases
 
 from dyknow.cli.launching import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.main import main, parse
 from dyknow.cli.rewirable import LIBRARY, NO_LIBRARY
+from dyknow.cli.shell import INTERRUPTED
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"
 
@@ -381,3 +385,14 @@ def test_arguments_of_the_file_may_stand_anywhere():
 def test_wrong_usage(words, message, capsys):
     assert main(["launch", "a.launch", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_an_interrupt_that_roslaunch_drops_ends_the_launch(folder, monkeypatch):
+    """It drops all that is raised while it sets up its log."""
+    started = []
+    interrupt = functools.partial(signal.raise_signal, signal.SIGINT)
+    monkeypatch.setattr("rosgraph.roslogging.configure_logging", lambda *a, **k: interrupt())
+    monkeypatch.setattr(ROSLaunchParent, "start", lambda parent: started.append(parent))
+    file = write(folder / "a.launch", RELAY.format(name="relay"))
+    assert main(["launch", "--skip-log-check", "--no-summary", str(file)]) == INTERRUPTED
+    assert not started
