@@ -20,7 +20,7 @@ from typing import Callable, ContextManager, Dict, Iterator
 import pytest
 from clocks import HandClock
 from faulty_disk import full, kept_aside, locked, read_only, small_disk
-from hypothesis import HealthCheck, example, given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from property_tests import examples
 from unit.manager.world import CAMERA, World
@@ -306,7 +306,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     assert reopened(path) == {**found, ("claims", "new"): "claim"}
 
 
-@examples(60, suppress_health_check=[HealthCheck.too_slow])
+@examples(60)
 @given(st.sampled_from([flip, truncate, zero]), st.integers(0, 10**6), st.integers(1, 255))
 @example(flip, 18, 7)  # sqlite takes the file for one that it may only read
 @example(flip, 60, 1)  # another format
