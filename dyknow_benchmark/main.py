@@ -15,7 +15,7 @@ from typing import Sequence
 import rospy
 
 from dyknow.errors import DyKnowError
-from dyknow.ros.process.signals import RAISES, sigint
+from dyknow.ros.process.signals import raise_interrupt, sigint
 from dyknow_benchmark import arrival, formulas, isolation, switching, system
 from dyknow_benchmark.options import MEASUREMENTS, PARSER
 from dyknow_benchmark.results import Results
@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(rospy.myargv()[1:] if argv is None else argv)
     results, out = Results(), arguments.out
     try:
-        with sigint(RAISES, signal.SIGTERM):  # its processes are ended too
+        with sigint(raise_interrupt, signal.SIGTERM):  # its processes are ended too
             if out is not None:  # not after half an hour of measuring
                 out.mkdir(parents=True, exist_ok=True)
                 tempfile.TemporaryFile(dir=out).close()

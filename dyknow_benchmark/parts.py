@@ -33,7 +33,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray, Time
 from std_srvs.srv import Trigger, TriggerResponse
 
-from dyknow.ros.process.signals import RAISES, sigint
+from dyknow.ros.process.signals import raise_interrupt, sigint
 
 Publish = Callable[[Any], None]
 
@@ -224,7 +224,7 @@ class SwitchedOut(SwitchWatch):
 def main() -> None:
     """Run a part as a rospy node: a ``source`` or a ``hop``."""
     part = rospy.myargv()[1]
-    with contextlib.suppress(KeyboardInterrupt), sigint(RAISES):
+    with contextlib.suppress(KeyboardInterrupt), sigint(raise_interrupt):
         rospy.init_node(f"benchmark_{part}", anonymous=True)
         getattr(Part(rospy, rospy), part)()
         rospy.spin()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Sequence
 
 from dyknow.errors import DyKnowError
-from dyknow.ros.process.signals import RAISES, sigint
+from dyknow.ros.process.signals import raise_interrupt, sigint
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
-        with sigint(RAISES, signal.SIGTERM):
+        with sigint(raise_interrupt, signal.SIGTERM):
             return DONE if play(options) else FAILED
     except KeyboardInterrupt:
         print("\ninterrupted", file=sys.stderr)

@@ -36,7 +36,7 @@ from dyknow.cli.shell import (
     written,
 )
 from dyknow.errors import DyKnowError, ManagerUnreachable
-from dyknow.ros.process.signals import ENDING, RAISES, sigint
+from dyknow.ros.process.signals import ENDING, raise_interrupt, sigint
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         with written(sys.stdout):  # help, too
             arguments = parse(sys.argv[1:] if words is None else words)
-        with sigint(RAISES, *ENDING):
+        with sigint(raise_interrupt, *ENDING):
             return _run(arguments)
     except SystemExit as end:  # argparse's
         return end.code if isinstance(end.code, int) else FAILED

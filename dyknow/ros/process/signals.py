@@ -44,9 +44,8 @@ def raise_interrupt(number: int, frame: Any) -> None:
     """
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            main = threading.main_thread().ident
-            assert main is not None
-            again = threading.Timer(_AGAIN, signal.pthread_kill, (main, number))
+            here = threading.get_ident()
+            again = threading.Timer(_AGAIN, signal.pthread_kill, (here, number))
             again.daemon = True
             again.start()
             return
@@ -61,10 +60,6 @@ def raise_swallowed() -> None:
     """Raise KeyboardInterrupt again if a library has caught one that a signal raised."""
     if _raised.is_set():
         raise KeyboardInterrupt
-
-
-#: What SIGINT may do: end the process, or raise KeyboardInterrupt.
-ENDS, RAISES = signal.SIG_DFL, raise_interrupt
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from clocks import PATIENCE
 
 from dyknow.cli import main as command_line
 from dyknow.cli.shell import INTERRUPTED
-from dyknow.ros.process.signals import ENDING, ENDS, RAISES, sigint
+from dyknow.ros.process.signals import ENDING, raise_interrupt, sigint
 
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
@@ -104,11 +104,11 @@ def test_no_module_is_loaded_while_sigint_raises(words, tmp_path):
 
 
 def test_sigint_does_what_it_did_when_a_program_is_done():
-    with sigint(ENDS):
-        with pytest.raises(KeyboardInterrupt), sigint(RAISES, signal.SIGUSR1):
+    with sigint(signal.SIG_DFL):
+        with pytest.raises(KeyboardInterrupt), sigint(raise_interrupt, signal.SIGUSR1):
             signal.raise_signal(signal.SIGUSR1)
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
-    with sigint(signal.SIG_IGN), sigint(RAISES):
+    with sigint(signal.SIG_IGN), sigint(raise_interrupt):
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
@@ -125,7 +125,7 @@ def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
             done.append(arguments.command)
 
     monkeypatch.setattr(command_line, "_run", run)
-    with sigint(ENDS, *ENDING):
+    with sigint(signal.SIG_DFL, *ENDING):
         assert command_line.main(["list"]) == INTERRUPTED
         assert signal.getsignal(number) is signal.SIG_DFL
     assert done == ["list"]
@@ -146,7 +146,7 @@ def test_a_signal_lets_an_import_end(number, tmp_path, monkeypatch):
         threading.Event().wait(PATIENCE)
 
     monkeypatch.setattr(command_line, "_run", run)
-    with sigint(ENDS, *ENDING):
+    with sigint(signal.SIG_DFL, *ENDING):
         assert command_line.main(["list"]) == INTERRUPTED
     assert imported == [True]
     for name in ("outer", "inner"):
