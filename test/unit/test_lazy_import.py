@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -81,3 +82,28 @@ def test_fields_of_floats_accept_what_genpy_accepts_with_numpy() -> None:
 
     assert accepted("import dyknow.ros.lean") == accepted("")
     assert "numpy.float32" in accepted("")
+
+
+#: Runs a script up to its first connection; ends with 1 if numpy is imported by then.
+PROGRAM = """
+import os, runpy, sys
+
+def look(event, args):
+    if event == "socket.connect":
+        os._exit("numpy" in sys.modules)
+
+sys.addaudithook(look)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+os._exit(2)
+"""
+
+
+@pytest.mark.parametrize(
+    "words", ["manager", "nodelet_manager", "nodelet unload a b", "dyknow list"]
+)
+def test_programs_do_without_numpy(words: str, tmp_path: Path) -> None:
+    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9", "TMPDIR": str(tmp_path)}
+    script, *arguments = words.split()
+    command = [sys.executable, "-c", PROGRAM, str(ROOT / "scripts" / script), *arguments]
+    assert subprocess.run(command, cwd=tmp_path, env=environment).returncode == 0
