@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Disks with real faults: small ones that fill up, read-only ones, files that others lock."""
+"""Disks with real faults: small ones that fill up, read-only ones, and locked files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def full(disk: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def read_only(folder: Path) -> Iterator[None]:
-    """Let nobody write in a folder, not even root."""
+    """Make a folder read-only, even for root."""
     with mounted("--bind", str(folder), str(folder)):
         subprocess.run(["mount", "-o", "remount,bind,ro", str(folder)], check=True)
         yield
@@ -80,7 +80,7 @@ def locked(path: str) -> Iterator[None]:
 
 
 def kept_aside(path: str) -> list[Path]:
-    """What was set aside of a file, but for what belongs to it."""
+    """Broken versions of a file that were set aside, without SQLite's files beside them."""
     folder, name = os.path.split(path)
     return sorted(
         each

@@ -22,7 +22,7 @@ SHARES = {"usual": 0.25, "slow": 0.1, "random": 5.0}
 
 def register_profiles() -> None:
     """Make the profile of the environment the one of this process."""
-    # Neither a deadline nor a check of speed: what had to wait for its processor has not failed.
+    # Neither a deadline nor a check of speed: a test that waits for its processor has not failed.
     for name, share in SHARES.items():
         settings.register_profile(
             name,

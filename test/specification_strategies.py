@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the property tests of specifications draw their examples from."""
+"""Strategies for the property tests of specifications."""
 
 from hypothesis import strategies as st
 

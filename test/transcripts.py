@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Transcripts of a shell: command lines after ``$``, each with what it prints below it.
+"""Transcripts of a shell: command lines after ``$``, each with its output below it.
 
 ``...`` stands for any text, in a line of its own for any lines.
 """
@@ -34,7 +34,7 @@ class Step:
 
     @property
     def pattern(self) -> str:
-        """A regular expression that matches what the command is to print, to a last newline."""
+        """A regular expression for the expected output of the command, to a last newline."""
         lines = (
             r"(?:.*\n)*"
             if line.strip() == "..."

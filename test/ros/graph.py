@@ -51,7 +51,7 @@ def peer(*words: str) -> list[str]:
 
 
 class ManagerServices:
-    """The services of a nodelet manager, whoever started it."""
+    """The services of a nodelet manager, started here or elsewhere."""
 
     #: Of the types of nodelets that are named without one.
     package = "dyknow_test"
@@ -239,7 +239,7 @@ class WordsCase(TellingCase):
 
 
 class Heard(list):
-    """What comes on a topic, in order: the messages, or what a function makes of each.
+    """The messages of a topic, in order, or the results of a function of each.
 
     Once it is made, each node that publishes the topic sends to it, so that nothing is missed.
     """
@@ -375,7 +375,7 @@ def registrations(node: str) -> dict[str, list[str]]:
 
 
 def registered(node: str) -> set[str]:
-    """What a node has registered, each as a kind and a name."""
+    """The registrations of a node, each as a kind and a name."""
     return {f"{kind} {name}" for kind, names in registrations(node).items() for name in names}
 
 

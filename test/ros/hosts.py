@@ -6,7 +6,7 @@
 A host is a network namespace with an address of its own. Its only link is a TUN device whose other
 end this process holds: a thread reads each packet and delivers it to its host, delayed if that
 host is far away, or never if the link is cut. Packets are lost silently, as on a radio link: no
-error tells that a host is unreachable. The namespace that the test itself runs in, with the master
+error reports an unreachable host. The namespace that the test itself runs in, with the master
 of its suite, is one of the hosts, `network.desk`.
 
 Nothing outlives the test, however it ends: a device is removed when this process closes its

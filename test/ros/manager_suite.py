@@ -337,7 +337,7 @@ class MasterCase(TellingCase):
         self.client = ManagerClient(MANAGER, rospy.get_name())
 
     def end_children(self) -> None:
-        """End what managers that were killed have left, whatever their names were."""
+        """End the processes that killed managers have left, whatever their names."""
         for process in children_in(self.state, "").values():
             process.signal(signal.SIGKILL)
 

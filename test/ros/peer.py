@@ -61,7 +61,7 @@ def hesitate(seconds: str, rate: str, *topics: str) -> None:
 
 
 def hear(topics: Any, kind: Any, note: Callable[[Any, str], object], **options: Any) -> None:
-    """Note what comes on topics until the end."""
+    """Note the messages of topics until the end."""
     for topic in topics:
         rospy.Subscriber(topic, kind, note, topic, **options)
     rospy.spin()

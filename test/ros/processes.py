@@ -203,7 +203,7 @@ def suspended(*pids: int) -> Iterator[None]:
 def free_port() -> str:
     """A free port, for a master of a test's own; no connection gets it meanwhile.
 
-    It is below those that the system gives, which begin at 12000 in a suite's own network.
+    It is below the ports that the system assigns, which start at 12000 in a suite's own network.
     """
     while True:
         port = random.randrange(2000, 11000)

@@ -60,7 +60,7 @@ class BondsTest(TellingCase):
         return process
 
     def let_form(self, process, *bond_ids):
-        """Wait until each end has heard the other: the bonds hear what this process hears."""
+        """Wait until each end has heard the other: the bonds hear all that this process hears."""
 
         def note(status):
             is_other = status._connection_header["callerid"] != rospy.get_name()

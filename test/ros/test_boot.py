@@ -352,7 +352,7 @@ def set_by_dyknow() -> List[str]:
 
 
 def differences(what: str, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> List[str]:
-    """Report missing, surplus and different entries; how often one was counted is no matter."""
+    """Report missing, surplus and different entries; counts are not compared."""
     both = set() if isinstance(found, collections.Counter) else set(wanted) & set(found)
     return (
         [f"{what} {name} is missing" for name in sorted(set(wanted) - set(found))]

@@ -308,7 +308,7 @@ class LazyTest(NodeletManagerCase):
         self.told = []
 
     def tells(self, event, number):
-        """Wait for the next thing that the lazy nodelet is told."""
+        """Wait for the next event that the lazy nodelet notes."""
         self.told.append([event, "/b", number])
         becomes(lambda: call("/lazy", "story"), self.told)
 
@@ -505,7 +505,7 @@ class CountingTest(TellingCase):
         self.offer("hung", self.hung)
         for _ in range(5):
             becomes(lambda: self.messages(good="there", hung="late"), {"there": 7})
-        becomes(lambda: self.asked, [["/late"]])  # while an answer is due, nothing more is asked
+        becomes(lambda: self.asked, [["/late"]])  # no more requests while an answer is due
         self.awake.set()
         self.counted("hung", "late", 3)
 
@@ -536,7 +536,7 @@ class HearingTest(TellingCase):
         first = self.listen()
         self.speak(first)
         second = self.listen()
-        # Some that were published before may come only now; what came before does not count.
+        # Some that were published before may come only now; earlier arrivals do not count.
         self.assertLess(second.count().messages, first.count().messages)
         self.speak(first, second)
         second.close()

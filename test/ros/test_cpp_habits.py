@@ -123,7 +123,7 @@ class StatisticsTest(HabitsCase):
 
         def all_came() -> bool:
             # A subscriber that stays would be deaf to a node that advertises the topic again. Each
-            # node publishes once a second; one that is always first must not hide the others.
+            # node publishes once a second; one that is always first must not hide another.
             with Heard("/statistics", TopicStatistics) as messages:
                 until = time.monotonic() + 3.0
                 while time.monotonic() < until and not came >= set(self.NODES):

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What C++ code uses topics by: image_transport, message_filters, tf2, timers, signals."""
+"""C++ libraries on topics: image_transport, message_filters, tf2, timers, signals."""
 
 from __future__ import annotations
 

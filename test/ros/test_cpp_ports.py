@@ -175,7 +175,7 @@ class MoveTest(CppCase):
         self.all_arrive(COUNT)
 
     def test_an_out_port_that_publishes_by_value(self):
-        """What it has published is on its way yet, by roscpp's thread, when it moves."""
+        """Its messages are still on their way, by roscpp's thread, when it moves."""
         self.manager.load("Sink", "/sink", {"/in": "/a", "/second": "/b"}, second=True)
         self.load("Source", "out", "/a", count=COUNT, rate=RATE, by_value=True)
         self.moves_while_sending(COUNT, "/source", step=self.mover("/source", "out"))
@@ -418,7 +418,7 @@ class PortTest(CppCase):
             return {each.name: each.value for each in config.doubles}["scale_width"]
 
         told = self.enter(Heard("/elsewhere", Config, scales))
-        told.has(lambda scale: scale == 1.0)  # what it published last
+        told.has(lambda scale: scale == 1.0)  # its last message
         change = Config(doubles=[DoubleParameter("scale_width", 0.5)])
         rospy.ServiceProxy("/resize/set_parameters", Reconfigure)(change)
         becomes(lambda: width_on("/resize/image"), 4)
@@ -561,7 +561,7 @@ class RefusalTest(CppCase):
 
 class RewirableTest(TellingCase):
     def test_a_flag_that_is_none(self):
-        """It does not open what it may have been meant to close."""
+        """It does not open ports that it may have been meant to close."""
         manager = self.enter(CppManager("/flagged", *OURS, "_rewirable:=0"))
         manager.load("Source", "/source")
         self.addCleanup(manager.unload_all)
@@ -719,7 +719,7 @@ class UnloadTest(CppCase):
         self.assertEqual(sorted(self.manager.list()), ["/sink", "/source"])
 
     def test_a_handle_that_is_made_after_the_unload(self):
-        """It is no port of the process, nor of the nodelet that has the name by then."""
+        """It becomes a port of neither the process nor the nodelet that has the name by then."""
         self.load("Sink", "in", "/a", "/adding", mt=True, delay=0.5, adds=True)
         self.load("Source", "out", "/a", count=1)
         start("/source")

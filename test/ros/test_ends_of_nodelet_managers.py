@@ -64,7 +64,7 @@ class EndsTest(ManagerCase):
         return self.client.get_model().nodelets
 
     def are(self, state: State, *names: str) -> None:
-        """Wait until these nodelets, and no others, are in a state."""
+        """Wait until exactly these nodelets are in a state."""
         becomes(lambda: {n.name for n in self.nodelets() if n.state is state}, {*names})
 
     def looks_as_spawned(self) -> bool:

@@ -59,7 +59,7 @@ class ConvertTest(TellingCase):
         cls.addClassCleanup(launch.__exit__)
 
     def listen(self, topic, *options):
-        """What each version sends."""
+        """The messages of each version on a topic."""
         return [self.enter(Heard(f"/{version}/{topic}", *options)) for version in VERSIONS]
 
     def service(self, name):
@@ -91,7 +91,7 @@ class ConvertTest(TellingCase):
         return every
 
     def show(self, visible, ball=None):
-        """Send images until both tell whether a ball is visible."""
+        """Send images until both versions report the expected visibility of a ball."""
         for told in self.visible:
             del told[:]
         eventually(
@@ -281,7 +281,7 @@ class TutorialTest(TellingCase):
         self.assertRegex(output(), self.expected[name])
 
     def normal(self, text):
-        """Replace what differs from run to run."""
+        """Replace the parts of a text that differ from run to run."""
         for pattern, instead in (
             (re.escape(str(self.home)), "/home/you"),
             (r"\d{4}(?:-\d\d){5}(?:_\d+)?", "DATE"),

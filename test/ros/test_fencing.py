@@ -2,9 +2,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A topic of a claim has one publisher at a time, whoever cannot hear whom.
+"""A topic of a claim has one publisher at a time, whichever links are cut.
 
-The DyKnow manager is on a host of its own, and the client, this process, hears everybody.
+The DyKnow manager is on a host of its own, and the client, this process, hears every host.
 """
 
 from __future__ import annotations

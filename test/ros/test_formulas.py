@@ -268,7 +268,7 @@ class RequiresTest(StreamCase):
         manager.kill()
         source.percentage = 0.19
         manager.start()
-        # Its event may come before anybody hears events again.
+        # Its event may come before a listener hears events again.
         used = lambda: next(each.nodelets for each in manager.claims() if each.tag == GOAL)  # noqa: E731
         eventually(lambda: "/ceiling_1" in used(), 20.0, "the other camera is used", used)
         heard.flows()

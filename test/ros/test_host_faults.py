@@ -59,7 +59,7 @@ def signed(label: str, inputs: str, output: str, report: Path, is_whole: bool = 
 
 
 class Client(Heard):
-    """Reads a stream: notes who sent each message and its number, and what is wrong with it."""
+    """Reads a stream: notes the sender and number of each message, and those with wrong tags."""
 
     def __init__(self, topic: str, tag: str) -> None:
         self.wrong: list[str] = []
@@ -75,7 +75,7 @@ class Client(Heard):
     def lost(self, since: int, senders: Collection[str]) -> list[str]:
         """Gaps in the numbers of these senders since the message of that index.
 
-        What a part that was replaced earlier had sent before its link was cut may still come.
+        Messages that a replaced part sent before its link was cut may still come.
         """
         numbers = [each for each in self[since:] if each[0] in senders]
         pairs = zip(numbers, numbers[1:])
@@ -171,7 +171,7 @@ class HostFaultsTest(HostsCase):
     # Faults
 
     def faults(self) -> dict[str, Callable[[str], ContextManager[object]]]:
-        """By name what happens to a host; of the desk only its nodelet manager has faults."""
+        """Faults of hosts, by name; the desk has only those of its nodelet manager."""
         network, desk = self.network, self.network.desk
         return {
             "its link is cut": lambda name: network.cut(self.far[name]),
@@ -203,7 +203,7 @@ class HostFaultsTest(HostsCase):
         return self.network.without((rover, scout), (scout, rover))
 
     def live_through(self, fault: str, name: str) -> None:
-        """Let a host have a fault, and judge what comes of it."""
+        """Let a host have a fault, and judge its effects."""
         claims = {each.claim_id: each for each in self.manager.claims()}
         places = {
             each.name: self.names.get(each.host, "desk")

@@ -39,7 +39,7 @@ CPP_MANAGER = find_node("dyknow", "cpp_nodelet_manager")[0]
 #: Seconds for which each fault lasts, and for which its end is watched; more in the long run.
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 2.0))
 IS_LONG = SECONDS > 2.0
-#: Name, whether what is on the other host counts as lost, and the fault. One that is none leaves
+#: Name, whether nodelets on the other host count as lost, and the fault. One without a loss leaves
 #: everything as it was, for the next one.
 FAULTS: tuple[tuple[str, bool, Callable[[ClaimTest], ContextManager[None]]], ...] = (
     ("100 ms each way", False, lambda case: case.network.far(case.far, 0.1)),
@@ -89,7 +89,7 @@ class AbsentHostsTest(HostsCase):
         self.assertEqual(listed("/far0"), [])
 
     def refuses_to_destroy(self, manager: ManagerProcess, *names: str) -> None:
-        """What cannot be destroyed now is destroyed as soon as its host is back."""
+        """Such a nodelet is destroyed as soon as its host is back."""
         for name in names:
             with self.assertRaisesRegex(Refused, "is not destroyed yet"):
                 manager.client.destroy(name)
@@ -118,7 +118,7 @@ class AbsentHostsTest(HostsCase):
 
 
 class ClocksTest(HostsCase):
-    """Hosts tell their load and time, in Python and in C++; a clock that is ahead is named."""
+    """Hosts report their load and time, in Python and in C++; a clock that is ahead is named."""
 
     #: Runs a nodelet manager whose clock is two seconds ahead.
     AHEAD = """

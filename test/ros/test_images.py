@@ -28,7 +28,7 @@ from sensor_msgs.msg import CompressedImage, Image
 MB = 1 << 20
 #: Bytes of one image that goes through shared memory, and of one that does not.
 LARGE, SMALL = MB, 1000
-#: What a container has of its own if it shares the network of its host.
+#: Runs a command as in a container that shares the network of its host.
 CONTAINER = (
     *("unshare", "--mount", "--ipc", "--uts", "--pid", "--fork", "--kill-child", "--mount-proc"),
     *("sh", "-c", 'mount -t tmpfs none /dev/shm && mount -t tmpfs none /run && exec "$@"', "sh"),
@@ -74,7 +74,7 @@ class PairCase(TellingCase):
 
 
 class SharedMemoryCase(PairCase):
-    """A talker in one process and listeners in others."""
+    """A talker in one process, and listeners in other processes."""
 
     def talks(self, **parameters):
         self.source.load("PictureTalker", "/talker", {"/out": "/a"}, **parameters)
@@ -254,7 +254,7 @@ class FaultTest(SharedMemoryCase):
         try:
             self.assertLess(call("/talker", "publish", 50, LARGE), HELD_UP)
             eventually(lambda: call("/listener", "received")[-1] == 50, 10.0, "the last comes")
-            # One that the stopped one has been told of, its queue, and those of the other one.
+            # One image announced to the stopped listener, its queue, and those of the other one.
             self.assertLess(sum(files(self.source.pid).values()), 16 * MB)
         finally:
             third.stop(signal.SIGCONT)

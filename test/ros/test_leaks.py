@@ -24,8 +24,8 @@ SCRIPTS = {
     "/reconfigured": ["reconfigured.py"],
     "/endless": ["endless.py", "sleepy", "waiting", "working"],
 }
-#: What may come and go: connections that the master keeps, workers started while the machine was
-#: busy, functions of these threads. A leak goes beyond.
+#: Allowance for connections that the master keeps, workers started while the machine was busy,
+#: and functions of these threads. A leak goes beyond.
 SPARE = 10
 PAGE = os.sysconf("SC_PAGE_SIZE") // 1024
 

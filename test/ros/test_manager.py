@@ -416,7 +416,7 @@ class DiskTest(ManagerCase):
             manager.start()
             self.all_run("/a", "/alone")
 
-        # A read-only state is read, and what runs is adopted.
+        # A read-only state is read, and the running processes are adopted.
         process = manager.child()
         manager.kill()
         with read_only(self.disk):

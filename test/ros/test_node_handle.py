@@ -4,7 +4,7 @@
 
 """rospy's API, simulated time, and libraries built on them, in nodelets; shipped nodelets.
 
-`unit/nodelet/test_handles.py` has what needs no ROS master.
+`unit/nodelet/test_handles.py` has the tests that need no ROS master.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class ApiTest(NodeletManagerCase):
 
 class ShippedTest(NodeletManagerCase):
     def test_a_chain_for_an_ordinary_node(self):
-        """What a Source counts in frame_id survives rospy's own numbers."""
+        """A Source's count in frame_id survives rospy's own numbers."""
         image = {"datatype": "sensor_msgs/Image"}
         self.manager.load("dyknow/Sink", "/sink", {"/in": "/relayed"}, period=0.5, **image)
         self.manager.load("dyknow/Relay", "/relay", {"/in": "/raw", "/out": "/relayed"}, **image)
@@ -154,7 +154,7 @@ class TransformTest(NodeletManagerCase):
             becomes(lambda name=name: look_up(name), x)
 
     def test_between_nodelets_of_one_manager(self):
-        """Ordinary broadcasters and listeners share the topics with what the bus publishes."""
+        """Ordinary broadcasters and listeners share the topics with publishers on the bus."""
         self.manager.load("FramesByBus", "/bus")
         for sender, x in (("/bus", 1.0), ("/one", 2.0), ("/bus", 3.0)):
             self.sent(sender, x, "/one", "/two", "/bus")

@@ -28,7 +28,7 @@ class CommandCase(TellingCase):
         self.assertEqual(process.exit_code(20.0), code, process.output)
 
     def does(self, *command, code=0):
-        """A command ends with a code; returns what it printed."""
+        """A command ends with a code; returns its output."""
         found, output = finished(command)
         self.assertEqual(found, code, output)
         return output
@@ -194,7 +194,7 @@ class StockManagerTest(ClientTest):
         return manager
 
     def nothing_is_left(self):
-        """It keeps what it has registered for bonds."""
+        """It keeps its registrations for bonds."""
 
     def test_remappings_parameters_and_names(self):
         process = self.load("image:=cam/image", "~image:=small", "_scale_width:=0.25")

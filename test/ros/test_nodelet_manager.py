@@ -32,11 +32,11 @@ from dyknow.ros.nodelets.announcements import TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
 
-#: What rospy says of a connection to a topic that the process does not publish.
+#: rospy's message about a connection to a topic that the process does not publish.
 REFUSED = "Could not process inbound connection"
-#: What Python says of a SIGINT before it runs a program.
+#: Python's messages about a SIGINT before it runs a program.
 TOO_EARLY = ("Fatal Python error: init", "Could not import runpy module", "KeyboardInterrupt")
-#: What it says of one that it drops then.
+#: Its message about a SIGINT that it drops then.
 LOST = "Exception ignored in"
 
 
@@ -198,7 +198,7 @@ class RefusalTest(RobotCase):
         self.assertTrue(answer.success, answer.message)
 
     def test_service_handlers(self):
-        """rospy's caller is answered whatever becomes of the handler, and of its nodelet."""
+        """rospy's caller gets an answer even if the handler fails, or its nodelet is unloaded."""
         self.manager.load("Fragile", "/n")
         service = rospy.ServiceProxy("/n/obey", Echo)
         for number, (order, said) in enumerate(

@@ -430,7 +430,7 @@ class HandOverTest(TellingCase):
         place.load("dyknow_manager_test/Busy", "/moving", wiring, work=work)
 
     def noted(self, place):
-        """Have it noted what the nodelet is given, as soon as it is not far behind."""
+        """Have the nodelet's messages noted, as soon as it is not far behind."""
         found = []
 
         def is_noted():

@@ -182,7 +182,7 @@ class SharedTest(NodeletManagerCase):
         self.nothing_is_left()
 
     def refusal(self, script: str, *arguments: str) -> str:
-        """What the refusal of a load says; a late script may fail after its load."""
+        """The message of a refused load; a late script may fail after its load."""
         said: List[str] = []
 
         def is_refused() -> bool:
@@ -221,7 +221,7 @@ class SharedTest(NodeletManagerCase):
                 self.is_free("/ill")
         for script in ("gone.py", "package.xml"):
             self.assertIn(script, self.refusal(script))
-        self.load("ill.py", "/ill", "optional")  # a script may do without what is refused
+        self.load("ill.py", "/ill", "optional")  # a script may do without a refused import
         without = "services /ill/without"
         eventually(lambda: without in registered("/manager"), 5.0, "it goes on")
 
@@ -426,7 +426,7 @@ def transform(parent: str, child: str, x: float) -> TransformStamped:
 
 
 class Scripts:
-    """Their behaviour in either way: `start` and `stop` them, what each `prints`, and `ends`."""
+    """Their behaviour in either way: `start` and `stop` them, and await `prints` and `ends`."""
 
     def has_ports(self, name: str, **topics: str) -> None:
         """Wait until it has ports on these topics."""
@@ -450,7 +450,7 @@ class Scripts:
             self.start("tf2_tools/echo.py", "/thrice", "base", "gripper", "-r", "20", "-l", "3")
             self.ends("/thrice")
 
-            def is_drawn():  # what comes in 5 s, in which a busy machine may connect nothing
+            def is_drawn():  # draws messages of 5 s, in which a busy machine may connect nothing
                 Path("frames.gv").unlink(missing_ok=True)
                 self.start("tf2_tools/view_frames.py", "/view")
                 self.ends("/view")
@@ -592,7 +592,7 @@ class ShippedAloneTest(Scripts, graph.TellingCase):
 
 @contextlib.contextmanager
 def time_server() -> Iterator[None]:
-    """What ntp_monitor.py asks for the time, without a network."""
+    """Put an `ntpdate` for ntp_monitor.py on the path, which needs no network."""
     with tempfile.TemporaryDirectory() as folder:
         program = os.path.join(folder, "ntpdate")
         with open(program, "w") as file:

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What doc/security.md promises, tried on real processes."""
+"""The promises of doc/security.md, tried on real processes."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class TopicsTest(ManagerCase):
         self.assert_untouched("/tf")
         self.assertIn("protected from unloading", unload_refusal(CPP_CHILD, "/source"))
         self.assertEqual(unload_refusal(CPP_CHILD, "/names"), "")
-        # Read-only for everyone but for those who bring back what died.
+        # Read-only for everyone but managers that bring dead nodelets back.
         other = self.make(
             OTHER, num_nodelet_managers=0, nodelet_managers=[CPP_CHILD], read_only=True
         )
@@ -205,7 +205,7 @@ class AllowedProgramsTest(ManagerCase):
         manager = self.started(remote_programs=False)
         with self.assertRaisesRegex(Refused, "remote_programs"):
             manager.client.add_transformation(program("script", SCRIPT))
-        manager.client.spawn("relay", RELAY)  # declared code is no program
+        manager.client.spawn("relay", RELAY)  # declared code is not a program
         for script in (SCRIPT, __file__):
             self.assertIn(
                 "is denied", load_refusal(CHILD, "/s", "dyknow/Script", my_argv=[script])

@@ -50,7 +50,7 @@ ONTOLOGY = """\
 
 @dataclass(frozen=True)
 class Signed:
-    """A transformation whose nodelets sign; what each port demands or supplies is one tag."""
+    """A transformation whose nodelets sign; each port demands or supplies one tag."""
 
     label: str
     inputs: dict[str, str]

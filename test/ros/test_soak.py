@@ -4,7 +4,7 @@
 
 """Thousands of random operations: neither the manager nor its nodelet managers grow.
 
-Nothing collects garbage here: what Python frees by itself is what a robot has, too.
+Nothing forces a garbage collection here: on a robot, too, Python alone frees memory.
 """
 
 from __future__ import annotations
@@ -111,12 +111,12 @@ class SoakTest(ManagerCase):
         grown = {}
         for key in readings[last]:
             if key.endswith(" memory"):
-                span = max(last - WARM, 2 * WARM)  # what comes and goes counts less in a long run
+                span = max(last - WARM, 2 * WARM)  # fluctuations count less in a long run
                 share = (readings[last][key] - readings[WARM][key]) / span * 1000
                 print(f"{key}: {share / 1e6:.2f} MB in 1,000 operations")
                 if share > MOST:
                     grown[key] = f"{share / 1e6:.2f} MB in 1,000 operations"
-            else:  # some come and go by themselves: what grows is always more than it was
+            else:  # some come and go by themselves: one that grows is always more than it was
                 before, after = max(each[key] for each in early), min(each[key] for each in late)
                 if after > before:
                     grown[key] = f"at most {before} at first, at least {after} at last"

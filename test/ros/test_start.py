@@ -121,7 +121,7 @@ class StartTest(ManagerCase):
             self.assertEqual(gaps(list(each)), [])
 
     def test_parameters_of_the_command_line_end_with_it(self):
-        """A manager without ``keep`` ends what one with it has left."""
+        """A manager without ``keep`` ends the processes that one with it has left."""
         manager = self.make()
         words = ["_keep:=true", f"_wiring:={self.file}", f"_transformations:={self.file}"]
         manager.command += words

@@ -4,7 +4,7 @@
 
 """Streams on request: acquired, and kept while parts are lost or do harm, and processes die.
 
-Limits are far from what a busy machine does by itself: 5 s of age or silence, a tenth of a rate.
+Limits are far beyond the delays of a busy machine: 5 s of age or silence, a tenth of a rate.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dyknow.model.transformation import Port, Transformation
 
 __all__ = ["SignedTest"]  # is run here once, and often in the long run
 
-LIMIT = 5.0  # s, of an age or a silence; what is late is twice as old
+LIMIT = 5.0  # s, of an age or a silence; late messages are twice as old
 TOPIC = "/scanner/points"
 SCAN = Port("out", "out", "geometry_msgs/PointStamped", ("Scan(ball)",))
 SCANNER = Transformation("scanner", TOPIC, "topic", ports=(SCAN,)).to_xml()
@@ -203,7 +203,7 @@ class PartsTest(StreamCase):
 
 class HarmTest(StreamCase):
     def test_a_part_that_harms_a_stream_is_replaced_once_and_no_other_part(self):
-        manager = self.tracking(own=True)  # it remembers for a while what did harm
+        manager = self.tracking(own=True)  # it remembers harmful parts for a while
         manager.client.add_transformation(AGING)
         manager.client.add_transformation(SPARE_FILTER)
         late = "delays the stream by 1.* s old, at most 5 s is demanded"

@@ -33,7 +33,7 @@ class EndTest(TellingCase):
             self.assertEqual(output.count(f"{name}: shut down for the 1. time"), 1, output)
 
     def test_signals_and_rosnode_kill(self):
-        """An impatient user is no trouble."""
+        """An impatient user does no harm."""
         names = ("/one", "/two", "/three")
         for end in (
             lambda: self.manager.stop(signal.SIGINT),

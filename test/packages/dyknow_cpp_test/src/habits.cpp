@@ -54,7 +54,7 @@ private:
   bool is_gone_ = false;
 };
 
-/// A client's end of a connection to a port of this host. What it does has arrived when it returns.
+/// A client's end of a connection to a port of this host; its calls return once they have arrived.
 class Client
 {
 public:
@@ -212,7 +212,7 @@ private:
     return answer.success = true;
   }
 
-  /// What the node knows of its topics.
+  /// Reports the node's own view of its topics.
   bool onSeen(Request&, Answer& answer)
   {
     ros::V_string advertised;
@@ -236,7 +236,7 @@ private:
     return true;
   }
 
-  /// What roscpp throws.
+  /// Reports the exceptions that roscpp throws.
   bool onRefused(Request&, Answer& answer)
   {
     for (const char* type : {"", "*", "std_msgs/String"})

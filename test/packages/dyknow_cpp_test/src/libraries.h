@@ -60,7 +60,7 @@ private:
     return true;
   }
 
-  /// What a child of this process has in its environment.
+  /// Reports the environment of a child of this process.
   bool onEnvironment(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
   {
     std::FILE* output = popen("env", "r");

@@ -18,7 +18,7 @@
 namespace dyknow_cpp_test
 {
 
-/// Checks numbers and addresses of what sources send, in the order in which its callbacks begin.
+/// Checks the numbers and addresses of messages, in the order in which its callbacks begin.
 ///
 /// Between two messages of one source none may be missing, unless another source's came in between.
 class Sink : public nodelet::Nodelet

@@ -33,7 +33,7 @@ class Counter(dyknow.Nodelet):
 
 
 class Relay(dyknow.Nodelet):
-    """Publishes what it receives."""
+    """Publishes the messages that it receives."""
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)
@@ -44,7 +44,7 @@ class Relay(dyknow.Nodelet):
 class Busy(Relay):
     """Computes for ~work seconds of processor time before it publishes; ~start is that of on_init.
 
-    What it publishes names its process, too.
+    Its messages name its process, too.
     """
 
     def on_init(self):
@@ -125,8 +125,8 @@ class Fatal(Relay):
 class Moody(Relay):
     """Relays until the topic ~order says otherwise, and again when it says `work`.
 
-    `raise` and `silent` are what they say; when it is `slow` it relays every twentieth message,
-    and when it is to `hang` its callback ends when the parameter /let_go is true.
+    On `raise` its callback raises, on `silent` it publishes nothing, on `slow` it relays every
+    twentieth message, and on `hang` its callback waits until the parameter /let_go is true.
     """
 
     def on_init(self):
@@ -179,7 +179,7 @@ class Lagging(dyknow.Nodelet):
 
 
 class Client(dyknow.Nodelet):
-    """Acquires a stream from within a nodelet, and publishes what it gets of it."""
+    """Acquires a stream from within a nodelet, and publishes its messages."""
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)

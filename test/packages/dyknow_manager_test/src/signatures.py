@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Signed messages: what a stream says it is, and whether that meets a demand.
+"""Signed messages: the tags that a stream claims to have, and whether they meet a demand.
 
 The matching is written here once more, from the contract alone, so that it judges DyKnow's own.
 """
@@ -70,11 +70,11 @@ def _is(term: str, wanted: str, kinds: Kinds) -> bool:
 
 
 def sign(message: Any, name: str, number: int, tags: Sequence[str]) -> Any:
-    """Write into a message whose it is and what its stream supplies."""
+    """Write the sender, the number and the stream's tags into a message."""
     message.frame_id = json.dumps({"by": name, "number": number, "tags": list(tags)})
     return message
 
 
 def signature(message: Any) -> dict[str, Any]:
-    """Read what ``sign`` wrote."""
+    """Read the sender, the number and the tags that ``sign`` wrote."""
     return json.loads(message.frame_id)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A nodelet of any ports, whose messages are signed and which reports what should not reach it."""
+"""A nodelet with any ports, which signs its messages and reports wrong ones that it receives."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ import dyknow
 
 
 class Signed(dyknow.Nodelet):
-    """Publishes signed messages: what it receives, or at a rate where it has no demands.
+    """Publishes signed messages: one for each at its first in-port, or at a rate if it has none.
 
-    What it received last at its in-ports says what the variables in the signatures stand for.
-    While these have no names, or several, nothing is published.
+    The last messages at its in-ports name the variables in the signatures. While a variable has
+    no name, or several, nothing is published.
 
-    Parameters: ~ports (JSON, a list of name, direction and tag), ~kinds (JSON, what is
-    a kind of what), ~rate (Hz) and ~report, a file that gets a line for each message that meets no
+    Parameters: ~ports (JSON, a list of name, direction and tag), ~kinds (JSON, the classes of each
+    term), ~rate (Hz) and ~report, a file that gets a line for each message that meets no
     demand. A file beside it, with the ending ``mixed``, gets one for each message that is of
-    another individual than what was received since the last reconfiguration. With ~whole, one
+    another individual than the earlier ones since the last reconfiguration. With ~whole, one
     with the ending ``lost`` gets one for each gap between the numbers of a sender.
     """
 

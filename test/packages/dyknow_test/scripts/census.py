@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Counts what there is of some things in its process, and ends."""
+"""Counts the modules, functions and threads in its process, and ends."""
 
 import gc
 import threading

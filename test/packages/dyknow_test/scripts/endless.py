@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ends in no way that is asked for: argument by argument, a kind of endless thread."""
+"""Resists every request to end: each argument starts a kind of endless thread."""
 
 import contextlib
 import queue

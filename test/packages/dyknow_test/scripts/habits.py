@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Relies on what rospy does without saying it; waits as its first argument says."""
+"""Relies on undocumented behaviour of rospy; waits as its first argument says."""
 
 import rospy
 from std_msgs.msg import String

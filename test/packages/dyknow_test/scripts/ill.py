@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Does what its first argument says, as scripts that cannot share a process do."""
+"""Misbehaves as its first argument says, like scripts that cannot share a process."""
 
 import os
 import sys

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Prints what a node sees of itself: its names, parameters and topics."""
+"""Prints a node's view of itself: its names, parameters and topics."""
 
 import threading
 import xmlrpc.client

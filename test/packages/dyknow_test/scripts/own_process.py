@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Sets what belongs to a process, and prints what takes effect: `own_process.py WHAT`."""
+"""Changes settings of a process, and prints their effects: `own_process.py FUNCTION`."""
 
 import atexit
 import contextlib

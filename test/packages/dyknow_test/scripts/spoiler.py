@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Publishes one message over and over, and writes into what it receives."""
+"""Publishes one message over and over, and writes into the messages that it receives."""
 
 import rospy
 from sensor_msgs.msg import JointState

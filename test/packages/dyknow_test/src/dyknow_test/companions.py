@@ -119,7 +119,7 @@ def _described(name, kind, default, level):
 
 
 class ConfigType:
-    """What dynamic_reconfigure would generate from a .cfg file with these two parameters."""
+    """The class that dynamic_reconfigure would generate from a .cfg file with these parameters."""
 
     defaults = {"gain": 1.0, "size": 3}
     min = {"gain": 0.0, "size": 1}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that do what nodelets must not do."""
+"""Nodelets that break the rules for nodelets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dyknow_test.puppet import Echo, Gate, Puppet
 
 
 class Fragile(Puppet):
-    """Its callback does what the message says in `frame_id`."""
+    """Its callback follows the order in the message's `frame_id`: raise, exit or hang."""
 
     def set_up(self):
         self.gate = Gate()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that use what rospy offers a node, through a NodeHandle."""
+"""Nodelets that use rospy's features for nodes, through a NodeHandle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dyknow_test.puppet import Echo, Puppet
 
 
 class Introspector(Puppet):
-    """Tells what it is called and where its names lead."""
+    """Reports its own names, and how its handles resolve names."""
 
     def describe(self):
         handles = {

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that exchange images which say what is in them."""
+"""Nodelets that exchange images with a checksum of their data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PictureTalker(Puppet):
         self.thread.start()
 
     def stop(self):
-        """End what `start` began; the number of images so far."""
+        """Stop publishing; returns the number of images so far."""
         self.stopped.set()
         self.thread.join()
         return self.number

@@ -33,7 +33,7 @@ class Echo:
 
 
 class Puppet(dyknow.Nodelet):
-    """Does as it is told.
+    """Runs its methods for a test, through a service.
 
     The service is an ordinary one of rospy, beside the nodelet's queue, so that a test can look
     into a nodelet whose callback hangs.
@@ -49,7 +49,7 @@ class Puppet(dyknow.Nodelet):
             raise
 
     def set_up(self):
-        """What ``on_init`` is to other nodelets."""
+        """Set the nodelet up; called by ``on_init``."""
 
     def on_shutdown(self):
         self._calls.shutdown()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that say, pass on and note what came."""
+"""Nodelets that publish, pass on and note messages."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Talker(Puppet):
         self.thread.start()
 
     def stop(self):
-        """End what `start` began; the number of messages since then."""
+        """Stop publishing; returns the number of messages since `start`."""
         self.stopped.set()
         self.thread.join()
         return self.number
@@ -71,7 +71,7 @@ class Talker(Puppet):
         return CountedHeader.serialisations
 
     def publish_nonsense(self):
-        """What comes of a message that cannot be serialised."""
+        """Publish a message that cannot be serialised; returns the error."""
         try:
             self.out.publish(CountedHeader(frame_id=5))
         except rospy.ROSSerializationException as error:
@@ -90,7 +90,7 @@ class Talker(Puppet):
 
 
 class Relay(Puppet):
-    """Publishes on the port `out` what comes at the port `in`."""
+    """Passes messages on from the port `in` to the port `out`."""
 
     def set_up(self):
         self.out = self.nh.Publisher("out", CountedHeader, queue_size=1000)
@@ -106,7 +106,7 @@ class Relay(Puppet):
 
 
 class Lazy(Puppet):
-    """Passes on what comes at `in` to `out`, and subscribes only while somebody listens there.
+    """Passes messages on from `in` to `out`, and subscribes only while `out` has a subscriber.
 
     With the parameter `~ports` false these are topics instead.
     """
@@ -154,7 +154,7 @@ class Lazy(Puppet):
 
 
 class Listener(Puppet):
-    """Notes what comes at the port `in`, and the reconfigurations between."""
+    """Notes the messages at the port `in`, and the reconfigurations between them."""
 
     def set_up(self):
         self.events = []
@@ -192,7 +192,7 @@ class Listener(Puppet):
 
 
 class Stamper(Puppet):
-    """Publishes images with a header on `out` and keeps them, to see what becomes of them."""
+    """Publishes images with a header on `out`, and keeps them to show changes to their headers."""
 
     def set_up(self):
         self.out = self.nh.Publisher("out", Image, queue_size=10)
@@ -228,7 +228,7 @@ class ImageTalker(Puppet):
 
 
 class AnyListener(Puppet):
-    """Notes what comes at the port `in`, whatever its type."""
+    """Notes messages of any type at the port `in`."""
 
     def set_up(self):
         self.numbers = []
