@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What most tests of the manager begin with; its state is in a file, so that it can be killed."""
+"""Fixtures of most tests of the manager; its state is in a file, so that it can be killed."""
 
 from __future__ import annotations
 

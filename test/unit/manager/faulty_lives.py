@@ -54,7 +54,7 @@ class FaultyLife(RuleBasedStateMachine):
             self.after_hang()
 
     def holds(self) -> None:
-        """Called after each step: check what must hold."""
+        """Called after each step: check the invariants."""
         raise NotImplementedError
 
     @invariant()

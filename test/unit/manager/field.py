@@ -132,7 +132,7 @@ class Field:
             self.manager.add_transformation(library)
 
     def open(self) -> None:
-        """Start a manager on what the store has."""
+        """Start a manager on the content of the store."""
         self.store = Store(self.path)
         library = Library(self.store, self.ontology)
         self.events: List[ClaimEvent] = []
@@ -160,7 +160,7 @@ class Field:
         self.clock.time += seconds
         self.moving = self.host.flow()
 
-    # What users do
+    # Actions of users
 
     def spawn(self, label: str, name: str, **kwds: Any) -> None:
         self.manager.spawn(SpawnRequest(label, name, **kwds))
@@ -177,10 +177,10 @@ class Field:
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
         return self.reconciler.acquire(StreamRequest(tag, **kwds))
 
-    # What time does
+    # Passing of time
 
     def settle(self, seconds: float = 1.0) -> None:
-        """Let time pass while the reconciler works; then check what must hold."""
+        """Let time pass while the reconciler works; then check the invariants."""
         ticks = max(5, min(40, int(seconds / 0.2)))
         for _ in range(ticks):
             self.tick(seconds / ticks)
@@ -222,7 +222,7 @@ class Field:
                 assert publishers == [claim.goal[0]], "one publisher on a claimed topic"
 
     def check_claims(self) -> None:
-        """Check what is written, told and used of claims, whatever state they are in."""
+        """Check the records, events, parts and topics of claims in any state."""
         made = {each.name: each.label for each in self.manager.graph.all() if each.claimed}
         living = {claim.claim_id for claim in self.living()}
         assert set(self.store.read("claims", lambda key, text: text)) == living
@@ -242,7 +242,7 @@ class Field:
                 topic = self.claim_topics.setdefault(claim.claim_id, claim.topic)
                 assert claim.topic == topic, "its client listens where it did"
 
-    # What is there
+    # Claims and nodelets
 
     def living(self) -> List[Claim]:
         return [claim for claim in self.reconciler.claims() if not claim.state.ended]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The manager is killed before and after each of its effects; what it promised is kept.
+"""The manager is killed before and after each of its effects; its promises are kept.
 
 Lives are random, each by its number: users and clients work, and processes die. One operation is
 ended at some moment; then the same manager starts again, perhaps after a reboot, and perhaps it is
@@ -27,7 +27,7 @@ from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
-#: What a manager changes through its host, and what it writes to its store.
+#: Calls by which a manager changes its host and its store.
 ON_HOST = ("ensure", "retire", "renew", "load", "unload", "forget", "connect", "set_parameter")
 ON_DISK = ("write", "write_later", "write_pending", "end")
 
@@ -112,7 +112,7 @@ Made = Tuple[str, bool, bool, Tuple[Tuple[str, str], ...], Tuple[Parameter, ...]
 
 
 class Lives(Field):
-    """A field whose manager may end at any moment, and what was acknowledged."""
+    """A field whose manager may end at any moment, and the acknowledged changes."""
 
     def __init__(self, path: str, is_stock: bool) -> None:
         self.life = Life()
@@ -149,11 +149,11 @@ class Lives(Field):
         self.manager.start()
 
     def start_again(self, end: Optional[int] = None) -> None:
-        """Begin a new life, which may end while it starts."""
+        """Start a new life, which may end during its start."""
         self.life = Life(end)
         self.open()
 
-    # What users, clients and accidents do
+    # Users, clients and accidents
 
     def work(self, dice: random.Random) -> None:
         changes = [self.change_nodelet] * 5 + [self.restart_part] + [self.change_claim] * 3
@@ -196,7 +196,7 @@ class Lives(Field):
         try:
             action()
         except DyKnowError:
-            return  # what failed is resolved at the end, as what was under way
+            return  # a failed change is resolved at the end, like one under way
         if new is None:
             del self.promised[name]
         else:
@@ -250,7 +250,7 @@ class Lives(Field):
         for _ in range(dice.randrange(4)):
             self.tick()
 
-    # What must hold
+    # Invariants
 
     def is_calm(self) -> bool:
         records = self.manager.graph.all()

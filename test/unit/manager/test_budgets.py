@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a request costs: calls to the host, worlds, writes, and calls within Python."""
+"""The cost of a request: calls to the host, worlds, writes, and calls within Python."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ INT = "std_msgs/Int32"
 
 
 def chain(length: int) -> str:
-    """Write a library in which each transformation needs what the one before supplies."""
+    """Write a library in which each transformation needs the stream of the one before."""
     lines = ["<transformations>"]
     for number in range(length):
         ports, tags = "", ""
@@ -50,7 +50,7 @@ def client_with_chain(length: int) -> SimulatedManagerClient:
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]:
-    """Count the calls of a method in this thread from now on: earlier tests leave others."""
+    """Count the calls of a method in this thread from now on: earlier tests leave threads."""
     found: List[str] = []
     method, here = getattr(owner, name), threading.get_ident()
 
@@ -120,7 +120,7 @@ def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def kept() -> int:
-    """Objects that the planner keeps: values of its modules, whatever refers to them."""
+    """The number of living instances of the planner's classes."""
     gc.collect()
     modules = (str(type(each).__module__) for each in gc.get_objects())
     return sum(module.startswith("dyknow.manager.planning") for module in modules)

@@ -251,7 +251,7 @@ MOVED = [OwnNodelet("/any", "t", (), LEFT), OwnNodelet("/l", "t", LEFT, LEFT)]
         # Each is used once, the preferred one first.
         (FREE, [("t", LEFT)], ["/b"]),
         (FREE, [("t", LEFT), ("t", RIGHT), ("v", ())], ["/b", "/a", None]),
-        # What is kept has to be what the plan needs.
+        # Names that a nodelet keeps have to be those of the plan.
         (BOUND, [("t", LEFT)], ["/l"]),
         (BOUND, [("t", (("?c", "up"),))], [None]),
         # One that need not change is not taken for another step.
@@ -294,7 +294,7 @@ def camera(side: str) -> str:
 
 
 def other(side: str) -> str:
-    """What makes rectified images without ``RECTIFY``, and costs less than it."""
+    """A transformation for rectified images that costs less than ``RECTIFY``."""
     return transformation(f"other {side}", "test/Camera", "out image", f"image Rect({side})", 7)
 
 

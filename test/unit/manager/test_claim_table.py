@@ -170,7 +170,7 @@ def left(now: Moment) -> float:
     ("now", "expected"),
     [
         (Moment(1003.0, 50_003.0, "first"), 5.0),
-        (Moment(1003.0, 90_000.0, "first"), 5.0),  # somebody set the clock
+        (Moment(1003.0, 90_000.0, "first"), 5.0),  # the clock was set
         (Moment(1003.0, 10.0, "first"), 5.0),
         (Moment(1100.0, 50_003.0, "first"), -92.0),
         (Moment(7.0, 50_003.0, "second"), 5.0),  # the machine was restarted

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodes that others start, and that the library describes: they supply and demand."""
+"""Nodes that users start, and that the library describes: they supply and demand."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ STEREO = "".join(
 
 
 class Robot(Field):
-    """The field, beside nodes that others start."""
+    """The field, beside nodes that users start."""
 
     def run(self, name: str, program: str, topics: Mapping[str, str]) -> None:
         kind = NodeletKind.CPP_NODE if program == "robot/camera" else NodeletKind.NODE
@@ -143,7 +143,7 @@ def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) ->
     assert claim.topic == "/image"
     assert "driver" not in robot.labels()
 
-    robot.run_camera()  # as others start it again, on the topic that was taken over
+    robot.run_camera()  # a user starts it again, on the topic that was taken over
     robot.settle()
     assert robot.topics("/robot/camera") == {"camera_info": "/info"}
 

@@ -88,7 +88,7 @@ def test_it_goes_with_its_nodelet_manager_and_nothing_is_kept_of_it(world: World
     load(world, "/a")
     assert world.store.read("nodelets", Record.from_body) == {}
     world.kill_manager()
-    assert world.states() == {"/a": "RUNNING"}  # it is found anew
+    assert world.states() == {"/a": "RUNNING"}  # it is found again
     world.host.hang(THEIRS)
     world.manager.look()
     assert world.states() == {}

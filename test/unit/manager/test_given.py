@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Parameters that are given to a nodelet at the spawn: what they override and what they fill."""
+"""Parameters of a spawn override those of the transformation, and fill in its variables."""
 
 from __future__ import annotations
 

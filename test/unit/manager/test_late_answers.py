@@ -114,7 +114,7 @@ def test_nobody_is_asked_about_connections_that_are_known(field: Field) -> None:
     assert asked <= {"published"}
 
 
-# A lazy C++ nodelet makes in-ports when a subscriber comes, which nobody connected elsewhere
+# A lazy C++ nodelet makes in-ports when a subscriber comes, which no user connected elsewhere
 
 
 RECTIFY = transformation(

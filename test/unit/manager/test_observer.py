@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A true picture: changes by others are followed, dead nodelets are brought back."""
+"""A true picture: changes by third parties are followed, dead nodelets are brought back."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class Killed(BaseException):
 
 
 def test_whatever_is_starting_says_why(world: World) -> None:
-    """The cause is in the model for as long as a nodelet is not up, whoever asks, and when."""
+    """The cause is in the model at any moment until a nodelet is up."""
     told = []
 
     def tell(operation: str, argument: str) -> None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ontologies: files that are read and refused, names of what is in them, and remarks."""
+"""Ontologies: files that are read and refused, names of classes and individuals, and remarks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Class expressions of OWL: what follows from them, and that nothing else is claimed."""
+"""Class expressions of OWL: claims that follow from them, and no other claims."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def subsumed(found: Ontology, names: str) -> List[str]:
             " :C a :A . :D a :B .",
             "A<B C<A C<B D<A D<B",
         ),
-        # Data types are no classes.
+        # Data types are not classes.
         (
             ":A a rdfs:Datatype ; owl:equivalentClass [ a rdfs:Datatype ; owl:oneOf ( 1 2 ) ] ."
             " :B a rdfs:Datatype ; owl:unionOf ( :A :C ) . :D owl:equivalentClass 'text' .",
@@ -313,7 +313,7 @@ def entailed(stated: Sequence[Axiom]) -> FrozenSet[Tuple[str, str]]:
 
 
 def claimed(stated: Sequence[Axiom], folder: Path) -> FrozenSet[Tuple[str, str]]:
-    """What the ontology says, by both of its ways."""
+    """The ontology's claims, by each of its two ways to query them."""
     path = folder / "o.ttl"
     path.write_text(turtle(stated))
     found = load_ontology([str(path)])
@@ -360,7 +360,7 @@ VALUES = "owl:someValuesFrom {}"
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        # What has some relative has one of each class above it, by each property above.
+        # A relative is also one of each class above its own, by each property above.
         (
             ":p rdfs:subPropertyOf :q ; rdfs:domain :A . :B a owl:Class ; rdfs:subClassOf :C ."
             f" :D rdfs:subClassOf {SOME.format(':p', VALUES.format(':B'))} ."
@@ -368,7 +368,7 @@ VALUES = "owl:someValuesFrom {}"
             f" :F owl:equivalentClass {SOME.format(':p', VALUES.format(':F'))} .",
             "B<C D<A D<E F<A",
         ),
-        # None and at most some relatives are no relative.
+        # Restrictions to none, or to at most some relatives, do not imply one.
         (
             f":A rdfs:subClassOf {SOME.format(':p', 'owl:minCardinality 0')} ."
             f" :B rdfs:subClassOf {SOME.format(':p', 'owl:maxCardinality 1')} ."
@@ -393,7 +393,7 @@ VALUES = "owl:someValuesFrom {}"
             f" :E owl:equivalentClass {SOME.format(':r', VALUES.format(':A'))} .",
             "D<B D<E E<B",
         ),
-        # Domains and ranges are classes of what a property relates; literals have none.
+        # Domains and ranges are classes of the ends of a property; literals have none.
         (
             ":p rdfs:subPropertyOf :q ; rdfs:domain :A . :q rdfs:range :B ."
             " :r rdfs:domain :C ; rdfs:range rdfs:Literal ."

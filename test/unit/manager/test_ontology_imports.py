@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Imports of ontologies: catalogues, files, circles, and what is wrong with them."""
+"""Imports of ontologies: catalogues, files, circles, and their errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def ontology(name: str, *imports: str, text: str = "") -> str:
-    """An ontology that imports others, with a class of its own name."""
+    """An ontology that imports other ontologies, with a class of its own name."""
     told = "".join(f"<http://o.org/{name}> owl:imports <{each}> .\n" for each in imports)
     return (
         f"{PREFIXES}<http://o.org/{name}> a owl:Ontology .\n{told}"

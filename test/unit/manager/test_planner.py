@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Planning by examples: what is missing, free, forgotten, or late."""
+"""Planning by examples: missing streams, free nodelets, old transformations, and late plans."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ LATENT = [
     ("max_age", "steps", "first"),
     [
         (0.06, ["camera", "lamps", "colors"], " [at most 0.06 s old]: cost 5 (proven least)"),
-        # Without a limit the latency is told and decides nothing.
+        # Without a limit the latency is reported and decides nothing.
         (0.0, ["camera", "network"], ": cost 2 (proven least)"),
     ],
 )

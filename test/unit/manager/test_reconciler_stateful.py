@@ -173,7 +173,7 @@ def test_a_request_that_fails_leaves_nothing_of_the_name_of_a_dead_part() -> Non
 
 
 def test_a_replaced_part_that_is_to_be_destroyed_goes_as_soon_as_its_process_answers() -> None:
-    """Attempts on a nodelet manager that hangs are no failures, which pauses would follow."""
+    """Attempts on a hung nodelet manager do not count as failures, which pauses would follow."""
     Claims().relive(
         ("acquire", "RelativePosition(ball)", (), 0.0, ""),
         ("hang", 0, True),

@@ -167,7 +167,7 @@ def test_before_the_first_verdict(field: Field, initially: bool) -> None:
 
 @pytest.mark.parametrize("label", ["bottom camera", "joints"])
 def test_without_anything_else_the_stream_goes_on_degraded(field: Field, label: str) -> None:
-    """Not only what is loaded, but a topic too may require a verdict."""
+    """Not only a nodelet, but a topic too may require a verdict."""
     field.manager.add_transformation(requiring(label, CHARGED))
     field.manager.remove_transformation("ceiling camera")
     claim = field.acquire().claim

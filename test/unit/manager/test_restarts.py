@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Restarts keep wiring, claims, protection and neighbours, and take what is new."""
+"""Restarts keep wiring, claims, protection and neighbours, and pick up changes."""
 
 from __future__ import annotations
 

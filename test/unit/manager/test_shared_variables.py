@@ -205,7 +205,7 @@ RECTIFIER: Ports = {"image": ("in", ["Image(?c)"]), "info": ("in", ["Info(?c)"])
 
 
 def lose(lab: Lab, name: str) -> None:
-    """Remove what makes a camera, and the camera."""
+    """Remove a camera and its transformation."""
     lab.field.manager.remove_transformation(f"camera {name}")
     (made,) = lab.made_from(f"camera {name}")
     lab.field.host.vanish(made)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Parsing specifications: what is accepted, what is refused, and what is said about it."""
+"""Parsing specifications: accepted and refused texts, their warnings and problems."""
 
 import json
 from pathlib import Path
@@ -79,7 +79,7 @@ def test_the_examples_are_clean(name):
             <source>topic_tools/relay /scan '/a copy'</source></transformation>""",
             Transformation("copier", "topic_tools/relay /scan '/a copy'", "node", isolated=True),
         ),
-        (  # others start it
+        (  # a user starts it
             """<transformation type="node" node="/robot/camera"><label>camera</label>
             </transformation>""",
             Transformation("camera", "", "node", node="/robot/camera"),

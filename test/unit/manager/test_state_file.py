@@ -191,7 +191,7 @@ TROUBLES: Dict[str, Callable[[str], ContextManager[None]]] = {
     ("cause", "killed"),
     [
         *((cause, False) for cause in TROUBLES),
-        # What no file can be written for is not read from a log either: that takes a copy.
+        # Where no file can be written, a log is not read either: that takes a copy.
         *((cause, True) for cause in TROUBLES if cause != "input/output"),
     ],
 )
@@ -202,7 +202,7 @@ def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it
     clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
-        if killed:  # what was written last is still in the log beside the file
+        if killed:  # the last rows are still in the log beside the file
             leave_log(path)
             assert os.path.getsize(path + "-wal") > 0
         with TROUBLES[cause](path):
@@ -286,7 +286,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> str:
 def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) -> None:
     """Start with a damaged file and no backup: nothing is raised, and the next file works.
 
-    What is read is what was written, or nothing is and that is said.
+    All rows are read, or none are and a complaint says so.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -334,7 +334,7 @@ def test_a_start_with_damage_at_every_place_works(
 
 
 def change_text(path: str) -> None:
-    """Change one letter of what a row says; sqlite sees nothing wrong with it."""
+    """Change one letter in the text of a row; sqlite sees nothing wrong with it."""
     data = Path(path).read_bytes()
     where = data.index(b"of a client")
     damaged(path, lambda data: data[:where] + b"O" + data[where + 1 :])

@@ -154,7 +154,7 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
         assert library.all() == [TRANSFORMATION]
         assert store.read("nodelets", Record.from_body) == {"/n": RECORD}
         assert store.read("claims", read_claim) == {"c1": CLAIM}
-        assert library.revision >= 3  # what was set aside may have been of the library
+        assert library.revision >= 3  # the entry set aside may have been of the library
         assert (f"{table} '{key}'" in store.complaint) is entry_is_named
         store.close()
     (aside,) = kept_aside(path)

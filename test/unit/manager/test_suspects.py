@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A nodelet that was at work in two crashes is kept apart; the others are left in peace."""
+"""A nodelet that was at work in two crashes is kept apart; its neighbours are left in peace."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from dyknow.model.transformation import OUT, Port, Transformation
 
 
 class Kinds:
-    """A small ontology: names and what is above them."""
+    """A small ontology: names and the names above them."""
 
     ABOVE = {
         "BallObject": {"WorldObject"},

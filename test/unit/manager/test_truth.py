@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""No in-port receives what it does not demand: every way in which it could, one by one."""
+"""No in-port receives a stream that it does not demand: all ways in which it could, one by one."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_what_lingers_keeps_no_wires_and_is_used_again(field: Field) -> None:
     assert field.host.running == running
 
 
-# What people do
+# Actions of people
 
 
 def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> None:

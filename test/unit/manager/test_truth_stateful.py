@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""At no moment does an in-port receive what it does not demand, under any sequence of events.
+"""No in-port ever receives a stream that it does not demand, under any sequence of events.
 
 Libraries, clients, users and accidents are random; a witness checks after every single change of
 the fake host, and again after each round of the manager.
@@ -65,14 +65,14 @@ class Truth(FaultyLife):
 
     @initialize(is_heard=st.booleans())
     def begin(self, is_heard: bool) -> None:
-        """Half of the lives begin with a claim, and somebody who listens to its nodelet."""
+        """Half of the lives begin with a claim, and a nodelet that listens to its stream."""
         if is_heard:
             self.field.acquire("Frame(?c)")
             self.listen(0)
 
     @rule()
     def stock(self) -> None:
-        """Describe, and describe again, what the library begins with."""
+        """Describe, and describe again, the transformations that the library begins with."""
         self.add("part a", [], [["Image(left)"]])
         self.add("part b", [], [["Image(right)"]], cost=2)
         self.add("part c", ["Image(?c)"], [["Frame(?c)"]])
@@ -96,14 +96,14 @@ class Truth(FaultyLife):
 
     def teardown(self) -> None:
         self.end_faults()
-        self.witness.excuse()  # what people connected while others could not be reached
+        self.witness.excuse()  # connections by people while some nodelets could not be reached
         self.arrive_late()
         self.witness.excuse()
         for _ in range(3):
             self.pass_time(60.0)
         for claim in self.field.living():
             states = (ClaimState.ACTIVE, ClaimState.PENDING, ClaimState.DEGRADED)
-            # Of what could make it, or of what is in its way: a person connected that there.
+            # The part that could make it, or one in its way, is fixed where a person connected it.
             has_no_live_ports = "are fixed" in claim.detail or "has fixed" in claim.detail
             assert claim.state in states or has_no_live_ports, (claim.state, claim.detail)
             if claim.state is ClaimState.ACTIVE and not self.witness.by_hand:
@@ -170,7 +170,7 @@ class Truth(FaultyLife):
     @precondition(lambda self: self.beginnings())
     @rule(number=NUMBERS)
     def withdraw(self, number: int) -> None:
-        """Remove what the stream of a claim begins with: others may do instead."""
+        """Remove the first part of a claim's stream: another one may replace it."""
         labels = self.beginnings()
         self.remove(labels[number % len(labels)])
 
@@ -208,7 +208,7 @@ class Truth(FaultyLife):
     @precondition(lambda self: self.witness.bound())
     @rule(number=NUMBERS)
     def listen(self, number: int) -> None:
-        """Listen to nothing but what the nodelet of a claim makes of what it receives."""
+        """Spawn a nodelet that listens only to the output of a claim's nodelet."""
         heard = self.witness.bound()
         topic, tag = heard[number % len(heard)]
         name = f"/by_hand_{next(self.hands)}"
@@ -298,7 +298,7 @@ class Truth(FaultyLife):
     def wait(self, seconds: float) -> None:
         self.pass_time(seconds)
 
-    # What must hold
+    # Invariants
 
     @invariant()
     def holds(self) -> None:
@@ -309,7 +309,7 @@ class Truth(FaultyLife):
         for _ in range(2):
             self.field.tick(seconds / 2)
             assert self.witness.guilt == [], "the manager connected what does not fit"
-        for _ in range(5):  # what failed is tried again, after pauses that grow
+        for _ in range(5):  # failed calls are tried again, after pauses that grow
             if self.witness.lasting() or self.witness.fed_while_pending():
                 self.field.tick(10.0)
         assert not self.witness.lasting(), "and what others connected does not last"
@@ -343,7 +343,7 @@ class Truth(FaultyLife):
                 port.topic
                 for name in host.running
                 for port in host.nodelet(name).ports.values()
-                if port.topic and "/disconnected/" not in port.topic  # nobody else uses these
+                if port.topic and "/disconnected/" not in port.topic  # private topics
             }
             | {"/sensor", "/other_sensor"}
         )
@@ -360,7 +360,7 @@ class Truth(FaultyLife):
         self.look_at_everything()
 
     def look_at_everything(self) -> None:
-        """What the announcements of the proxies would bring about."""
+        """Look, as announcements of the proxies would make the manager do."""
         self.field.manager.look()
 
 
@@ -398,7 +398,7 @@ LIVES: Dict[str, List[Sequence[Any]]] = {
         ("begin", True),
         ("spawn", "part c", [27, 20, 0, 1]),
     ],
-    # A listener without variables remembers nothing: it stays if it wants what is left.
+    # A listener without variables remembers nothing: it stays if it wants the remaining stream.
     "a foreign sender is taken off though a listener further on is slow": [
         ("begin", True),
         ("slow", 0),
@@ -408,7 +408,7 @@ LIVES: Dict[str, List[Sequence[Any]]] = {
         ("slow", 5),
         ("spawn", "part f", [1, 0, 5, 0]),
     ],
-    # A slow nodelet with a variable stays where it is: it wants what is left.
+    # A slow nodelet with a variable stays where it is: it wants the remaining stream.
     "a foreign sender is taken off though a nodelet further on remembers": [
         ("begin", True),
         ("spawn", "part f", [0, 3, 0, 0]),
@@ -421,18 +421,18 @@ LIVES: Dict[str, List[Sequence[Any]]] = {
         HUNG_AND_NOT_DESCRIBED
     ),
     "and so it may when the manager is killed": [*HUNG_AND_NOT_DESCRIBED, ("kill_dyknow",)],
-    # One was told that its variable stands for another individual than it is sent.
+    # One was given another individual for its variable than it receives.
     "nodelets come back as people connected them with each other": [
         ("spawn", "part c", [3, 1, 0, 0]),
         ("spawn", "part e", [1, 2, 0, 1]),
         ("kill", 0),
     ],
-    # One cannot be disconnected before the other: neither waits for what does not fit anyway.
+    # One cannot be disconnected before the other: neither waits for a stream that does not fit.
     "a stream that a person feeds back is repaired": [
         ("acquire", "Goal(red)", 1.0, True),
         ("spawn", "part f", [27, 11, 16, 22]),
     ],
-    # Without part d, part e is made anew, for another individual: it was called like the old.
+    # Without part d, part e is made again, for another individual: it was called like the old.
     "a part is made beside a nodelet whose name is free for topics alone": [
         ("acquire", "Goal(?c)", 0.0, False),
         ("withdraw", 0),

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The watchdog restarts processes beyond a limit: one at a time, ours alone, each told once."""
+"""The watchdog restarts processes beyond a limit: one at a time, ours alone, reported once."""
 
 from __future__ import annotations
 

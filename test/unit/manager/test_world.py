@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The world at one moment: who sends what to whom, and what nodelets with variables supply."""
+"""The world at one moment: senders and receivers, and supplies of nodelets with variables."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ EYE = nodelet("/eye", {"in": ("Raw(left)", "/b")})
 
 
 def relays(topic: str) -> Tuple[Record, Record]:
-    """Two relays, one behind the other, that say that they send what is on /raw."""
+    """Two relays, one behind the other, that claim to send the messages of /raw."""
     made = relay("/raw", IMAGE, ("Raw(left)",))
     topics = {"/first": {"in": topic, "out": "/a"}, "/second": {"in": "/a", "out": "/b"}}
     first, second = (Record(each, made, "/m", topics=topics[each]) for each in topics)
@@ -196,7 +196,7 @@ CONTRADICTION = ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
         # A user connected it to an unknown topic, or a claim left it there: it may send anything.
         ((LEFT, POSES, tracker("/nobody"), viewer("Ball(right)")), ["/tracker /viewer"], ""),
         ((LEFT_BEHIND, viewer("Ball(left)")), ["/tracker /viewer"], ""),
-        # Its parameters fix what it may receive.
+        # Its parameters fix the individual that it may receive.
         ((LEFT, RIGHT, tracker("/right", c="left")), ["/right /tracker"], ""),
         # Two send on one topic: of two individuals, unless another port or a parameter names one.
         ((LEFT, BESIDE, tracker("/left")), ["/left /tracker", "/right /tracker"], ""),
@@ -206,7 +206,7 @@ CONTRADICTION = ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
         # Bindings pass through chains, and do not settle in circles.
         ((END, SECOND, tracker("/left", "/poses"), POSES, LEFT), ["/second /end"], "Ball(left)"),
         ((ONE, TWO), [], ""),
-        # A relay is believed while it receives what it says, and all those behind it.
+        # A relay is believed while it receives the stream that it claims, and all those behind it.
         ((RAW, *relays("/raw"), EYE), [], ""),
         ((OTHER, *relays("/other"), EYE), MISLED, ""),
         ((EYE, *reversed(relays("/other")), OTHER), MISLED, ""),

@@ -28,7 +28,7 @@ ORDINARY = "ordinary nodes"
 
 
 class Concepts:
-    """A small ontology: for each name what it is a kind of."""
+    """A small ontology: for each name the class above it."""
 
     def __init__(self, above: Mapping[str, str]) -> None:
         self._above = above
@@ -78,17 +78,17 @@ def variables_in(tags: Iterable[str]) -> Set[str]:
 
 
 class Witness:
-    """Finds in-ports that receive what they do not demand.
+    """Finds in-ports that receive streams that they do not demand.
 
     Attributes:
-        signed: for each nodelet type its ports' tags: what its messages are signed with.
+        signed: for each nodelet type its ports' tags, with which its messages are signed.
         described: tags of topics of ordinary nodes, by the label that says so.
         by_hand: nodelets made by hand.
-        given: returns what the variables of a nodelet were said to stand for.
-        wrong: what is wrong now.
-        confused: nodelets that have received what no one individual sends, at ports that share a
-            variable, and were not connected elsewhere in between; not by what people connected.
-        guilt: what went wrong by a change that the manager made, with its last call.
+        given: returns the names that were given for the variables of a nodelet.
+        wrong: the present violations.
+        confused: nodelets that have received messages of several individuals at ports that share
+            a variable, and were not connected elsewhere in between; not by people's connections.
+        guilt: violations by a change that the manager made, with its last call.
     """
 
     def __init__(self, host: FakeHost, concepts: Concepts) -> None:
@@ -101,14 +101,14 @@ class Witness:
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
         self.confused: Set[str] = set()
-        #: For each nodelet its state, and what it received since; whether people wanted that.
+        #: For each nodelet its state, and the tags received since; whether people wanted them.
         self._heard: Dict[str, Tuple[Tuple[int, int], Dict[Tuple[Tags, Tags], bool]]] = {}
-        self._willed: Set[Tuple[str, str, str]] = set()  # where people want what does not fit
+        self._willed: Set[Tuple[str, str, str]] = set()  # where people want a misfit
         self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
         host.on_change = self._watch
 
     def excuse(self) -> None:
-        """Attribute the present violations to others than the manager."""
+        """Do not blame the manager for the present violations."""
         self.wrong = self.look(hidden=True)
         self.confused = self._listen()
         self._willed |= {each[:3] for each in self.look() if each[0] in self.by_hand}
@@ -124,9 +124,9 @@ class Witness:
         self.confused = confused
 
     def _listen(self) -> Set[str]:
-        """Note what each nodelet receives now; return those whose variables stand for nothing.
+        """Note each nodelet's received tags; return those whose variables stand for no name.
 
-        A nodelet forgets what it received when it is connected elsewhere, and when it is loaded.
+        A nodelet forgets these tags when it is connected elsewhere, and when it is loaded.
         One that people confused comes back so.
         """
         sources, before = self._sources(), self._heard
@@ -155,7 +155,7 @@ class Witness:
     def _read(
         self, given: Mapping[str, str], receives: Iterable[Tuple[Tags, Tags]]
     ) -> List[Dict[str, str]]:
-        """Try all names for the variables of what is received."""
+        """Return the names for variables that all received tags allow, trying all names."""
         receives = list(receives)
         unknown = variables_in(tag for asked, _ in receives for tag in asked) - given.keys()
         return [
@@ -177,7 +177,7 @@ class Witness:
         """Compare all receivers' messages with their demands.
 
         Args:
-            hidden: also count ordinary nodes that nobody can tell of, beside nodelets: they were
+            hidden: also count ordinary nodes that are invisible beside nodelets: they were
                 heard before, when the nodelets leave.
         """
         sources = self._sources(hidden)
@@ -196,7 +196,7 @@ class Witness:
         return wrong
 
     def lasting(self) -> Set[Wrong]:
-        """What is wrong though the manager could part the two, but for nodelets made by hand."""
+        """Violations whose ends the manager could part, but for nodelets made by hand."""
         needed = {
             (name, port, topic)
             for claim in self.claims()
@@ -209,7 +209,7 @@ class Witness:
             for receiver, port, topic, sender in self.look()
             if receiver not in self.by_hand
             if not (receiver in {"client", *fixed} and _publisher(sender) in {ORDINARY, *fixed})
-            # Nor is anybody cut off for one that is not to be there anyway, but cannot be moved.
+            # Nor is a sender cut off for a receiver that is not to be there, but cannot be moved.
             if not (
                 receiver in self.host.slow
                 and _publisher(sender) in self.by_hand
@@ -236,7 +236,7 @@ class Witness:
         ]
 
     def bound(self) -> List[Tuple[str, str]]:
-        """What nodelets made for claims say of the names that they received: topic and tag."""
+        """Outputs of nodelets made for claims that name received individuals: topic and tag."""
         return sorted(
             {
                 (topic, tag)
@@ -255,7 +255,7 @@ class Witness:
         )
 
     def _fits(self, name: str, port: str, tags: Tags, sources: Sources) -> bool:
-        """Whether a nodelet may receive this at a port, with all that it receives at others."""
+        """Whether a nodelet may receive this at a port, beside its inputs at the other ports."""
         if tags == SILENT:
             return True
         asked = self._signature(name)[port]
@@ -267,7 +267,7 @@ class Witness:
         )
 
     def _readings(self, name: str, sources: Sources, but: str = "") -> List[Dict[str, str]]:
-        """Try all names for the variables of what a nodelet receives."""
+        """Return the names for variables that the inputs of a nodelet allow, trying all names."""
         receives = [
             (self._signature(name)[port], tags)
             for other, port, direction, topic in self._ports()
@@ -289,7 +289,7 @@ class Witness:
             yield dict(zip(sorted(variables), choice))
 
     def _sources(self, hidden: bool = False) -> Sources:
-        """Who signs what arrives on each topic, under the names that variables stand for."""
+        """The signers and tags on each topic, under the names that variables stand for."""
         signed: Dict[Tuple[str, str], Tags] = {}
         for _ in range(len(self._ports()) + 1):
             sources = self._sources_if(hidden, signed)
@@ -316,7 +316,7 @@ class Witness:
         return tuple(dict.fromkeys(written))
 
     def _sources_if(self, hidden: bool, signed: Mapping[Tuple[str, str], Tags]) -> Sources:
-        """Who signs what arrives on each topic; relays pass on what others signed."""
+        """The signers and tags on each topic; relays pass on messages of other signers."""
         found: Dict[str, List[Tuple[str, Tags]]] = {}
         relays: Dict[str, Dict[str, str]] = {}
         for name, port, direction, topic in self._ports():
@@ -329,7 +329,7 @@ class Witness:
                 found.setdefault(topic, []).append((f"{name}.{port}", tags))
         for topic in self.host.topics:
             texts = [tags for where, tags in self.described.values() if where == topic]
-            if hidden or texts or topic not in found:  # nobody can tell of them beside nodelets
+            if hidden or texts or topic not in found:  # else invisible, beside nodelets
                 tags = tuple(itertools.chain.from_iterable(texts))
                 found.setdefault(topic, []).append((ORDINARY, tags))
         for _ in relays:  # one may feed another
@@ -357,5 +357,5 @@ class Witness:
 
 
 def _publisher(sender: str) -> str:
-    """Name who publishes on the topic itself: whoever signed it, or the last relay on its way."""
+    """Name the publisher on the topic itself: the signer, or the last relay on the way."""
     return sender.rpartition(" through ")[2].partition(".")[0]

@@ -94,7 +94,7 @@ class World:
         self.manager.add_transformation(LIBRARY) if not guards.read_only else None
 
     def open(self) -> None:
-        """Start a manager on what the store has."""
+        """Start a manager on the content of the store."""
         self.store = Store(self.path, self.clock.now)
         library, graph = Library(self.store), Graph(self.store, self.clock)
         self.manager = Manager(

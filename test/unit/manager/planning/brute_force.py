@@ -34,7 +34,7 @@ Nodelet = Tuple[str, Bindings]
 
 
 class Problem(NamedTuple):
-    """A library, what runs, and what is asked for.
+    """A library, live streams, and a goal.
 
     Attributes:
         free: the nodelets that can be connected elsewhere.
@@ -87,7 +87,7 @@ def fits(
     bindings: Mapping[str, str],
     ontology: Subsumption,
 ) -> bool:
-    """Whether a stream is what is demanded, if the variables of the demand are bound."""
+    """Whether a stream meets a demand whose variables are bound."""
     if datatype not in ("", "*") and supplied_type not in ("", "*", datatype):
         return False
 
@@ -170,7 +170,7 @@ def is_usable(
 
 
 def cost_of(needed: Sequence[Instance], problem: Problem) -> float:
-    """Return what instances cost if the free nodelets serve as well as they can.
+    """Return the cost of instances if the free nodelets serve as well as they can.
 
     Instances of which no nodelet may be made cost infinitely much.
     """
@@ -207,13 +207,13 @@ def serves(nodelet: Nodelet, instance: Instance, problem: Problem) -> bool:
 
 
 class Suppliers(NamedTuple):
-    """What supplies a demand.
+    """The suppliers of a demand.
 
     Attributes:
-        mask: the suppliers as bits; the first one stands for what is live.
+        mask: the suppliers as bits; the first one stands for the live streams.
         latencies: of the soonest stream of each supplier, in microseconds.
         fast: those that are fast enough by themselves.
-        followers: those that are as fast as what feeds them.
+        followers: those that are as fast as their inputs.
     """
 
     mask: int
@@ -230,8 +230,8 @@ class Instances(NamedTuple):
     """A problem as a graph.
 
     Attributes:
-        goal: what supplies the goal.
-        needs: what supplies the in-ports of each instance.
+        goal: the suppliers of the goal.
+        needs: the suppliers of the in-ports of each instance.
         all: the instances.
     """
 
@@ -271,7 +271,7 @@ def least_latency(problem: Problem) -> float:
 
 
 class Supplied(NamedTuple):
-    """What an instance supplies, by its number from 1 on, or a live stream, whose number is 0."""
+    """A stream of an instance, by its number from 1 on, or a live stream, whose number is 0."""
 
     number: int
     label: str
@@ -282,7 +282,7 @@ class Supplied(NamedTuple):
 
 
 def supplied(problem: Problem) -> List[Supplied]:
-    """Write out what is live and what all instances would supply, if they could be made."""
+    """Write out the live streams and those that all instances would supply if they were made."""
     found = [
         Supplied(0, each.label, tags, each.datatype, each.rate, each.latency)
         for each, tags in problem.live
@@ -297,7 +297,7 @@ def supplied(problem: Problem) -> List[Supplied]:
 
 
 def supplies(streams: Iterable[Supplied], demand: Demand, problem: Problem) -> bool:
-    """Whether one of some streams is what is demanded; a rate that is not stated will do."""
+    """Whether one of some streams meets a demand; a rate that is not stated will do."""
     terms = sorted(demand.tags)
     return any(
         demand.is_fast(each.rate)
@@ -382,7 +382,7 @@ def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
             kept.append(number)
     max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
     #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
-    #: or that may not be made, and what all others cost.
+    #: or that may not be made, and the cost of the rest.
     heap: List[Tuple[float, int, int, Tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
     seen: Set[Tuple[int, int]] = set()
     while heap:
@@ -414,7 +414,7 @@ def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
 
 
 def assert_valid(plan: Plan, problem: Problem) -> None:
-    """Every step is supplied with what it demands under its bindings, by what was made before."""
+    """Live streams and earlier steps supply all that each step demands under its bindings."""
     ontology = problem.ontology
     library = {each.label: each for each in problem.library}
     live = dict(problem.live)

@@ -23,7 +23,7 @@ def make(
         needs: tags of its in-ports.
         gives: tags of its out-ports.
         cost: its cost.
-        stated: what its out-ports state.
+        stated: further fields of its out-ports.
     """
     ports = [Port(f"i{at}", IN, "", tuple(tag.split("&"))) for at, tag in enumerate(needs)]
     outs = [Port(f"o{at}", OUT, "", tuple(tag.split("&"))) for at, tag in enumerate(gives)]

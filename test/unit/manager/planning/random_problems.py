@@ -51,7 +51,7 @@ class Kinds:
 class _Writer:
     """Writes problems; every other one is rich in bindings.
 
-    In these, transformations with in-ports supply what no source does, and that is asked for.
+    In these, transformations with in-ports supply the goal's functor, which no source supplies.
     """
 
     def __init__(self, seed: int) -> None:

@@ -43,7 +43,7 @@ def set_cover(seed: int) -> List[Transformation]:
 def least_cost(library: Sequence[Transformation], goal: str) -> int:
     """Solve a library without cycles as a mixed integer program.
 
-    What is used has each of its demands met by something that is used.
+    Each demand of a used transformation is met by another one that is used.
     """
     number_of: Dict[str, int] = {each.label: at for at, each in enumerate(library)}
     makers: Dict[str, List[int]] = {}

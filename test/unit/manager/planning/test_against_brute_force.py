@@ -59,13 +59,13 @@ def free_in(problem: Problem) -> Dict[str, List[Bindings]]:
     return found
 
 
-#: What problems have besides tags: limits that are stated and demanded, verdicts, or nodelets
+#: Features of problems besides tags: limits that are stated and demanded, verdicts, or nodelets
 #: that are free, also with limits.
 KINDS = ("tags", "limits", "verdicts", "nodelets", "nodelets and limits")
 
 
 def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """Judge a plan and its bound, or a refusal; count what matters in it."""
+    """Judge a plan and its bound, or a refusal; count its features."""
     look_up_by_name(monkeypatch, seed)
     problem = random_problem(seed)
     if "limits" in kind:

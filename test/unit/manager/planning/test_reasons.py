@@ -83,7 +83,7 @@ def test_refusals_of_random_problems_state_no_falsehood(
                         for kind in kinds.rpartition(" a ")[2].split(" and "):
                             assert kind not in problem.ontology.names_above(name), (seed, cause)
             if len(causes) == 1 and "excluded" in causes[0]:
-                # What has in-ports would supply it for an individual that there may not be.
+                # One with in-ports would supply it for an individual that may not exist.
                 those = [each for each in problem.library if each.label in named(causes[0])]
                 is_needy = any(port.direction == "in" for each in those for port in each.ports)
                 assert is_needy or supplies(streams, wanted, problem), (seed, causes)
@@ -91,7 +91,7 @@ def test_refusals_of_random_problems_state_no_falsehood(
 
 
 class Cameras:
-    """What a nose and an eye are."""
+    """A small ontology: a nose is a RobotCamera, and that is a Camera."""
 
     def names_above(self, name: str) -> FrozenSet[str]:
         above = {"nose": ["RobotCamera", "Camera"], "RobotCamera": ["Camera"]}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a search looks at: what the goal can use, however large the library is, up to a limit."""
+"""A search looks only at facts that the goal can use, in a library of any size, up to a limit."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_search_that_reaches_its_limit_says_so(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
-    """While one thread exchanges all transformations at once, others plan."""
+    """While one thread exchanges all transformations at once, three threads plan."""
     versions = [
         [make("camera", [], ["Raw(a)"], cost), make("filter", ["Raw(?x)"], ["Goal(?x)"], cost)]
         for cost in (1, 10)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What clients would rather have, in plans: against brute force, and by examples."""
+"""Wishes of clients in plans: against brute force, and by examples."""
 
 from __future__ import annotations
 
