@@ -30,7 +30,7 @@ except ModuleNotFoundError:  # before Python 3.11
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "doc" / "architecture.rst").read_text()
 MODULES = sorted(set(re.findall(r"\bdyknow(?:_[a-z]+)?(?:\.[a-z_]+)+", PAGE)))
-#: What the page names that is no module: attributes of the package, which are loaded lazily.
+#: Names on the page that are not modules: attributes of the package, which are loaded lazily.
 ATTRIBUTES = ("dyknow.acquire",)
 
 

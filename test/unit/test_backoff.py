@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Pauses grow for what fails again and again, and for nothing else."""
+"""Pauses grow while failures repeat, and for no other reason."""
 
 from __future__ import annotations
 

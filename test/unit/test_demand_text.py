@@ -14,7 +14,7 @@ from dyknow.manager.claims.answers import refusal_of
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.similar import did_you_mean
 
-#: Whatever `parse_tag` reads as a name, words of the manager among it.
+#: All texts that `parse_tag` reads as a name, words of the manager among them.
 names = st.one_of(
     st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,5}", fullmatch=True),
     st.from_regex(r"[^(),?\s][^(),?\n\r]{0,8}[^(),?\s]", fullmatch=True),

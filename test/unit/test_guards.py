@@ -54,7 +54,7 @@ def test_programs_of_services_are_refused_and_those_of_own_files_are_not():
 
 
 class TestOneCheckForEveryTopic:
-    """Whatever connects an endpoint of a process, the bus asks the guards."""
+    """The bus asks the guards about all topics but those on which people launch a node."""
 
     GUARDS = Guards(denied_topics=("/e_stop",))
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What is installed runs with the Python that it was built for, whichever comes first."""
+"""Installed scripts run with the Python that they were built for, whichever comes first."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What pages say of the code is true: its API, its limits, and the tests that hold promises."""
+"""The pages are true to the code: its API, its limits, and the tests that hold promises."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def members(shown, names):
 
 @pytest.mark.parametrize(("path", "names"), SHOWN, ids=[path for path, _ in SHOWN])
 def test_everything_on_the_page_of_the_api_has_a_docstring(path, names):
-    shown = find(path)  # autodoc omits what has none
+    shown = find(path)  # autodoc omits members without one
     described = [shown, *(getattr(shown, name) for name in members(shown, names))]
     assert [str(it) for it in described if not inspect.getdoc(it)] == []
 

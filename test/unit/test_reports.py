@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the run of all tests reads from the result files of pytest and rosunit."""
+"""Reports that the run of all tests reads from the result files of pytest and rosunit."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What is written at several places is the same at all of them: releases, names, exceptions."""
+"""Facts that are written in several places agree: releases, names, exceptions."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.ros.shell.load_meter import Loads
 from dyknow.simulated import SimulatedManagerClient
 
-#: What changes nothing is not noted.
+#: Methods that change nothing, whose calls are not noted.
 _QUESTIONS = (
     "get_model",
     "get_graph",
@@ -40,16 +40,16 @@ _QUESTIONS = (
 
 
 class FakeClient(SimulatedManagerClient):
-    """Does what `ShellClient` does, with the manager of a `World`.
+    """Stands for a `ShellClient`, with the manager of a `World`.
 
     Attributes:
-        calls: the changes that were asked for, in order.
+        calls: the requested changes, in order.
         fail: called before each of them with its name and subject; may raise.
-        asked: called with the name of each method that asks the manager or a nodelet.
+        asked: called with the name of each method that calls the manager or a nodelet.
         hung: nodelets that do not answer.
         ordinary: topics that ordinary nodes publish on.
         links: transports to other processes, by node, direction and topic.
-        loaded: what nodelets, and their processes, take.
+        loaded: the loads of nodelets, and of their processes.
     """
 
     namespace = "/"
@@ -68,7 +68,7 @@ class FakeClient(SimulatedManagerClient):
         self.boxes: dict[str, str | DyKnowError] = {}
         self.links: dict[tuple[str, str, str], list[str]] = {}
         self.loaded = Loads({}, {})
-        #: What happens, one after the other, while a command waits for events.
+        #: Steps that happen, one after the other, while a command waits for events.
         self.script: list[Callable[[], object]] = []
 
     def black_boxes(self) -> list[str]:
@@ -168,7 +168,7 @@ class FakeEvents:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command came to."""
+    """The exit code and the output of a command."""
 
     code: int
     out: str
@@ -195,7 +195,7 @@ def run(client: FakeClient | None, line: str) -> Outcome:
 def play(client: FakeClient | None, transcript: str) -> None:
     """Run command lines, and compare all that they print with a transcript.
 
-    A line that begins with ``$`` is run. Below it is its output, then what it writes to stderr,
+    A line that begins with ``$`` is run. Below it is its output, then its error output,
     then its exit code in brackets unless that is 0. ``...`` stands for any text.
     """
     for step in steps(transcript):

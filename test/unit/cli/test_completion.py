@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What TAB offers, and how it reaches bash."""
+"""Completions by TAB, and how they reach bash."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _client():
 
 
 def offered(client, text):
-    """What is offered at the end of a command line, sorted; without the space behind a word."""
+    """The completions at the end of a command line, sorted; without the space behind a word."""
     line = "dyknow " + text
     reader, writer = os.pipe()
     child = os.fork()
@@ -145,7 +145,7 @@ def test_files(client, tmp_path, monkeypatch):
 
 
 def bash(line, path, function="_python_argcomplete dyknow"):
-    """What bash offers for a line, with its completion sourced and `dyknow` on `path`."""
+    """The candidates of bash for a line, with its completion sourced and `dyknow` on `path`."""
     script = (
         f". '{ROOT}/env-hooks/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; "
         f"{function}; "

@@ -163,7 +163,7 @@ def test_a_nodelet_with_fixed_topics_says_how_to_get_live_ports(pair):
     assert "Re-wiring: its topics are fixed" in run(pair, "info fixed").out
 
 
-#: What is wrong with the ends of a connection, before a port of another type and one that hangs.
+#: Wrong ends of connections, each with a message; at last a port of another type, and a hung one.
 WRONG_ENDS = """
 connect /raw cam:image | '/cam:image' is an out-port; swap the two
 connect robot/relay:in /raw | '/robot/relay:in' is an in-port; swap the two

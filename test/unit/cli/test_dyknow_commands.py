@@ -325,7 +325,7 @@ def test_graph_as_json_and_of_a_namespace(chain):
     assert '"n/cam"' not in run(chain, "graph --dot --namespace robot").out
 
 
-#: Of nodelets with messages and transports to others, that hang, have no ports, count nothing.
+#: Of nodelets with outside connections, a hung one, and ones without ports or counts.
 STATS = """
 $ stats
 NODELET  PORT                     HZ  MESSAGES  DROPPED  UNSENT  MEAN   MAX  ERRORS  TOPIC  OUTSIDE

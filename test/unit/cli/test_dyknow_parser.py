@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The command line of `dyknow`: what is understood, and how a wrong one is refused."""
+"""The command line of `dyknow`: lines that it understands, and its refusals of wrong ones."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, *ENDING])
 def test_a_signal_lets_an_import_end(number, tmp_path, monkeypatch):
-    """Of any module, at any depth: what is raised in an import may be dropped in there."""
+    """Of any module, at any depth: an exception raised in an import may be dropped in there."""
     (tmp_path / "outer.py").write_text("import inner\nis_done = True\n")
     (tmp_path / "inner.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\n")
     monkeypatch.syspath_prepend(tmp_path)

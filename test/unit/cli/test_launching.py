@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What becomes of the nodes of a launch file, and the prefixes that they get."""
+"""Treatments of the nodes of a launch file, and the prefixes that they get."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def run(prefix, *words, **environment):
 
 
 def sent(prefix):
-    """Return what arrives of a prefix on the machine that roslaunch sends it to."""
+    """Return a prefix as it arrives on the machine that roslaunch sends it to."""
     text = f"<launch>{node(launch_prefix=prefix).to_remote_xml()}</launch>"
     config = roslaunch.config.ROSLaunchConfig()
     XmlLoader().load_string(text, config, verbose=False)
@@ -247,7 +247,7 @@ def test_what_is_not_there_is_named(folder, capsys, words, message):
     assert message in refused(capsys, *words.split())
 
 
-#: A launch file, its lines between slashes, and what is wrong with it.
+#: A launch file, its lines between slashes, and the error in it.
 ERRORS = """
  // <param name="p" value="$(arg x)"/> | a.launch:3: [a.launch] requires the 'x' arg to be set
 <node> | a.launch: Invalid roslaunch XML syntax: mismatched tag: line 3, column 2
@@ -284,7 +284,7 @@ def test_errors_have_file_and_line(folder, capsys, lines, message):
 
 
 def test_arguments_that_no_file_speaks_of(folder, capsys):
-    """roslaunch ignores them, so they are no error."""
+    """roslaunch ignores them, so they are not an error."""
     inner = write(folder / "inner.launch", '<arg name="inner" default=""/>')
     lines = ('<arg name="camera" default=""/>', f'<include file="{inner}" pass_all_args="true"/>')
     outer = write(folder / "outer.launch", *lines)

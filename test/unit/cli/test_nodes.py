@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The command lines of our nodes, and what they say about themselves."""
+"""The command lines of our nodes, and their help."""
 
 from __future__ import annotations
 

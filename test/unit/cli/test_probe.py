@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`dyknow probe`: what it makes of what a node has, and its refusals."""
+"""`dyknow probe`: the declarations that it derives from a node, and its refusals."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`record` and `why`, with bags of what a black box keeps."""
+"""`record` and `why`, with the bags of a black box."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_reading_gives_back_what_was_written(wiring: Wiring) -> None:
     assert again.to_xml() == text
 
 
-#: What is no wiring, and what is said of its first line; WIRING is the beginning of one.
+#: Texts that are not wirings, and the error in line 1; WIRING is the beginning of a wiring.
 NO_WIRINGS = r"""
  | no element found at column 1; expected well-formed XML
 <wiring | unclosed token
@@ -141,7 +141,7 @@ def test_a_wiring_of_too_many_nodelets_is_read_no_further() -> None:
         read_wiring(wiring.format(text).encode(), "w.xml")
     assert len(read_wiring(wiring.format(text).encode(), "w.xml", limit).nodelets) == 2500
     with pytest.raises(SpecificationError) as refused:
-        # What comes after the limit is not even XML.
+        # The text after the limit is not even XML.
         read_wiring(wiring.format(text + nodelet.format("") + "<<").encode(), "w.xml", limit)
     (problem,) = refused.value.problems
     assert "more than 2500 nodelets; the manager allows no more" in str(problem)

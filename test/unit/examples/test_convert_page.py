@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "convert"
-#: Nodes, each with what its two files are called.
+#: Nodes, each with the names of its two files.
 NODES = {
     "ball finder": ("before.py", "after.py"),
     "ball bearing": ("bearing_before.py", "bearing_after.py"),
@@ -50,7 +50,7 @@ def test_the_page_tells_the_numbers_of_the_files():
     assert [int(number) for number in said.groups()] == changes(*map(lines, NODES["ball finder"]))
 
 
-#: Lines of the nodelet that search and replace does not give.
+#: Lines of the nodelet that search and replace does not produce.
 INIT = ["    def on_init(self):", "        self.nh = dyknow.NodeHandle(self.node_handle)"]
 BY_HAND = {
     "ball finder": ["import dyknow", "class BallFinder(dyknow.Nodelet):", *INIT],

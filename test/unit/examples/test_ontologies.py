@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The ontologies mean what the page on templates says, and those who use them are clean."""
+"""The ontologies agree with the page on templates, and the files that use them are clean."""
 
 from __future__ import annotations
 

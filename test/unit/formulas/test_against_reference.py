@@ -233,7 +233,7 @@ def of_individuals(
 
 
 def all_completions(formula: Node, states: List[State], limit: int = 8) -> Optional[List[int]]:
-    """What all completions agree on in each state; None if there are too many."""
+    """The value that all completions agree on in each state; None if there are too many."""
     later = horizon(formula, SECOND)
     names = ports(formula)
     nothing: State = dict.fromkeys(names)
@@ -253,7 +253,7 @@ def all_completions(formula: Node, states: List[State], limit: int = 8) -> Optio
 
 
 def few_states(dice: random.Random) -> Tuple[Node, List[State], Optional[List[int]]]:
-    """A small formula, some states, and what all completions of these agree on."""
+    """A small formula, some states, and the values that all completions of these agree on."""
     formula = random_formula(dice, dice.randint(1, 3), "pq", 1, past=dice.random() < 0.7)
     states = random_states(dice, dice.randint(1, 6))
     return formula, states, all_completions(formula, states)

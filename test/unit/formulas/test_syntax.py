@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Formulas that are read, and those that are refused with line, column and what was expected."""
+"""Formulas that are read, and those that are refused with line, column and expected text."""
 
 from __future__ import annotations
 

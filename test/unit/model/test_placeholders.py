@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Placeholders in the texts of parameters: what they stand for, and what stands for itself."""
+"""Placeholders in the texts of parameters: their values, and texts that stand for themselves."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_what_is_joined_is_cut_into_the_same(pieces: List[Union[str, Placeholder
 
 @given(st.lists(st.one_of(PLAIN.map(lambda text: text.replace(";", "")), st.none()), max_size=4))
 def test_what_a_template_brings_in_is_plain(terms: List[Union[str, None]]) -> None:
-    """A term is not searched for placeholders, nor is what it makes with its neighbours."""
+    """A term is not searched for placeholders, nor is its combination with its neighbours."""
     args = {f"A{number}": term for number, term in enumerate(terms) if term}
     written = "".join(f'<arg label="{each}">{{{term}}}</arg>' for each, term in args.items())
     value = "".join(

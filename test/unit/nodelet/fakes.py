@@ -130,7 +130,7 @@ class World:
 
     @property
     def registrations(self) -> List[Any]:
-        """What is registered outside, sorted."""
+        """The registrations outside, sorted."""
         return self.transport.registrations
 
     def close(self) -> None:

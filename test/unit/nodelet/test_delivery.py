@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What happens to a message between publish and callback, within one process."""
+"""Delivery of messages from publish to callback, within one process."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Filter:
 
 
 class Holding(Nodelet):
-    """A nodelet that holds a block, and what a test gives it to make."""
+    """A nodelet that holds a block, and calls the `make` of a test."""
 
     make: Callable[[Any], Any]
     block: Any

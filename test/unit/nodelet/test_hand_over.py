@@ -76,7 +76,7 @@ class Place:
             registration.drain = lambda seconds: self.arrive(len(self.on_the_way))
 
     def arrive(self, count):
-        """Receive what is on the way from publishers outside."""
+        """Receive messages that are on the way from publishers outside."""
         for _ in range(min(count, len(self.on_the_way))):
             self.send(self.on_the_way.popleft())
 
@@ -169,7 +169,7 @@ def test_the_ends_and_the_places_of_a_move():
 
 
 def parked(size=None, clock=None):
-    """A place where the nodelet is parked, without threads, and what it receives."""
+    """A place where the nodelet is parked, without threads, its topics and its messages."""
     received = []
     world = World(ManualExecutor(clock or FakeClock()))
     with places(world.executor.clock, []) as (old, _):
@@ -543,7 +543,7 @@ def test_no_message_comes_twice_whenever_managers_die(first, second, back):
         def move(count):
             (source,) = [place for place in pair if place.loader.list()]
             (target,) = [place for place in pair if place is not source]
-            # What comes after the report of the old process is lost with the manager.
+            # Messages after the report of the old process are lost with the manager.
             is_lost = count in (STEPS.index("take"), STEPS.index("load"))
             done = steps(source, target)
             for number in range(count):

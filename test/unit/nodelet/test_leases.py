@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a process may publish on topics of claims, on clocks that the test steps."""
+"""Leases of a process to publish on topics of claims, on clocks that the test steps."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ step = st.sampled_from(["ask", "arrive", "answer", "send", "stop", "look", "kill
 
 @given(st.lists(st.tuples(step, st.floats(0.0, 1.5)), max_size=60))
 def test_the_manager_never_thinks_a_lease_over_while_it_holds(steps: List) -> None:
-    """Whatever is delayed, lost or stopped: it counts from the last answer that it received."""
+    """Despite delays, losses and stops: it counts from the last answer that it received."""
     process = Process()
     requests: List[float] = []
     answers: List[float] = []

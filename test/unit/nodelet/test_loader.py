@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Loading: names, failures, and independence of one nodelet's start from the others."""
+"""Loading: names, failures, and nodelets that start independently of each other."""
 
 from __future__ import annotations
 

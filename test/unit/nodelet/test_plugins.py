@@ -71,7 +71,7 @@ class Packages:
         return list(self.files)
 
     def load(self, name):
-        """Import what is declared as a name."""
+        """Import the class that is declared under a name."""
         return ClassImports().load(self.plugins.find(name), None)  # type: ignore[arg-type]
 
 
@@ -352,7 +352,7 @@ def test_modules_of_one_name_are_those_of_each_folder(tmp_path: Path) -> None:
         assert load(name) == (name, f"changed {name}")
 
 
-#: What catkin puts into a devel space, in short.
+#: The relay that catkin puts into a devel space, in short.
 RELAY = """# generated from catkin/cmake/template/__init__.py.in
 import os, pkgutil, sys
 __extended_path = '{source}'.split(';')
@@ -366,7 +366,7 @@ import dyknow
 class Teller(dyknow.Nodelet):
     own = Own
 """
-#: How code imports what catkin generated.
+#: How code imports the modules that catkin generated.
 USES = {
     "msg": "from {package}.msg import Own",
     "msg by its own module": "from {package}.msg._Own import Own",
@@ -376,7 +376,7 @@ USES = {
 
 
 def in_devel_space(tmp_path: Path, package: Written, relay: str) -> Path:
-    """Write what catkin generates for a package into a devel space, and return its folder."""
+    """Write a package's generated modules into a devel space as catkin does; return its folder."""
     folder = tmp_path / "devel/lib/python3/dist-packages"
     for module in ("__init__", "msg/__init__", "msg/_Own", "srv/__init__", "cfg/OwnConfig"):
         file = folder / package.name / f"{module}.py"

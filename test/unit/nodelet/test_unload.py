@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Unloading: what is removed, what is refused, and what is not awaited."""
+"""Unloading: removed registrations, refused calls, and callbacks that are not awaited."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The black box: what it keeps, when it writes a bag, and what the bag has."""
+"""The black box: the messages that it keeps, when it writes a bag, and the bag's content."""
 
 from __future__ import annotations
 

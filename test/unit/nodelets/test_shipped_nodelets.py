@@ -77,7 +77,7 @@ def test_relay_hands_on_the_very_same_message(nodelet_harness):
 
 
 def throttled(harness, moments, rate):
-    """Moments at which a throttle hands on what comes at the given moments."""
+    """Moments at which a throttle hands on messages that come at the given moments."""
     got = harness.listen("/out")
     harness.load(Throttle, ports=BOTH, parameters={"rate": rate})
     for number, moment in enumerate(moments):

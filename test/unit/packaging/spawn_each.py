@@ -3,7 +3,7 @@
 
 """Spawns every transformation of my_nodelets, shared and isolated: ``spawn_each.py HOME``.
 
-Writes what each spawn came to into ``HOME/outcomes.json``. The DyKnow manager and the ROS master
+Writes the outcome of each spawn into ``HOME/outcomes.json``. The DyKnow manager and the ROS master
 are its own.
 """
 
@@ -27,7 +27,7 @@ LATE = "it does not come up\n"
 
 
 def dyknow(*words: str) -> str:
-    """Run a command of dyknow; returns "" or what it printed when it failed."""
+    """Run a command of dyknow; returns "", or its output when it failed."""
     command = ("dyknow", *words, "--timeout", str(PATIENCE))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return "" if done.returncode == 0 else done.stdout + done.stderr

@@ -23,7 +23,7 @@ from tools.processes import own_network, run_logged
 
 #: Makes a program re-wirable.
 PREFIX = "rosrun dyknow rewirable"
-#: Seconds for one suite: many wait for fixed times, on top of what the machine needs.
+#: Seconds for one suite: many wait for fixed times, on top of the time that the machine needs.
 TIMEOUT = 900.0
 #: How often a suite runs whose verdicts differ: those of ROS have time limits of their own.
 ATTEMPTS = 3
@@ -53,7 +53,7 @@ class Suites:
         targets: Sequence[str],
         is_complete: bool = True,
     ) -> None:
-        """Copy the packages, and build them if there are targets for that: all, or what builds."""
+        """Copy the packages, and build the targets: all of them, or as many as build."""
         self._is_complete = is_complete
         self._workspace = Workspace(folder / "ws", upon=[ROOT / "build/ws/devel"])
         self.source = self._workspace.folder / "src"

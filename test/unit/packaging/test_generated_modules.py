@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from unit.packaging.workspaces import ROOT, Workspace
 
-#: What each kind adds to the package: its file, and code that uses it by `ros`, rospy or a handle.
+#: Additions to the package by kind: its file, and code that uses it by `ros`, rospy or a handle.
 KINDS = {
     "msg": (
         "msg/Own.msg",
@@ -81,7 +81,7 @@ catkin_install_python(PROGRAMS scripts/uses DESTINATION ${CATKIN_PACKAGE_BIN_DES
 catkin_package()
 """
 DEPENDS = "message_generation actionlib_msgs dynamic_reconfigure".split()
-#: Runs in a space of the workspace: spawns everything, and writes what each spawn came to.
+#: Runs in a space of the workspace: spawns everything, and writes the outcome of each spawn.
 DRIVER = Path(__file__).with_name("spawn_each.py")
 
 

@@ -40,7 +40,7 @@ OF_DEBIAN = {
     **dict.fromkeys(("genpy", "rosgraph", "rosgraph_msgs", "roslib"), "python3-rospy"),
     **dict.fromkeys(("rosunit",), "python3-rostest"),
 }
-#: What a key of rosdep brings on Debian beside the package above, and what the docs need.
+#: Packages that a key of rosdep brings on Debian beside the one above, and those for the docs.
 BESIDE_DEBIAN = set(
     """image-transport-tools libdiagnostic-aggregator-dev libmessage-filters-dev libnodelet-dev
     libnodeletlib-tools libtf-dev libtf2-ros-dev python3-myst-parser python3-pyqt5.qtsvg

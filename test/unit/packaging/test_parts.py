@@ -14,7 +14,7 @@ import pytest
 from unit.packaging.workspaces import ROOT, Workspace
 
 PARTS = ("DYKNOW_DEMONSTRATION", "DYKNOW_BENCHMARK", "DYKNOW_RQT", "DYKNOW_ROSCPP")
-#: What no module of the runtime imports: the parts, and libraries for images, plots and windows.
+#: Never imported by the runtime: the parts, and libraries for images, plots and windows.
 LUGGAGE = (
     *("dyknow_benchmark", "dyknow_demo", "dyknow_rqt"),
     *("PIL", "PyQt5", "PySide2", "cv2", "matplotlib", "message_filters", "numpy", "tqdm"),

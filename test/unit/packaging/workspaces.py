@@ -55,7 +55,7 @@ print(len(Wiring(config=GetModelResponse().model.nodelets).config) + 2)
 
 
 class Workspace:
-    """A folder with ``src``, beside the distribution and what is below ``upon`` alone."""
+    """A folder with ``src``, on top of the distribution and the spaces ``upon`` alone."""
 
     def __init__(self, folder: Path, upon: Sequence[Path] = ()) -> None:
         self.folder = folder
@@ -85,11 +85,11 @@ class Workspace:
         (package / "main.cpp").write_text(_MAIN.format(name=name))
 
     def add_copy(self, name: str, package: Path) -> None:
-        """A package of the checkout under a name of its own, as somebody begins with it."""
+        """A package of the checkout under a name of its own, as a user begins with it."""
         shutil.copytree(package, self.folder / "src" / name)
 
     def make(self, *arguments: str, is_complete: bool = True) -> None:
-        """Run catkin_make with targets or options; what does not build may be left out."""
+        """Run catkin_make with targets or options; targets that do not build may be left out."""
         options = ["-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCMAKE_BUILD_TYPE=Debug"]
         command = ["catkin_make", "-C", str(self.folder), *arguments, *options]
         self._run(command if is_complete else [*command, "-k"], is_complete)
@@ -110,11 +110,11 @@ class Workspace:
             self.check_user(name, "install")
 
     def run_in(self, space: str, command: str) -> str:
-        """What a shell command prints in a space of the workspace; it must end with 0."""
+        """The output of a shell command in a space of the workspace; it must end with 0."""
         return self._run(["/bin/sh", "-c", f". {self.folder / space}/setup.sh; {command}"])
 
     def test_results(self) -> str:
-        """The sum of what the tests of its packages came to."""
+        """The summary of the test results of its packages."""
         return self._run(["catkin_test_results", str(self.folder / "build")])
 
     def _run(self, command: Sequence[str], must_succeed: bool = True) -> str:

@@ -35,7 +35,7 @@ class Bench:
         return found
 
     def send(self, topic, *fields):
-        """Publish messages of the probe, and run what they cause."""
+        """Publish messages of the probe, and run the callbacks that they cause."""
         publisher = self.probe.Publisher(topic, Message, queue_size=1)
         for field in fields:
             publisher.publish(field)

@@ -26,7 +26,7 @@ class Pressed(Message):
 
 
 class Press:
-    """Counts what it encodes; a message of 0 has no form, and a form of 0 no message."""
+    """Counts its encodings; a message of 0 has no form, and a form of 0 no message."""
 
     def __init__(self):
         self.encoded = 0

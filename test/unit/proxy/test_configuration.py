@@ -84,7 +84,7 @@ def test_ports_that_are_not_named_stay_and_an_equal_configuration_changes_nothin
     assert bench.proxy.get_statistics().reconfigurations == 2
 
 
-#: What is wrong with a configuration; `/third` carries another type, `/remapped` is remapped.
+#: Wrong configurations and their errors; `/third` carries another type, `/remapped` is remapped.
 REFUSED = [
     ([("nose", "/a"), ("in", "/b")], [UnknownPort]),
     ([("in", "/a"), ("out", "/c"), ("in", "/b")], [DuplicatePort]),

@@ -33,7 +33,7 @@ def test_messages_of_an_unconnected_publisher_are_dropped_and_no_error(bench):
     for _ in range(3):
         publisher.publish(1)
     bench.connect(out="/t")
-    publisher.publish(1)  # nobody hears it, but it is sent
+    publisher.publish(1)  # it has no subscriber, but it is sent
     bench.connect(out="")
     publisher.publish(1)
     assert (bench.port("out").messages, bench.port("out").dropped) == (1, 4)

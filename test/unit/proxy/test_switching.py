@@ -135,7 +135,7 @@ STEPS = st.lists(
 
 
 class Model:
-    """Two nodelets, and what each of them has to receive.
+    """Two nodelets, and the messages and switches that each of them has to note.
 
     A message goes to all in-ports that are on its topic when it is published, and the callbacks
     of a nodelet run in the order of its messages and switches.
@@ -186,7 +186,7 @@ class Model:
         (self.world.drain if drain else self.world.executor.step)()
 
     def unregister(self, which, port):
-        self.world.drain()  # what waits in its queue is dropped
+        self.world.drain()  # the messages in its queue are dropped
         self.nodelets[which].handles[port].unregister()
         self.gone.add((which, port))
 
@@ -211,7 +211,7 @@ def _grouped(log):
 
 @examples(300)
 @given(STEPS)
-@example(  # a full queue goes before the switch and what follows it; two ports swap their topics
+@example(  # a full queue goes before the switch and later messages; two ports swap their topics
     [
         ("switch", 0, {"out1": "/a", "out2": "/b", "in1": "/a", "in2": "/b"}),
         *[("publish", 0, "out1")] * 100,
@@ -241,7 +241,7 @@ def test_a_bounded_queue_loses_only_what_it_counts(steps, queue_size):
         for port in IN_PORTS:
 
             def mine(log, port=port, moved=model.moved[which]):
-                # A message that takes a dropped one's place may overtake what came in between,
+                # A message that takes a dropped one's place may overtake those in between,
                 # but never a switch of its own port.
                 return [e for e in log if e[0] == port or (e[1] <= 0 and port in moved[-e[1]])]
 

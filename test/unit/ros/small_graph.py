@@ -100,11 +100,11 @@ class SmallManager:
     """Answers polls, reports its process id, and ends on request.
 
     Attributes:
-        kind: what it is if it is a re-wirable node.
+        kind: its kind if it is a re-wirable node; else empty.
         nodelets: names of its nodelets; of a node its own.
         requests: the polls that it answered.
         goes_on: cleared while the process is stopped.
-        ended: set when it was told to end.
+        ended: set when it was requested to end.
         connections: how many clients have connected so far.
         error: sent in the header of each connection for polls; empty: there is none.
     """

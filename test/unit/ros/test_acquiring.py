@@ -26,7 +26,7 @@ class Surroundings:
 
     Attributes:
         connects: by manager, called when its session waits for the connection.
-        open: what is subscribed to or bonded with at present.
+        open: the topics subscribed to and the managers bonded with at present.
     """
 
     def __init__(self):

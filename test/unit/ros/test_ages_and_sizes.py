@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How old messages are, by their headers, and how large, against what is serialised."""
+"""Ages of messages, by their headers, and sizes, against the serialised ones."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The numbers of changes, and what is announced of them."""
+"""The numbers of changes, and their announcements."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bags that are damaged, or are no bags: one error for each, whatever rosbag raises."""
+"""Damaged bags, and files that are not bags: one error for each, whatever rosbag raises."""
 
 from __future__ import annotations
 

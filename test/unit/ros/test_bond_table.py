@@ -27,7 +27,7 @@ TIMINGS = BondTimings(
 
 
 class OneBond:
-    """A table with the bond "id"; each event returns what it brings about, in words."""
+    """A table with the bond "id"; each event returns its effects, in words."""
 
     def __init__(self):
         self.table = BondTable(TIMINGS)
@@ -65,7 +65,7 @@ def bond():
     return OneBond()
 
 
-#: Steps: a time (s), an event, and what the table does then. "over": the bond is forgotten.
+#: Steps: a time (s), an event, and its effects. "over": the bond is forgotten.
 SCRIPTS = {
     "the first heartbeat is answered at once, and silence counts from it": (
         "1 hear alive | 4.9 tick | 5.1 tick dead broken | over"

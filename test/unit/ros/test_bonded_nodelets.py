@@ -14,7 +14,7 @@ from dyknow.ros.bonding.bonded_nodelets import BondedNodelets
 
 
 class FakeBonds:
-    """Bonds that break when they are told to; broken ones can be reported later."""
+    """Bonds that a test breaks; broken ones can be reported later."""
 
     def __init__(self):
         self.living = {}

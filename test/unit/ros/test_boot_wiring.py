@@ -17,7 +17,7 @@ from dyknow.ros.manager.boot_wiring import BootWiring
 
 
 class Boot:
-    """A state, a file, and what is loaded of it."""
+    """A state, a file, and its loaded versions."""
 
     def __init__(self, file: Path) -> None:
         self.file = file

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Children, and what is left of them: records on disk, names, outputs, guards in order."""
+"""Children, and their traces: records on disk, names, outputs, guards in order."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from dyknow.ros.wire.master import Master
 
 
 class FakeLauncher:
-    """Notes what is done, in order; its processes are up at once, and cannot be started."""
+    """Notes clean-ups and launches; its processes are up at once, and cannot be started."""
 
     def __init__(self):
         self.store = Store()
@@ -108,7 +108,7 @@ def new_threads(earlier: Set[threading.Thread]) -> Set[threading.Thread]:
 
 
 def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monkeypatch):
-    """The child is started as soon as its name is free; until then nobody waits for it."""
+    """The child is started as soon as its name is free; until then no call waits for it."""
     monkeypatch.setattr(children_module, "START_TIMEOUT", 3600.0)
     launcher.living = lambda name: ProcessId(-1, -1)
     answers = []

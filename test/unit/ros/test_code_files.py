@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The files of nodelets' code: which they are, and what changes them."""
+"""The files of nodelets' code: which they are, and how their changes are noticed."""
 
 from __future__ import annotations
 

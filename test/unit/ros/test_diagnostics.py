@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the manager reports on /diagnostics, and how the example groups it."""
+"""The manager's reports on /diagnostics, and how the example groups them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Subscribers that leave a topic outside: what is on its way, and who joins meanwhile."""
+"""Subscribers that leave a topic outside: messages on the way, and subscribers that join."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""External processes: who looks for them, which calls never wait for them, and their leases."""
+"""External processes: the search for them, calls that never wait for them, and their leases."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 
 """Compressed images, against those of image_transport's own plug-in.
 
-``compressed_images.json`` has what ``compressed_image_transport`` 1.14 made, in ``republish raw
-compressed``, of the pictures that ``picture`` makes here.
+``compressed_images.json`` has images that ``compressed_image_transport`` 1.14 made, in ``republish
+raw compressed``, of the pictures that ``picture`` makes here.
 """
 
 from __future__ import annotations

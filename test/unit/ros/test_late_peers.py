@@ -60,7 +60,7 @@ def test_the_oldest_messages_are_dropped(size, kept):
 
 def test_more_messages_are_kept_once_a_publication_with_a_larger_queue_comes():
     backlog = Backlog()
-    backlog.widen(5)  # nobody is expected
+    backlog.widen(5)  # no subscriber is expected
     backlog.expect([ONE, TWO, THREE], 1)
     for number, size in enumerate([1, 3, 2, 0]):
         backlog.keep(number)

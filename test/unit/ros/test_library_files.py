@@ -51,7 +51,7 @@ class Files:
         self.restart()
 
     def restart(self):
-        """Begin again as the manager does, with the same library."""
+        """Start again as the manager does, with the same library."""
         self.files = LibraryFiles(
             self.settings,
             self.store,

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Questions to a real ROS master, and what a new one gets back of the nodes that live."""
+"""Questions to a real ROS master, and the registrations that a new one gets of living nodes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _pids = itertools.count(5000)
 
 
 class Core:
-    """A ROS master, and others in its place later."""
+    """A ROS master, and its successors at the same address."""
 
     def __init__(self) -> None:
         self._master = rosmaster.master.Master(port=0)
@@ -433,7 +433,7 @@ def uri(monkeypatch):
 
 
 def test_the_master_forgets_a_node_that_is_purged_and_no_successor(uri):
-    """Else it would tell whoever has that address by then to end, as soon as the name is back."""
+    """Else it would end a later process at that address, as soon as the name is back."""
     dead = Master("/dead", uri)
     dead.ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
     dead.ask("registerSubscriber", "/topic", "std_msgs/Empty", URI)
@@ -501,7 +501,7 @@ def test_many_questions_are_one_request(uri):
 
 
 def test_a_master_that_does_not_know_the_caller_is_new(uri):
-    """What it lacks, it lacks for a moment."""
+    """It lacks registrations only for a moment."""
     Master("/node", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
     asking = Master("/asking", uri)
     with pytest.raises(PeerTimeout, match="new"):

@@ -47,7 +47,7 @@ FORKS = (
     "if not pid: print('up', os.getpid(), flush=True)\n"
     "time.sleep(1000)",
 )
-#: Its forked process is told to end first, then it is itself.
+#: Sends SIGTERM to its forked process first, then to itself.
 HANDLES = """
 import os, queue, signal, threading, time
 from dyknow.ros.process.signals import on_signals
@@ -89,7 +89,7 @@ def test_the_end_of_a_child_is_noticed_and_how_it_ended(tmp_path):
     assert not found.alive
     found.signal(signal.SIGKILL)  # no process is there to get it
     assert found.wait(PATIENCE)
-    assert found.wait_for_rest() is None  # it was told already, or is no child
+    assert found.wait_for_rest() is None  # it was returned already, or this is not a child
     assert os_process.start(EXITS, str(tmp_path / "o"), str(tmp_path)).wait_for_rest() == 3
 
 
@@ -135,7 +135,7 @@ def test_end_asks_and_then_forces(tmp_path, command):
 
 def test_processes_are_known_by_their_environment(tmp_path):
     name = ChildRecord("/robot/n", NodeletKind.CPP, "/robot/x")
-    lock = str(tmp_path / "lock")  # others may run this test at the same time
+    lock = str(tmp_path / "lock")  # other processes may run this test at the same time
     tag = {child_records.TAG: child_records.to_tag(name, lock)}
     output = str(tmp_path / "output")
     found = os_process.start((*SLEEP, "__name:=n"), output, str(tmp_path), tag)
@@ -237,7 +237,7 @@ def test_an_output_is_locked_while_its_process_runs(tmp_path):
     eventually(lambda: not os_process.is_locked(output))
 
 
-# Processes that end with their owner, who is told how one has ended
+# Processes that end with their owner, which learns how one has ended
 
 
 def is_up(processes: Processes, number: int) -> bool:

@@ -146,7 +146,7 @@ def test_a_publication_that_comes_while_a_subscriber_connects(topic):
 
 
 def test_a_subscriber_that_can_be_seen_is_heard(topic):
-    """Whatever else is noted at the moment in which it connects."""
+    """Even if dead subscribers are forgotten at the moment in which it connects."""
     publisher = topic.advertise(1)
     add, heard = topic.handles._outbound, []
 

@@ -104,7 +104,7 @@ def test_what_the_load_misspells_is_unknown(script, maker):
 
 
 def test_a_lazy_script_may_have_both():
-    """Either its load names both, or it watches who subscribes."""
+    """Either its load names both, or it watches its subscribers."""
     named = Script(**{"/robot/script/image": "/x"})
     named.handle.Publisher("~image", Message)
     watching = Script()

@@ -281,7 +281,7 @@ def test_frames_are_read_one_by_one_however_they_arrive(link):
         connection.receive_frame(in_time)
 
 
-# Polls: which changes are asked for, and processes that answer none
+# Polls: the changes that they request, and processes that answer none
 
 
 UNKNOWN_TO_ROSCPP = "received a tcpros connection for a nonexistent service [/manager/poll]."

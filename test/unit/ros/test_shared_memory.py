@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Memory that processes share: its regions, what is packed for it, and queues of subscribers."""
+"""Memory that processes share: its regions, packed messages, and queues of subscribers."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def test_a_reader_can_only_read(arena):
         os.ftruncate(arena._file, 0)
 
 
-# What is packed for it is the message, for every class of it that may receive it
+# A packed message equals the ordinary one, in every class that may receive it
 
 
 PAIR = genpy.dynamic.generate_dynamic(
@@ -392,7 +392,7 @@ def test_any_content_arrives(text, left, right, more):
         assert Packed(message, 7).plain() == ordinary(message)
 
 
-# The queue of one subscriber: what is sent at once, what waits, what is dropped
+# The queue of one subscriber: messages that are sent at once, wait, or are dropped
 
 
 class Connection:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Of two managers of one name exactly one goes on, whoever looks or registers first."""
+"""Of two managers of one name exactly one goes on, whichever looks or registers first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAME = "/dyknow_manager"
 
 
 class Parameters:
-    """A master as far as tenures need one: parameters, and who registered last."""
+    """A master as far as tenures need one: parameters, and the last node that registered."""
 
     def __init__(self) -> None:
         self.values: Dict[str, Any] = {}
@@ -97,7 +97,7 @@ def test_the_elder_goes_on_in_whatever_order_they_look(
 ) -> None:
     elder, younger = pair
     for step in (*steps, "elder", "younger"):
-        if step == "stray":  # what the elder sent before it could be told arrives
+        if step == "stray":  # a registration that the elder sent earlier arrives
             elder.register()
         else:
             (elder if step == "elder" else younger).look()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Texts of errors that leave the process, with what no message can have."""
+"""Texts of errors that leave the process, with characters or lengths that no message can have."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from dyknow.ros.nodelets.announcements import Announcer
 
 
 class Fault:
-    """Raises the first time, then does what it stands for."""
+    """Raises the first time, and then does its work."""
 
     def __init__(self, work=lambda *arguments, **kwds: None):
         self._work = work

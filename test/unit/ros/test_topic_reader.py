@@ -25,10 +25,10 @@ from dyknow.ros.wire.topic_reader import TopicFollower, TopicReader
 
 
 class SmallPublisher(SmallManager):
-    """Sends what it is told to whoever connects.
+    """Accepts connections, to which a test sends messages.
 
     Attributes:
-        asked: an entry for each connection that was asked for.
+        asked: an entry for each requested connection.
         readers: the connections.
         answers: cleared while requests are not answered.
     """
@@ -77,7 +77,7 @@ def publisher(graph):
 
 
 class Following:
-    """A follower, and what it has handed on."""
+    """A follower, and the messages that it has handed on."""
 
     def __init__(self, graph, last_only=False):
         self.heard: queue.SimpleQueue[str] = queue.SimpleQueue()

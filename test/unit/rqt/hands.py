@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What hands and eyes do with the window."""
+"""A user's hands and eyes on the window."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def until(qtbot, condition):
 
 
 def is_settled(window):
-    """Whether all that was asked for is laid out and drawn."""
+    """Whether all that was requested is laid out and drawn."""
     graph, scene = window.graph, window.graph.view.scene()
     is_drawn = not (graph._calls.is_calling or scene.slices.is_wanted(scene._draw))
     return is_drawn and graph.layouter.is_idle

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-#: What becomes of linear red, green and blue (Machado, Oliveira and Fernandes 2009, severity 1).
+#: Matrices for linear red, green and blue (Machado, Oliveira and Fernandes 2009, severity 1).
 SIGHTS = {
     "all cones": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "no long cones": (

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the window says of the master and the manager: gone, silent, strange, and back."""
+"""The window's reports on the master and the manager: gone, silent, strange, and back."""
 
 from __future__ import annotations
 

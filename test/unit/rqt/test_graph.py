@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What is drawn of the computation graph, without Qt and ROS."""
+"""The drawing of the computation graph, without Qt and ROS."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def nodelet(name, *ports):
 
 
 def chain(count, extra=()):
-    """Nodelets `/nNN`, each publishing what the next receives."""
+    """Nodelets `/nNN`, each publishing the topic that the next one receives."""
     return Snapshot(
         tuple(
             nodelet(f"/n{i:02}", *([f">in=/t{i - 1:02}"] if i else []), f"out>=/t{i:02}")
@@ -269,7 +269,7 @@ ADDITIONS = [
 
 @pytest.mark.parametrize("added", ADDITIONS, ids=lambda each: each.name)
 def test_a_nodelet_more_leaves_the_others_where_they_are(added):
-    """The others are 20 nodelets and their topics: at most 4 of the 40 may move."""
+    """Beside 20 nodelets and their topics: at most 4 of the 40 may move."""
     before, after = (figure_of(chain(20, extra), Options()) for extra in ((), (added,)))
     old = laid_out(before)
     new = stabilise(old, before, laid_out(after), after, sizes_of(after))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The graph, used as a person uses it: pointer, wheel, filters, search, and what is drawn."""
+"""The graph, used as a person uses it: pointer, wheel, filters, search, and the drawing."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_options_change_what_is_drawn(qtbot, window, remote):
     remote.subscribers = {}
     bar.choose("dead_sinks", 1)
     until(qtbot, lambda: "t_/field/tracker/track" not in vertex_keys(window))
-    remote.subscribers = readers  # with its reader the topic is no dead sink
+    remote.subscribers = readers  # with its reader the topic is not a dead sink
     bar.choose("nodes", 1)
     until(qtbot, lambda: "p_/team_view" in vertex_keys(window))
     bar.choose("mode", 1)
@@ -171,7 +171,7 @@ def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(qtbot, win
         until(qtbot, lambda item=item, words=words: scene.facts.tip_of(item).endswith(words))
     assert "sensor_msgs/Image" in scene.facts.tip_of(item)
     assert "HSV(?robot, ?camera)" in scene.facts.tip_of(item)
-    assert asked == [{node}] * 3  # and nobody else is asked, ever
+    assert asked == [{node}] * 3  # and no other node is queried, ever
     assert "connections" not in scene.facts.tip_of(scene.vertices["n_/nao1/subsampler"])
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Health at a glance: what is not well is counted, and led to one by one."""
+"""Health at a glance: problems are counted, and links lead to them one by one."""
 
 from __future__ import annotations
 

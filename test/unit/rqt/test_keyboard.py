@@ -24,7 +24,7 @@ from dyknow_rqt.widgets import KEYS, KeysDialog
 
 
 def with_focus(window):
-    """Widgets that take it; of what is put together, only the whole listens to keys."""
+    """Widgets that take the focus; a composite widget counts as a whole."""
     return [
         widget
         for widget in window.findChildren(QWidget)

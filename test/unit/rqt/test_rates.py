@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Rates are computed over time, and begin anew where a stream does."""
+"""Rates are computed over time, and start again where a stream does."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Source:
         return None if traffic is None else (traffic.rate, traffic.drop_rate)
 
     def passes(self, seconds, rate=0.0, lost=0.0, told=True):
-        """Let time pass; returns what is shown meanwhile, once for each value."""
+        """Let time pass; returns the values that are shown meanwhile, each once."""
         found = []
         for _ in range(round(seconds / PERIOD)):
             self.time += PERIOD

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Many nodelets and little room: what is found is shown, what is small is painted together."""
+"""Many nodelets and little room: search hits are shown, and small parts are painted together."""
 
 from __future__ import annotations
 

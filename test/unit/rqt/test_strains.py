@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What stands out in the drawing: much data, old messages, drops, load and errors."""
+"""Strains stand out in the drawing: much data, old messages, drops, load and errors."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Re-wiring to watch: marks on what came, went, moved or was mended, and the time-line."""
+"""Re-wiring to watch: marks on parts that came, went, moved or were mended, and the time-line."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The last message of a topic: what is shown of it; it is heard only while it is shown."""
+"""The last message of a topic, as it is shown; its topic is heard only while it is shown."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def place_on(view, topic, head):
     return view.mapFromScene(view.scene().edges[edge].path.pointAtPercent(0.5))
 
 
-# What is shown of a message
+# A message as it is shown
 
 
 def test_a_message_is_written_as_echo_does():

@@ -181,7 +181,7 @@ def test_a_hidden_control_panel_comes_back_after_a_restart(qtbot, window, remote
     other = DyKnowWidget(remote)
     qtbot.addWidget(other, before_close_func=lambda w: w.shut_down())
     other.resize(window.size())
-    other.setVisible(is_shown)  # as in rqt, which restores what it has shown
+    other.setVisible(is_shown)  # as in rqt, which restores a widget that it has shown
     other.restore(window.state())
     other.show()
     assert not other.tabs.isVisible()

@@ -134,7 +134,7 @@ def annotated(tmp_path):
 def test_only_annotated_frames_are_read(annotated):
     missed, found = read_frames(annotated)
     assert [frame.image.name for frame in (missed, found)] == ["a.png", "b.png"]
-    assert list(found.balls) == [(0.5, 0.5, 0.1333, 0.1)]  # class 2 is no ball
+    assert list(found.balls) == [(0.5, 0.5, 0.1333, 0.1)]  # class 2 is not a ball
     without, example = learn.example_of(missed, 0), learn.example_of(found, 1)
     assert (without.balls, without.by_limits, any(without.hits)) == (1, False, False)
     assert (example.balls, example.by_limits, any(example.hits)) == (1, True, True)

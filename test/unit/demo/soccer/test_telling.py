@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the demonstration tells: the track's figures, changes of the graph, and its pictures."""
+"""The demonstration's story: the track's figures, changes of the graph, and its pictures."""
 
 from __future__ import annotations
 

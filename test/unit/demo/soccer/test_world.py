@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The simulated truth and what cameras make of it."""
+"""The simulated truth, and the images of its cameras."""
 
 from __future__ import annotations
 
