@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from typing import Iterator
 
@@ -31,6 +32,19 @@ def no_lock_violations() -> Iterator[None]:
     yield
     found = _violations()[len(before) :]
     assert not found, f"the policy of doc/locks.rst was not kept:\n{found}"
+
+
+@pytest.fixture(autouse=True)
+def only_own_records(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Leave out of ``caplog`` the records of threads that an earlier test has left."""
+    earlier = {*threading.enumerate()} - {threading.current_thread()}
+
+    def is_own(record: object) -> bool:
+        return threading.current_thread() not in earlier
+
+    caplog.handler.addFilter(is_own)
+    yield
+    caplog.handler.removeFilter(is_own)
 
 
 @pytest.fixture
