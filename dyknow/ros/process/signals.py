@@ -11,10 +11,12 @@ here.
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import os
 import signal
 import threading
+import time
 from typing import Any, Callable, Iterable, Iterator
 
 from dyknow.periodic import attempt, in_background
@@ -44,16 +46,19 @@ def raise_interrupt(number: int, frame: Any) -> None:
     """
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            here = threading.get_ident()
-            again = threading.Timer(_AGAIN, signal.pthread_kill, (here, number))
-            again.daemon = True
-            again.start()
+            # A thread of ``threading`` takes a lock that the interrupted code may hold.
+            _thread.start_new_thread(_send_again, (threading.get_ident(), number))
             return
         frame = frame.f_back
     if number != signal.SIGINT:
         signal.signal(number, signal.SIG_IGN)
     _raised.set()
     raise KeyboardInterrupt
+
+
+def _send_again(thread: int, number: int) -> None:
+    time.sleep(_AGAIN)
+    signal.pthread_kill(thread, number)
 
 
 def raise_swallowed() -> None:
