@@ -57,16 +57,15 @@ class Evaluator:
         inputs: the arguments of ``step``, in their order.
         atoms: the atoms, numbered as for ``Note``.
         horizon: how many states later a truth is decided at the latest.
-        reported: the truths that are verdicts; ``always`` without bounds is never TRUE.
         step: called once for each state, in their order. An input is None where it is unknown.
             Returns the truths of the states that are decided now, in the order of states.
     """
 
-    __slots__ = ("atoms", "horizon", "inputs", "reported", "step")
+    __slots__ = ("atoms", "horizon", "inputs", "step")
 
     def __init__(self, formula: Node, period: int, note: Note | None = None) -> None:
         """Compile a formula for states that are ``period`` nanoseconds apart."""
-        formula, self.reported = endless(formula)
+        formula, _ = endless(formula)
         writer = _Writer(period, note is not None)
         result = writer.formula(formula)
         self.inputs: Tuple[Input, ...] = tuple(writer.inputs)
@@ -308,9 +307,8 @@ class _Writer:
             path = (f"[{s}]" if isinstance(s, int) else f".{s}" for s in expression.path)
             return f"{around}({port}{''.join(path)})" if around else port + "".join(path)
         if isinstance(expression, Constant):
-            owner = Field(expression.of.port, expression.of.path[:-1])
-            names = self._constant((expression.name, expression.of.path[-1:]))
-            return f"constant({self._expression(owner)}, {names})"
+            names = self._constant(expression.names)
+            return f"constant({self._expression(expression.owner)}, {names})"
         if isinstance(expression, Arithmetic):
             sides = (expression.left, expression.right)
             left, right = (self._expression(each, around) for each in sides)
@@ -379,13 +377,12 @@ def _seconds(value: Any) -> Any:
     return value.to_sec() if hasattr(value, "to_sec") else value
 
 
-def _constant(message: Any, names: Tuple[str, Tuple[str, ...]]) -> Any:
-    """Look a constant up in a message; its name may begin with that of the field."""
-    name, fields = names
-    for each in (name, *(f"{field.upper()}_{name}" for field in fields)):
+def _constant(message: Any, names: Sequence[str]) -> Any:
+    """Look a constant up in a message, by its possible names."""
+    for each in names:
         if hasattr(message, each):
             return getattr(message, each)
-    raise AttributeError(name)
+    raise AttributeError(names[0])
 
 
 def _truth(value: Any) -> int:

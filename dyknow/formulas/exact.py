@@ -128,7 +128,7 @@ class ExactEvaluator:
 
     def __init__(self, formula: Node, period: int, note: Note | None, limit: int) -> None:
         """Compile a formula; at most ``limit`` diagrams are kept."""
-        self._formula, self.reported = endless(formula)
+        self._formula, _ = endless(formula)
         self._period = period
         self._reader = AtomReader(self._formula, period, note)
         self.inputs, self.atoms = self._reader.inputs, self._reader.atoms

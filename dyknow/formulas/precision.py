@@ -10,15 +10,12 @@ that was sent or recorded has the nearest values of 32 bits, so that 0.2 is a li
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence as AbstractSequence
 from ctypes import c_float
 from functools import lru_cache
 from typing import Any, Mapping
 
-from dyknow.formulas.types import known_type, type_of
-
-_ARRAY = re.compile(r"(.*)\[\d*\]\Z")
+from dyknow.formulas.types import ARRAY, known_type, type_of
 
 
 class Single(float):
@@ -110,7 +107,7 @@ def _types_of(message_class: Any) -> Mapping[str, str]:
 
 
 def _has_singles(datatype: str) -> bool:
-    array = _ARRAY.match(datatype)
+    array = ARRAY.match(datatype)
     element = array.group(1) if array else datatype
     found = known_type(element) if "/" in element else None
     fields = () if found is None else found.fields.values()
@@ -123,7 +120,7 @@ def _read(value: Any, datatype: str) -> Any:
             return Single(c_float(value).value)
         except TypeError:  # its author put something else there
             return value
-    array = _ARRAY.match(datatype)
+    array = ARRAY.match(datatype)
     return _Array(value, array.group(1)) if array else narrowed(value)
 
 

@@ -83,6 +83,23 @@ class Constant:
     of: Field
     place: int = field(default=0, compare=False)
 
+    @property
+    def owner(self) -> Field:
+        """The message that has the constant: that of the field, or of the array it is in."""
+        return Field(self.of.port, self._path[:-1], self.place)
+
+    @property
+    def names(self) -> Tuple[str, ...]:
+        """The names that the constant may have."""
+        return (self.name, *(f"{str(step).upper()}_{self.name}" for step in self._path[-1:]))
+
+    @property
+    def _path(self) -> Tuple[Union[str, int], ...]:
+        path = self.of.path
+        while path and isinstance(path[-1], int):
+            path = path[:-1]
+        return path
+
     def __str__(self) -> str:
         return self.name
 

@@ -25,7 +25,7 @@ from dyknow.formulas.tree import (
 )
 from dyknow.similar import did_you_mean
 
-_ARRAY = re.compile(r"(.*)\[\d*\]\Z")
+ARRAY = re.compile(r"(.*)\[\d*\]\Z")
 _NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _NUMBERS |= {"float32", "float64", "byte", "char", "time", "duration"}
 #: Most names that an error lists.
@@ -107,7 +107,7 @@ class _Checker:
             return "flag" if call.function == "present" else "number"
         for each in call.arguments:
             kind = self.kind(each)
-            is_array = bool(_ARRAY.match(kind))
+            is_array = bool(ARRAY.match(kind))
             if call.function == "len":
                 is_fit = is_array or kind in ("", "text")
             elif call.function == "norm" and len(call.arguments) == 1:
@@ -134,7 +134,7 @@ class _Checker:
         owner = self._types[field.port]
         kind, done = (owner.name if owner is not None else ""), field.port
         for step in field.path:
-            array = _ARRAY.match(kind)
+            array = ARRAY.match(kind)
             if isinstance(step, int):
                 if kind and not array:
                     self._fail(field.place, f"'{done}' has no index: it is {_a(kind)}")
@@ -149,16 +149,14 @@ class _Checker:
                 problem = f"{owner.name} has no field '{step}'{hint or ';'}"
                 self._fail(field.place, f"{problem} its fields are: {_names(owner.fields)}")
             kind, done = (_kind(owner.fields[step]) if owner is not None else ""), f"{done}.{step}"
-            owner = self._lookup(kind) if "/" in kind and not _ARRAY.match(kind) else None
+            owner = self._lookup(kind) if "/" in kind and not ARRAY.match(kind) else None
         return kind
 
     def _check_constant(self, constant: Constant) -> None:
-        path = constant.of.path
-        owner = self._lookup(self._field(Field(constant.of.port, path[:-1], constant.place)))
+        owner = self._lookup(self._field(constant.owner))
         if owner is None:
             return
-        prefixed = f"{str(path[-1]).upper()}_{constant.name}" if path else ""
-        if not owner.constants & {constant.name, prefixed}:
+        if not owner.constants.intersection(constant.names):
             hint = did_you_mean(constant.name, owner.constants)
             problem = f"{owner.name} has no constant '{constant.name}'{hint or ';'}"
             self._fail(constant.place, f"{problem} its constants are: {_names(owner.constants)}")
@@ -166,7 +164,7 @@ class _Checker:
     def comparable(self, atom: Comparison, left: str, right: str) -> None:
         """Check that two kinds can be compared."""
         for kind, side in ((left, atom.left), (right, atom.right)):
-            if "/" in kind or _ARRAY.match(kind):
+            if "/" in kind or ARRAY.match(kind):
                 place = getattr(side, "place", 0)
                 owner = self._lookup(kind)
                 hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
@@ -197,7 +195,7 @@ def _kind(datatype: str) -> str:
 
 def _a(kind: str) -> str:
     article = "an" if kind[:1] in "aeiou" else "a"
-    return f"an array {kind}" if _ARRAY.match(kind) else f"{article} {kind}"
+    return f"an array {kind}" if ARRAY.match(kind) else f"{article} {kind}"
 
 
 def _names(names: Any) -> str:

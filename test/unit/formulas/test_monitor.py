@@ -351,9 +351,11 @@ def test_times_and_constants_of_messages() -> None:
 
         def __init__(self, state: int) -> None:
             self.state = state
+            self.channels = [0, state]
             self.since = SimpleNamespace(to_sec=lambda: 2.5)
 
-    monitor = parse("s.since < 3 s and (s.state == STATE_READY or s.state == READY)").monitor(1.0)
+    ready = "(s.state == STATE_READY or s.channels[1] == READY or s.channels[0] == READY)"
+    monitor = parse(f"s.since < 3 s and {ready}").monitor(1.0)
     verdicts = [v for n in range(3) for v in monitor.feed("s", Status(n + 2), float(n))]
     verdicts += monitor.finish()
     assert [each.value for each in verdicts] == [Truth.FALSE, Truth.TRUE, Truth.FALSE]

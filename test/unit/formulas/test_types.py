@@ -51,6 +51,7 @@ PORTS = {
         "battery.percentage > 0.2",
         "battery.supply_status == CHARGING",
         "battery.supply_status == SUPPLY_STATUS_FULL or battery.supply_status == OTHER",
+        "battery.cells[0] == OTHER",
         "battery.header.stamp > 3 s",
         "battery.cells[2] > 1 and len(battery.cells) > 2 and norm(battery.cells) < 9",
         "battery.present and battery.present != false and flag and charged",
@@ -95,6 +96,11 @@ def test_what_fits(text: str) -> None:
         ("abs(battery.location) > 2", 1, "abs cannot be applied to 'battery.location', a text"),
         ("norm(battery.percentage) > 2", 1, "norm cannot be applied to 'battery.percentage'"),
         ("len(battery.percentage) > 2", 1, "len cannot be applied to 'battery.percentage'"),
+        (
+            "battery.cells[0] == OTHR",
+            21,
+            "robot_msgs/Battery has no constant 'OTHR'; did you mean OTHER?",
+        ),
         (
             "battery.supply_status == CHARGIN",
             26,
