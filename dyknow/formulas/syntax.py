@@ -388,7 +388,10 @@ class _Parser:
             hint = did_you_mean(token.text, {*FUNCTIONS, *_WORDS})
             self._fail(f"'{token.text}' is not a function{hint}", token.place)
         self._take()
-        arguments = [self._expression(self._sum())]
+        first = self._sum()
+        if token.text in OF_PORTS and isinstance(first, _Name):
+            first = Field(first.name, (), first.place)
+        arguments = [self._expression(first)]
         while self._accept(","):
             arguments.append(self._expression(self._sum()))
         self._expect(")", f" after the arguments of {token.text}")

@@ -38,6 +38,7 @@ from dyknow.formulas.syntax import MAX_DEPTH, MAX_HEIGHT, MAX_LENGTH
         ("status.state == CHARGING", "status.state == CHARGING"),
         ("age(a) < 500 ms and rate(a, 2 s) > 5", "(age(a) < 0.5) and (rate(a, 2) > 5)"),
         ("present(a) and a.ok", "present(a) and a.ok"),
+        ("rate(IMU) > 5 and IMU.x > 1", "(rate(IMU) > 5) and (IMU.x > 1)"),
         ("max(a.x, norm(a.p), len(a.l)) != 2", "max(a.x, norm(a.p), len(a.l)) != 2"),
         ("every ?c: Camera (p)", "every ?c: Camera (p)"),
         ("some ?c (once[0,1] p) and q", "some ?c (once[0 s, 1 s] p) and q"),
