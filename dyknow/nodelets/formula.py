@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from dyknow_msgs.msg import Verdict as VerdictMessage
@@ -49,7 +50,10 @@ class FormulaNodelet(dyknow.Nodelet):
             self.nh.get_param("~exact", False),
             self.nh.get_param("~max_nodes", 1000),
         )
-        types = {port: self.message_class(port) for port in formula.ports}
+        types = {
+            port: get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")
+            for port in formula.ports
+        }
         check(formula, {port: kind._type for port, kind in types.items()})
         tags = tags_of_individuals(formula, self.nh.get_param("~individuals", {}))
         self.pub = self.nh.Publisher(
@@ -60,8 +64,9 @@ class FormulaNodelet(dyknow.Nodelet):
                 callback = partial(self.on_message, port, "")
                 self.nh.Subscriber(port, types[port], callback, queue_size=100)
         self.individuals: IndividualStreams | None = None
-        #: Whether the monitor knows the first individuals.
-        self.is_complete = not tags
+        #: The last message of each port, of an individual, that the monitor has not received.
+        self.waiting: dict[tuple[str, str], Any] = {}
+        self.late = 0
         if tags:
             client = ManagerClient(self.nh.get_param("~manager", "dyknow_manager"), self.name)
             self.individuals = IndividualStreams(client, tags, types, self.subscribe, self.name)
@@ -74,32 +79,48 @@ class FormulaNodelet(dyknow.Nodelet):
 
     def subscribe(self, port: str, individual: str, topic: str, message_class: Any) -> Any:
         """Receive the stream of an individual."""
+        self.waiting.pop((port, individual), None)  # of its last stream
         callback = partial(self.on_message, port, individual)
         return self.node_handle.Subscriber(topic, message_class, callback, queue_size=100)
 
     def on_message(self, port: str, individual: str, message: Any) -> None:
         """Publish the verdicts that the message decides."""
-        now = self.nh.Time.now()
-        if self.is_complete or self.note_individuals(now):  # no state begins before
-            self.publish(self.monitor.feed(port, message, now, individual))
+        self.waiting[port, individual] = message
+        self.take(self.nh.Time.now())
+        if self.monitor.late > self.late:
+            self.late = self.monitor.late
+            self.nh.logwarn_throttle(
+                60.0,
+                "%s: a message of port %s came more than ~delay after its stamp, too late for its "
+                "state; such messages are ignored, %d so far",
+                self.name,
+                port,
+                self.late,
+            )
 
     def on_timer(self, event: Any) -> None:
         """Close the states that are due."""
         try:
             now = self.nh.Time.now()
-            if self.note_individuals(now):
+            if self.take(now):
                 self.publish(self.monitor.advance(now))
         finally:
             wait = self.nh.Duration(self.wait())
             self.timer = self.nh.Timer(wait, self.on_timer, oneshot=True)
 
-    def note_individuals(self, now: Any) -> bool:
-        """Note the individuals that are present; False before the first look for them."""
+    def take(self, now: Any) -> bool:
+        """Take present individuals, and messages; False before the first look for individuals."""
         present = {} if self.individuals is None else self.individuals.present()
-        for variable, names in (present or {}).items():
+        if present is None:
+            return False
+        for variable, names in present.items():
             self.publish(self.monitor.individuals(variable, names, now))
-        self.is_complete = present is not None
-        return self.is_complete
+        known = {"", *chain(*present.values())}
+        for port, individual in list(self.waiting):
+            if individual in known:
+                message = self.waiting.pop((port, individual))
+                self.publish(self.monitor.feed(port, message, now, individual))
+        return True
 
     def wait(self) -> float:
         """Return the seconds until a state closes that no message has closed."""
@@ -113,7 +134,3 @@ class FormulaNodelet(dyknow.Nodelet):
             message.header.stamp = Time(0, verdict.stamp)
             message.since = Time(0, verdict.since)
             self.pub.publish(message)
-
-    def message_class(self, port: str) -> Any:
-        """Return the message class of an in-port."""
-        return get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")

@@ -85,6 +85,8 @@ def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if not shell.as_json:
         false, unknown = counts[Truth.FALSE], counts[Truth.UNKNOWN]
         shell.error(f"FALSE in {false}, UNKNOWN in {unknown} of {sum(counts.values())} states")
+        if monitor.late:
+            shell.error(f"{monitor.late} messages came too late for their states (--delay)")
     return FAILED if counts[Truth.FALSE] else None
 
 

@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import queue
-import time
 from functools import partial
+from itertools import chain
 from typing import Any, Callable, Iterator, Mapping, NamedTuple
 
 import rospy
 
 from dyknow.formulas import Monitor, Verdict
 
-#: Most seconds between two looks at the clock.
+#: Most seconds between two looks at the clock and the individuals.
 _PATIENCE = 0.1
 
 
@@ -37,9 +37,12 @@ class LiveTopics:
                 "dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True
             )
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        #: The last message of each port, of an individual, that the monitor has not received.
+        self._waiting: dict[tuple[str, str], Any] = {}
 
     def subscribe(self, port: str, individual: str, topic: str, kind: Any) -> Any:
         """Receive a topic as a port; returns the subscriber."""
+        self._waiting.pop((port, individual), None)  # of its last stream
         return rospy.Subscriber(topic, kind, partial(self._note, port, individual))
 
     def _note(self, port: str, individual: str, message: Any) -> None:
@@ -59,21 +62,22 @@ class LiveTopics:
                 that is not known, and no state begins.
             is_over: whether to end.
         """
-        looked = float("-inf")
         while not is_over() and not rospy.is_shutdown():
             try:
                 received: Received | None = self._received.get(timeout=_PATIENCE)
             except queue.Empty:
                 received = None
+            if received is not None:
+                self._waiting[received.port, received.individual] = received.message
             present = individuals()
             if present is None:
                 continue
             now = rospy.Time.now() if received is None else received.when
-            if received is None or time.monotonic() - looked >= _PATIENCE:
-                looked = time.monotonic()
-                for variable, names in present.items():
-                    yield from monitor.individuals(variable, names, now)
-            if received is None:
-                yield from monitor.advance(now)
-            else:
-                yield from monitor.feed(received.port, received.message, now, received.individual)
+            for variable, names in present.items():
+                yield from monitor.individuals(variable, names, now)
+            known = {"", *chain(*present.values())}
+            for port, individual in list(self._waiting):
+                if individual in known:
+                    message = self._waiting.pop((port, individual))
+                    yield from monitor.feed(port, message, now, individual)
+            yield from monitor.advance(now)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import pytest
 from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
+from genpy import Time
+from std_msgs.msg import Header
 from unit.cli.fake_client import Outcome, run
 
 from dyknow.errors import Refused
@@ -130,3 +132,14 @@ def test_without_a_black_box_the_way_to_one_is_named(client, command):
     told = run(client, command)
     assert told.code == 1
     assert "no black box runs; start one: dyknow record --black-box '/camera/*'" in told.err
+
+
+def test_holds_says_how_many_messages_came_too_late(client, tmp_path):
+    path = str(tmp_path / "late.bag")
+    stamps = (10.0, 11.0, 11.4, 11.8)  # the last two come 0.6 and 0.7 s after their stamps
+    messages = [Verdict(header=Header(stamp=Time(stamp))) for stamp in stamps]
+    times = (10.0, 11.0, 12.0, 12.5)
+    write_bag(path, [KeptMessage("/f", each, at, 0) for each, at in zip(messages, times)])
+    answer = run(client, f"holds 'f.value == 0' --bag {path}")
+    assert answer.code == 0
+    assert "2 messages came too late for their states (--delay)" in answer.err

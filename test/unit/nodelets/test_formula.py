@@ -6,26 +6,64 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Dict, List, Optional
 
 import pytest
+from genpy import Time
+from geometry_msgs.msg import PointStamped
+from std_msgs.msg import Bool, Header
 
+from dyknow.formulas import parse
 from dyknow.nodelets.formula import FormulaNodelet
 
 
-def test_the_timer_goes_on_after_an_error():
+@pytest.fixture
+def nodelet():
+    """The nodelet of a formula, with a clock at `now`, timers and verdicts."""
+    nodelet: Any = FormulaNodelet()
+    nodelet._context = SimpleNamespace(name="/formula")
+    nodelet.individuals, nodelet.waiting, nodelet.late = None, {}, 0
+    nodelet.now, nodelet.timers, nodelet.verdicts, nodelet.warnings = 1.0, [], [], []
+    nodelet.pub = SimpleNamespace(publish=lambda verdict: nodelet.verdicts.append(verdict.value))
+    nodelet.nh = SimpleNamespace(
+        Duration=float,
+        Time=SimpleNamespace(now=lambda: nodelet.now),
+        get_time=lambda: nodelet.now,
+        Timer=lambda *args, oneshot: nodelet.timers.append((*args, oneshot)),
+        logwarn_throttle=lambda period, text, *args: nodelet.warnings.append(text % args),
+    )
+    return nodelet
+
+
+def test_the_timer_goes_on_after_an_error(nodelet):
     def advance(now):
         raise ValueError(now)
 
-    timers = []
-    nodelet: Any = FormulaNodelet()
-    nodelet.individuals = None
+    timers = nodelet.timers
     nodelet.monitor = SimpleNamespace(advance=advance, due=None)
-    nodelet.nh = SimpleNamespace(
-        Duration=float,
-        Time=SimpleNamespace(now=lambda: 1.0),
-        Timer=lambda wait, callback, oneshot: timers.append((wait, callback, oneshot)),
-    )
     with pytest.raises(ValueError, match="1.0"):
         nodelet.on_timer(None)
     assert timers == [(0.1, nodelet.on_timer, True)]
+
+
+def test_messages_wait_until_their_individual_is_present(nodelet):
+    present: List[Optional[Dict[str, List[str]]]] = [None]
+    nodelet.individuals = SimpleNamespace(present=lambda: present[-1])
+    nodelet.monitor = parse("f implies every ?c (g)").monitor(1.0)
+    nodelet.on_message("f", "", Bool(True))  # the only one, of a latched topic
+    nodelet.on_message("g", "left", Bool(True))
+    nodelet.on_message("g", "right", Bool(False))
+    both = ["left", "right"]
+    for nodelet.now, names in ((2.0, ["left"]), (4.0, both), (6.0, both)):
+        present.append({"?c": names})
+        nodelet.on_timer(None)
+    assert nodelet.verdicts == [1, 1, 0, 0]
+
+
+def test_messages_that_come_late_are_reported(nodelet):
+    nodelet.monitor = parse("f.header.seq > 0").monitor(0.1)
+    for nodelet.now, stamp in ((1.0, 1.0), (2.0, 2.0), (2.5, 2.1)):
+        nodelet.on_message("f", "", PointStamped(header=Header(seq=1, stamp=Time(stamp))))
+    (warning,) = nodelet.warnings
+    assert "a message of port f came more than ~delay after its stamp" in warning
+    assert "1 so far" in warning
