@@ -137,6 +137,7 @@ class IndividualStreams:
             self._add(port, name, tag)
             self._told.discard(tag)
         except DyKnowError as error:
+            self._useless.failed(tag)
             if tag not in self._told:
                 rospy.logwarn("the individual %s has no stream %s: %s", name, tag, error)
             self._told.add(tag)
@@ -148,7 +149,6 @@ class IndividualStreams:
             kind = kind or known_class(stream.datatype)
             subscriber = self._subscribe(port, name, stream.topic, kind)
         except BaseException:
-            self._useless.failed(tag)
             stream.release()
             raise
         with self._state_lock:

@@ -150,6 +150,40 @@ def test_a_subscriber_that_is_refused_leaves_no_claim(around, told):
     assert len(told) == 1
 
 
+def test_a_stream_that_cannot_be_made_is_requested_after_growing_pauses(around, told, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(individuals.time, "monotonic", lambda: now[0])
+    requests: List[str] = []
+
+    def acquire(tag, *args, **kwds):
+        requests.append(tag)
+        return around.acquire(tag, *args, **kwds)
+
+    monkeypatch.setattr(individuals, "acquire", acquire)
+    around.impossible = ["Flag(a)"]
+    found = streams(around)
+    for now[0] in range(100):
+        found._look()
+    assert requests.count("Flag(a)") < 10  # each may have spawned nodelets
+
+
+def test_holds_keeps_messages_until_their_individual_is_present(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(sources, "_PATIENCE", 0.0)
+    monkeypatch.setattr(rospy.core, "is_initialized", lambda: True)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(now[0]))
+    live = sources.LiveTopics()
+    live._note("f", "a", Bool(True))
+
+    def present():
+        now[0] += 1.0
+        return {"?c": ["a"]} if now[0] > 2.0 else None
+
+    verdicts = live.verdicts(parse("every ?c (f)").monitor(), present, lambda: False)
+    assert next(verdicts).value == 1
+
+
 def test_what_is_acquired_after_the_end_is_released_at_once(around):
     found = streams(around)
     around.meanwhile = found.close
