@@ -120,7 +120,7 @@ class Builder:
             return ports, ()
         if element is None:
             self._problem(node, 'type="formula": expected a <formula>')
-            return (), ()
+            return ports, ()
         for name in ("source", "params"):
             if any(each.name == name for each in node.children):
                 self._problem(element, f"a formula has no <{name}>; expected <formula> alone")

@@ -94,7 +94,7 @@ class FormulaParts:
         settings = self._settings()
         formula = self._formula
         if formula is None or not outs:
-            return (), ()
+            return tuple(ports), ()
         self._check_ports(formula, ins)
         self._check_types(formula, ins)
         own = [

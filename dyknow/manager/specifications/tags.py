@@ -156,11 +156,6 @@ def read_tags(texts: tuple[str, ...]) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:
-    """Whether a supplied tag matches a demanded one."""
-    return unify(supplied, demanded, ontology) is not None
-
-
 def unify(
     supplied: Term,
     demanded: Term,

@@ -16,8 +16,8 @@ from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, Plan, meets
 from dyknow.manager.specifications.tags import (
     Term,
-    matches,
     parse_tag,
+    unify,
 )
 from dyknow.model.transformation import OUT, Port, Transformation
 
@@ -86,7 +86,8 @@ def test_too_long_and_too_many_are_refused() -> None:
     ],
 )
 def test_supplied_satisfies_demanded(supplied: str, demanded: str, fits: bool) -> None:
-    assert matches(parse_tag(supplied), parse_tag(demanded), Kinds()) is fits
+    found = unify(parse_tag(supplied), parse_tag(demanded), Kinds())
+    assert (found is not None) is fits
 
 
 NAMES = st.sampled_from(["A", "BallObject", "WorldObject", "nao1", "NAO", "Robot", "x"])
