@@ -346,7 +346,13 @@ class ClaimPlanner:
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""
-        return assigned(plan, own, self._ontology)
+        used = self._used_as_they_are(plan)
+        return assigned(plan, [each for each in own if each.name not in used], self._ontology)
+
+    def _used_as_they_are(self, plan: Plan) -> AbstractSet[str]:
+        """Name the nodelets whose streams a plan uses, and those that feed them."""
+        names = {each.nodelet for each in plan.live if each.nodelet}
+        return self._world().upstream(names, self.ordinary)[0].keys()
 
     # The situation
 
@@ -527,7 +533,7 @@ class ClaimPlanner:
         for each in situation.own:
             free.setdefault(each.label, []).append(each.kept)
         with self._planning(situation.known) as (planner, is_aside):
-            return planner.plan(
+            answer = planner.plan(
                 situation.demand,
                 situation.usable,
                 situation.exclude,
@@ -539,6 +545,14 @@ class ClaimPlanner:
                 situation.verdicts,
                 situation.refused,
             )
+        if isinstance(answer, NoPlan):
+            return answer
+        used = self._used_as_they_are(answer)
+        if used.isdisjoint(assigned(answer, situation.own, self._ontology).values()):
+            return answer
+        # The planner has connected a nodelet elsewhere whose stream it uses as well.
+        own = tuple(each for each in situation.own if each.name not in used)
+        return self._searched(situation._replace(own=own))
 
     @contextlib.contextmanager
     def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:

@@ -384,3 +384,42 @@ def reconfigurations(lab: Lab, label: str) -> int:
 def topics(lab: Lab, label: str) -> List[str]:
     (name,) = lab.made_from(label)
     return lab.field.host.nodelet(name).topics("in")
+
+
+@pytest.mark.parametrize("tag", ["Ball", "Track"])
+def test_a_second_nodelet_of_a_transformation_is_replaced_beside_the_first(
+    lab: Lab, tag: str
+) -> None:
+    lab.add_detector()
+    lab.add("tracker", {"in": ("in", ["Ball(?c)"]), "out": ("out", ["Track(?c)"])})
+    pair: Ports = {"one": ("in", [f"{tag}(left)"]), "other": ("in", [f"{tag}(right)"])}
+    lab.add("stereo", {**pair, "out": ("out", ["Stereo(ball)"])})
+    claim = lab.field.acquire("Stereo(ball)").claim
+    lab.settle()
+    first, second = lab.made_from("detector")
+    trackers = lab.made_from("tracker")
+    told = lab.field.host.nodelet(first).reconfigurations
+    for name in (second, *trackers[1:]):
+        lab.field.destroy_by_hand(name)
+    lab.settle()
+    assert lab.field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert first in lab.made_from("detector")
+    assert lab.field.host.nodelet(first).reconfigurations == told
+
+
+def test_an_external_node_that_a_stream_needs_twice_leaves_its_claim_pending(lab: Lab) -> None:
+    host = lab.field.host
+    host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
+    lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(?c)",)}
+    lab.witness.given = lambda name: {}
+    lab.field.manager.add_transformation(FOLLOWER.replace("Track(thing)", "Track(?c)"))
+    pair: Ports = {"one": ("in", ["Track(left)"]), "other": ("in", ["Track(right)"])}
+    lab.add("stereo", {**pair, "out": ("out", ["Stereo(ball)"])})
+    lab.field.spawn("camera left", "/left", config={"out": "/left/image"})
+    config = {"image": "/left/image", "out": "/track"}
+    host.run_node("/robot/follower", "robot/follower", config, NodeletKind.CPP_NODE)
+    lab.field.by_hand["/robot/follower"] = True
+    lab.field.manager.look()
+    with pytest.raises(NoPlanFound) as refusal:
+        lab.field.acquire("Stereo(ball)")
+    assert lab.field.state(refusal.value.claim_id) is ClaimState.PENDING
