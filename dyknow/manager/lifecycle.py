@@ -72,11 +72,13 @@ class StreamKeeper:
         on_death: called with the record of a nodelet of a claim that died.
         on_crash: called with the label of a nodelet whose code ran when its process crashed, and
             that was destroyed since.
+        on_replaced: called with the label of a transformation that was replaced.
     """
 
     fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
     on_death: Callable[[Record], None] = lambda record: None
     on_crash: Callable[[str], None] = lambda label: None
+    on_replaced: Callable[[str], None] = lambda label: None
 
 
 NO_STREAMS = StreamKeeper()
@@ -133,6 +135,12 @@ class Lifecycle:
         self.suspects = Suspects(context.clock.now)
         #: Where they run.
         self.hosts = HostTable(context.host, context.clock.now)
+        self._on_replaced = context.keeper.on_replaced
+
+    def acquit(self, label: str) -> None:
+        """Forget the failures of a transformation, which was replaced."""
+        self.suspects.acquit_transformation(label)
+        self._on_replaced(label)
 
     # Making
 

@@ -107,7 +107,7 @@ class Manager:
         self.guards.check_writable("adding transformations")
         specifications = self.library.add(text, check=self._check_programs)
         for each in specifications.transformations:
-            self.lifecycle.suspects.acquit_transformation(each.label)
+            self.lifecycle.acquit(each.label)
         self.graph.on_change()
         return specifications
 
@@ -278,8 +278,9 @@ class Manager:
         return self.lifecycle.hosts.all(self.graph.all())
 
     def graph_model(self) -> Model:
-        nodelets = tuple([record.status for record in self.graph.all()])
-        return Model(self.graph.revision, self.library.revision, nodelets)
+        # The revisions come first: a change meanwhile is shown with the next one.
+        revisions = self.graph.revision, self.library.revision
+        return Model(*revisions, tuple([record.status for record in self.graph.all()]))
 
     def get_model(self) -> Model:
         """Return nodelets, connections and transformations."""

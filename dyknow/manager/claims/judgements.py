@@ -164,6 +164,13 @@ class StreamMonitor:
         """Count a nodelet that could not be made, or whose code crashed after its end."""
         self._failures.failed(label)
 
+    def forgive(self, label: str) -> None:
+        """Forget the failures of a transformation, which was replaced."""
+        self._failures.forgive(label)
+        for claim in self._table.living:
+            for each in (self._failures_for_claims, self._violations):
+                each.forgive(f"{claim.claim_id} {label}")
+
     def fell(self, record: Record, cause: str = "") -> None:
         """Count a nodelet's death, or silence, against its transformation, once for a cause."""
         lifetime = self._graph.lifetime(record.name)

@@ -102,7 +102,9 @@ class StreamReconciler:
             return self._explained(*self._drafted(claim))
         for number in itertools.count(1):
             known = self._table.same(request)
-            claim, proposal = (known, None) if known is not None else self._drafted(claim)
+            proposal = None
+            if known is None:
+                claim, proposal = self._drafted(claim)
             with self._lock.request():
                 known = self._table.same(request)
                 if known is not None and not known.topic:
@@ -150,6 +152,7 @@ class StreamReconciler:
                 made = self._repair.make(claim, answer, lenient=True)
                 reason = "; ".join(["replanned on request", *made.remarks])
                 changed = self._table.change(claim_id, reason, **made.changes)
+                self._lock.reserved.clear()  # it is made
                 self._collector.clear_topics()
                 return replace(made, claim=changed or claim)
         raise self._refusal(claim, missing)
@@ -340,6 +343,7 @@ def open_reconciler(
         lambda record: connector.world().fitting(record),
         lambda record: monitor.fell(record, record.incarnation),
         lambda label: monitor.failed(label),
+        lambda label: monitor.forgive(label),
     )
     graph = Graph(store, clock, on_change)
     parts = ManagerContext(

@@ -317,7 +317,7 @@ class ManagerNode(Closable):
     def _on_files(self, labels: Collection[str]) -> None:
         self._host.look_for_nodes(self.manager.library.nodes())
         for label in labels:
-            self.manager.lifecycle.suspects.acquit_transformation(label)
+            self.manager.lifecycle.acquit(label)
         self._on_change()
 
     def _on_change(self) -> None:

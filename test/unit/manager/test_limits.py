@@ -368,6 +368,20 @@ def test_a_rate_about_the_limit_makes_nothing_flap(field: LimitField) -> None:
     assert all("/bottom_camera_" in each for each in field.mended())
 
 
+def test_a_replaced_transformation_is_tried_at_once(two_cameras: LimitField) -> None:
+    field = two_cameras
+    field.manager.remove_transformation("fast")
+    field.dividers["soccer/Slow"] = 10
+    claim = field.acquire(RAW, min_rate=RATE).claim
+    field.pass_time(100.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    field.manager.add_transformation(
+        transformation("slow", "soccer/Fast", "out image", f"image {RAW}", 4)
+    )
+    field.pass_time(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
 def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
     field.acquire(min_rate=RATE)
     field.pass_time(10.0)
