@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Tuple
+from dataclasses import replace
+from typing import Callable, Dict, List, Tuple
 
 import pytest
 from unit.manager.world import World
@@ -13,6 +14,7 @@ from unit.manager.world import World
 from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
 from dyknow.manager.observer import PERIOD
+from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, State
 from dyknow.periodic import PAUSE
 
@@ -252,6 +254,24 @@ def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: Wor
     world.kill_manager()
     assert world.states() == {}
     assert len(world.manager.library) == 7
+
+
+def test_a_model_never_has_a_revision_that_is_newer_than_its_nodelets(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world.spawn("camera", "a")
+    graph = world.manager.graph
+    records = graph.all()
+
+    def late() -> List[Record]:
+        monkeypatch.undo()
+        graph.put(replace(graph.get("/a"), detail="new"))
+        return records
+
+    monkeypatch.setattr(graph, "all", late)
+    model = world.manager.get_model()
+    assert model.nodelets[0].detail == ""
+    assert model.revision < world.manager.get_model().revision
 
 
 def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:
