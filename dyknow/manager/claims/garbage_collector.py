@@ -132,7 +132,7 @@ class GarbageCollector:
             for record, ports in self._world().publishers(topic):
                 is_ours = record.claimed or (record.is_described and ours)
                 wires = self._replaced & {(record.name, port, topic) for port in ports}
-                if record.name not in ours:
+                if record.name not in ours and record.name not in self._lock.reserved:
                     self._disconnect(
                         record, ports if is_ours else [port for _, port, _ in sorted(wires)]
                     )

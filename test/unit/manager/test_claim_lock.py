@@ -106,6 +106,36 @@ def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
     assert claim.topic in field.moving
 
 
+def test_a_replanned_stream_keeps_its_publisher_while_its_monitor_is_made(field: Field) -> None:
+    claim = field.acquire(GOAL, require="it.point.x < 3").claim
+    tags = f"ball {BALL}; position {GOAL}"
+    ports = ("soccer/Localization", "in ball, out position")
+    field.manager.add_transformation(transformation("cheap localization", *ports, tags, cost=0))
+    done = meanwhile(field, "/monitor_of_localization_1_position_2", field.tick)
+    goal = field.reconciler.replan(claim.claim_id).claim.goal
+    assert done
+    assert field.host.publishers(claim.topic) == [goal[0]]
+    field.settle()
+    assert not [each for each in field.reasons() if each.startswith("mended")]
+
+
+def test_a_request_whose_claim_ends_meanwhile_gets_another_one(
+    field: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = field.acquire(GOAL, client_id="/client", request_id="1").claim.claim_id
+    lock = field.reconciler._lock
+    begin = lock.request
+
+    def late(claim_id: str = "") -> Any:
+        monkeypatch.setattr(lock, "request", begin)
+        field.reconciler.release(first)
+        return begin(claim_id)
+
+    monkeypatch.setattr(lock, "request", late)
+    assert field.acquire(GOAL, client_id="/client", request_id="1").claim.claim_id != first
+    field.check()
+
+
 def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
     field: Field,
 ) -> None:
