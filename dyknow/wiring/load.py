@@ -23,10 +23,13 @@ def steps_of(plan: LoadPlan, client: BaseManagerClient) -> list[ReversibleStep]:
     """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
     pinned = pins(client.list_hosts()) if plan.remade else {}
     library = [*((None, each) for each in plan.added), *zip(plan.replaced, plan.replacing)]
+    made = [
+        replace(each, manager="") if each.name in plan.any_manager else each for each in plan.made
+    ]
     return [
         *(_end(each, request_of(each.present, pinned), plan, client) for each in plan.remade),
         *(_put(old, new, client) for old, new in library),
-        *(step for nodelet in plan.made for step in _make(nodelet, plan, client)),
+        *(step for each in made for step in making(each, plan.blueprints[each.label], client)),
         *(step for kept in plan.kept for step in _change(kept, client)),
     ]
 
@@ -59,9 +62,7 @@ def _end(
         blueprint = plan.former.get(former.label)
         if blueprint is None:
             raise DyKnowError(f"the library has no '{former.label}' any more")
-        declared, later = _by_declaration(former, blueprint)
-        client.spawn_nodelet(replace(former, config=declared))
-        _connect_undeclared(former.name, later, client)
+        make_again(former, blueprint, client)
         if kept.differences:
             raise DyKnowError("it runs again, but is made as the library says now")
 
@@ -73,18 +74,25 @@ def _end(
     )
 
 
-def _make(
-    nodelet: SpawnRequest, plan: LoadPlan, client: BaseManagerClient
+def making(
+    request: SpawnRequest, blueprint: Transformation, client: BaseManagerClient
 ) -> Iterator[ReversibleStep]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
-    name = nodelet.name
-    config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
-    manager = "" if name in plan.any_manager else nodelet.manager
-    yield spawning(replace(nodelet, config=config, manager=manager), client)
+    name = request.name
+    declared, later = by_declaration(request, blueprint)
+    yield spawning(replace(request, config=declared), client)
     if later:
         connect = partial(_connect_undeclared, name, later, client)
         # Nothing to undo: the connections go with the nodelet.
         yield ReversibleStep(f"connecting '{name}'", name, connect, lambda: None)
+
+
+def make_again(
+    request: SpawnRequest, blueprint: Transformation, client: BaseManagerClient
+) -> None:
+    """Spawn a nodelet that has ended, with all its connections."""
+    for step in making(request, blueprint, client):
+        step.do()
 
 
 def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManagerClient) -> None:
@@ -92,14 +100,14 @@ def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManage
 
     A C++ nodelet may not have them yet; it then puts them where its code says.
     """
-    nodelet = client.get_graph().nodelet(name) if config else None
+    nodelet = client.get_graph().nodelet(name)
     if nodelet is not None and not nodelet.kind.is_written_for_dyknow:
         config = {port: topic for port, topic in config.items() if nodelet.port(port) is not None}
     if config:
         client.connect([(name, config)])
 
 
-def _by_declaration(
+def by_declaration(
     nodelet: SpawnRequest, blueprint: Transformation
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Split the connections into those of declared and of undeclared ports."""

@@ -28,7 +28,7 @@ from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Transformation
-from dyknow.wiring.load import steps_of
+from dyknow.wiring.load import by_declaration, make_again, making, steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -216,7 +216,8 @@ def destroy(name: str) -> Change:
         nodelet = present.snapshot.nodelet(name)
         if nodelet is not None and nodelet.transformation in present.library:
             former = request_of(nodelet, pins(present.client.list_hosts()))
-            undo = partial(present.client.spawn_nodelet, former)
+            made = present.library[nodelet.transformation]
+            undo = partial(make_again, former, made, present.client)
         return partial(present.client.destroy, name), undo
 
     return _one_step(f"destroy {name}", make)
@@ -230,22 +231,18 @@ def isolate(names: Sequence[str], on: bool) -> Change:
         if nodelet is None or nodelet.transformation not in present.library:
             raise CannotUndo(f"the library does not have the transformation of {name}")
         client, before = present.client, request_of(nodelet, pinned)
+        made = present.library[nodelet.transformation]
         after = replace(before, isolated=on, manager=before.manager if before.host else "")
-        return [
-            ReversibleStep(
-                f"end {name}",
-                name,
-                partial(client.destroy, name),
-                partial(client.spawn_nodelet, before),
-            ),
-            ReversibleStep(
-                f"make {name}",
-                name,
-                partial(client.spawn_nodelet, after),
-                partial(client.destroy, name),
-                partial(check_connected, client, name, before.config),
-            ),
-        ]
+        # A nodelet in C++ may not have its further ports yet.
+        declared, _ = by_declaration(before, made)
+        end = ReversibleStep(
+            f"end {name}",
+            name,
+            partial(client.destroy, name),
+            partial(make_again, before, made, client),
+            partial(check_connected, client, name, declared),
+        )
+        return [end, *making(after, made, client)]
 
     def plan(present: Present) -> List[ReversibleStep]:
         pinned = pins(present.client.list_hosts())

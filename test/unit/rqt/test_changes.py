@@ -13,7 +13,7 @@ from dyknow.errors import DyKnowError, InvalidName
 from dyknow.manager.steps import StepFailed
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.hosts import pins
-from dyknow.model.transformation import Parameter
+from dyknow.model.transformation import IN, Parameter
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.example_graphs import soccer
@@ -123,6 +123,16 @@ def test_a_nodelet_that_is_made_again_stays_on_the_host_that_was_named(remote):
 
 def pinned(remote):
     return pins(remote.client.list_hosts())
+
+
+def test_a_nodelet_that_is_made_again_keeps_ports_that_are_not_declared(remote):
+    remote.client.host.sources["soccer/Tracker"] += (("more", IN, "std_msgs/Header"),)
+    remote.client.spawn("tracker", "/x", {"position": "/field/ball"})
+    remote.client.set_config("/x", {"more": "/more"})
+    for change in (isolate(["/x"], True), destroy("/x")):
+        there_and_back(remote, change)
+    apply(remote, isolate(["/x"], True))
+    assert seen(remote).nodelet("/x").connections["more"] == "/more"
 
 
 def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote):
