@@ -27,7 +27,7 @@ from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
-from dyknow.model.transformation import Parameter, Transformation
+from dyknow.model.transformation import NODE, Parameter, Transformation
 from dyknow.wiring.load import by_declaration, make_again, making, steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring, request_of
@@ -232,6 +232,8 @@ def isolate(names: Sequence[str], on: bool) -> Change:
             raise CannotUndo(f"the library does not have the transformation of {name}")
         client, before = present.client, request_of(nodelet, pinned)
         made = present.library[nodelet.transformation]
+        if not on and (made.isolated or made.type == NODE):
+            raise CannotUndo(f"the transformation of {name} gives it a process of its own")
         after = replace(before, isolated=on, manager=before.manager if before.host else "")
         # A nodelet in C++ may not have its further ports yet.
         declared, _ = by_declaration(before, made)

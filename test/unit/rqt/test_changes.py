@@ -135,6 +135,17 @@ def test_a_nodelet_that_is_made_again_keeps_ports_that_are_not_declared(remote):
     assert seen(remote).nodelet("/x").connections["more"] == "/more"
 
 
+@pytest.mark.parametrize("how", ['isolated="true"', 'type="node"'])
+def test_what_needs_a_process_of_its_own_does_not_end_to_share_one(remote, how):
+    remote.client.add_transformation(
+        f"<transformation {how}><label>own</label><source>p/own</source></transformation>"
+    )
+    remote.client.spawn("own", "/x", {})
+    with pytest.raises(CannotUndo, match="of /x gives it a process of its own"):
+        apply(remote, isolate(["/field/tracker", "/x"], False))
+    assert not [call for call in remote.client.calls if call[0] == "destroy"]
+
+
 def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote):
     saved, _ = wiring_of(remote.client.get_model())
     wiring = replace(
