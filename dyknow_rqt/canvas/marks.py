@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, List, Optional, Union
+import math
+import time
+from typing import TYPE_CHECKING, Dict, List, Optional, Tuple, Union
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QPainterPath, QPen
@@ -25,8 +27,8 @@ from dyknow_rqt.graph.moments import Difference
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.scene import GraphScene
 
-#: Milliseconds until marks go.
-LASTING = 8000
+#: Seconds until marks go.
+_LASTING = 8.0
 _FAINT = 0.35
 
 
@@ -40,28 +42,40 @@ class Marks(QObject):
         super().__init__(scene)
         self._scene = scene
         self.report = scene.report
+        #: The ends of differences, with what they mark.
+        self._noted: List[Tuple[float, Difference]] = []
         self._shown = Difference()
         self.ghosts: Dict[str, VertexItem] = {}
         self.links: List[QGraphicsItem] = []
-        self._ending = QTimer(self, singleShot=True, interval=LASTING)
-        self._ending.timeout.connect(self.clear)
+        self._ending = QTimer(self, singleShot=True)
+        self._ending.timeout.connect(self._follow)
 
     def show(self, found: Difference, is_lasting: bool = False) -> None:
-        """Mark a difference besides the marked ones; ``is_lasting`` until the next one."""
-        shown = self._shown
-        self._shown = Difference(
-            (shown.came | found.came) - found.went,
-            (shown.went | found.went) - found.came,
-            shown.moved | found.moved,
-            (*shown.mended, *found.mended),
-        )
-        self._ending.stop() if is_lasting else self._ending.start()
-        self.apply()
+        """Mark a difference besides the marked ones; ``is_lasting`` until all are cleared."""
+        end = math.inf if is_lasting else time.monotonic() + _LASTING
+        self._noted.append((end, found))
+        self._follow()
+
+    def clear(self) -> None:
+        self._noted = []
+        self._follow()
 
     @qt_slot
-    def clear(self) -> None:
-        self._ending.stop()
-        self._shown = Difference()
+    def _follow(self) -> None:
+        """Mark the differences that have not ended."""
+        now, shown = time.monotonic(), Difference()
+        self._noted = [each for each in self._noted if each[0] > now]
+        for _, found in self._noted:
+            shown = Difference(
+                (shown.came | found.came) - found.went,
+                (shown.went | found.went) - found.came,
+                shown.moved | found.moved,
+                (*shown.mended, *found.mended),
+            )
+        self._shown = shown
+        next_end = min((end for end, _ in self._noted), default=math.inf)
+        if next_end < math.inf:
+            self._ending.start(math.ceil((next_end - now) * 1000))
         self.apply()
 
     def of(self, item: Union[EdgeItem, VertexItem]) -> Optional[Mark]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
@@ -105,11 +106,21 @@ def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remo
     assert ghost.mark is Mark.WENT and ghost.scene() is scene and not ghost.isEnabled()
     assert window.graph.view._item_at(window.graph.view.mapFromScene(ghost.pos())) is None
     assert window.graph.view.grab().toImage() != plain
-    marks._ending.setInterval(0)
-    marks._ending.start()
+    marks._noted = [(0.0, found) for _, found in marks._noted]
+    marks._ending.start(0)
     until(qtbot, lambda: not marks.ghosts)
     assert ghost.scene() is None and not any(item.mark for item in scene.edges.values())
     assert not any(item.mark for item in scene.vertices.values())
+
+
+def test_each_mark_ends_in_its_own_time(window, marks, monkeypatch):
+    clock, vertices = SimpleNamespace(), window.graph.view.scene().vertices
+    monkeypatch.setattr("dyknow_rqt.canvas.marks.time", clock, raising=False)
+    for now, came in ((0.0, {"/nao1/resize"}), (7.0, {"/field/tracker"}), (8.0, set())):
+        clock.monotonic = lambda now=now: now
+        marks.show(Difference(frozenset(came)))
+    assert vertices["n_/nao1/resize"].mark is None
+    assert vertices["n_/field/tracker"].mark is Mark.CAME
 
 
 def test_what_replaces_another_is_linked_with_it(qtbot, window, remote, marks):
