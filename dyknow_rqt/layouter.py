@@ -62,6 +62,8 @@ class Layouter(QObject):
         self._next: Optional[DrawingOrder] = None
         self._plan: Optional[_Plan] = None
         self._is_busy = False
+        #: Whether an order that is not laid out as a whole is to be anew.
+        self._is_anew = False
         #: What graphviz was given, with the layout; None if it failed.
         self._made: Dict[str, Optional[Layout]] = {}
         #: Parts that it lays out now, with their texts.
@@ -75,9 +77,8 @@ class Layouter(QObject):
 
     def lay_out(self, order: DrawingOrder) -> None:
         """Lay a figure out, then emit ``ready``, more than once if graphviz takes long."""
-        undone = self._next or (self._plan.order if self._plan is not None else None)
-        anew = order.anew or (undone is not None and undone.anew)
-        self._next = replace(order, anew=anew)
+        self._is_anew = self._is_anew or order.anew
+        self._next = replace(order, anew=self._is_anew)
         self._begin()
 
     @property
@@ -169,7 +170,7 @@ class Layouter(QObject):
         made = {part: self._made.get(text) for part, text in plan.texts.items()}
         layouts = {part: layout for part, layout in made.items() if layout is not None}
         if is_last:
-            self._plan = None
+            self._plan, self._is_anew = None, False
             self._waiting.stop()
             self._made = {text: self._made[text] for text in plan.texts.values()}
         self._is_busy = True

@@ -97,6 +97,16 @@ def test_only_parts_that_have_changed_go_to_graphviz(qtbot, script, tmp_path):
     watched.layouter.close()
 
 
+def test_a_new_layout_is_not_lost_to_a_figure_that_comes_meanwhile(qtbot):
+    watched = Watched()
+    watched.lay_out(chains(3), anew=True)
+    for is_anew in (True, False):
+        watched.lay_out(chains(4))
+        until(qtbot, lambda: watched.layouter.is_idle)
+        assert watched.drawings[-1].is_anew is is_anew
+    watched.layouter.close()
+
+
 def test_a_part_beyond_its_budget_is_spread(qtbot, script):
     watched = Watched(script("while true; do true; done"), budget=1)
     watched.lay_out(chains(2))
