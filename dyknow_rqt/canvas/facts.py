@@ -44,6 +44,7 @@ class Facts:
         nodelet = self._snapshot.nodelet(item.vertex.name)
         if nodelet is None or item.vertex.kind is not VertexKind.NODELET:
             is_dead = item.vertex.key in self._dead
+            item.shown = None
             item.set_appearance(Appearance(State.LOST if is_dead else State.RUNNING))
             return
         item.set_strain(self.strains.get(nodelet.name, Strain()))

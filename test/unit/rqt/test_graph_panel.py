@@ -16,6 +16,7 @@ from unit.rqt.hands import centre_of, drag, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.pictures import save
+from dyknow_rqt.graph.snapshot import Snapshot
 
 
 def test_hovering_lights_up_the_neighbours(qtbot, window, remote):
@@ -187,6 +188,15 @@ def test_states_are_told_apart(window):
     ):
         assert vertices[key]._badge() == badge, key
     assert "no device /dev/video4" in scene.facts.tip_of(vertices["n_/field/ceiling_camera"])
+
+
+def test_a_nodelet_that_is_back_has_its_state_again(window):
+    facts = window.graph.view.scene().facts
+    item = window.graph.view.scene().vertices["n_/field/ceiling_camera"]
+    for snapshot, badge in ((Snapshot(), ""), (window.monitor.snapshot, "failed")):
+        facts.take(snapshot)
+        facts.show_vertex(item)
+        assert item._badge() == badge
 
 
 def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
