@@ -342,10 +342,11 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
     for vertex in figure.vertices:
         home = homes[vertex.key]
         if home is not None:
-            counts[home] = counts.get(home, 0) + (vertex.kind is not VertexKind.TOPIC)
+            counts[home] = counts.get(home, 0) + (vertex.kind is VertexKind.NODELET)
+    notes = {group: f"{count} nodelet{'s' * (count != 1)}" for group, count in counts.items()}
     boxes = [
-        Vertex(_key(group), VertexKind.BOX, group[-1], group[:-1], note=f"{count} nodelets")
-        for group, count in counts.items()
+        Vertex(_key(group), VertexKind.BOX, group[-1], group[:-1], note=note)
+        for group, note in notes.items()
     ]
     others = [v for v in figure.vertices if homes[v.key] is None]
     edges: Dict[object, Edge] = {}

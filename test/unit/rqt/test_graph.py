@@ -185,6 +185,13 @@ def test_boxes_hold_more_than_topics():
     assert figure_of(snapshot, Options(depth=0)).groups() == []
 
 
+def test_a_collapsed_box_counts_its_nodelets_alone():
+    nodes = (PlainNode("/robot/view", (), ("/robot/image",)),)
+    snapshot = Snapshot((nodelet("/robot/cam", "out>=/robot/image"),), nodes)
+    options = Options(show_nodes=True, collapsed=frozenset({("/robot",)}))
+    assert [v.note for v in figure_of(snapshot, options).vertices] == ["1 nodelet"]
+
+
 def test_boxes_of_hosts_hold_those_of_nodelet_managers():
     def on(host, manager, name, *ports):
         return replace(nodelet(name, *ports), manager=manager, host=host)
