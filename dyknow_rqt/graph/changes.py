@@ -28,7 +28,7 @@ from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import NODE, Parameter, Transformation
-from dyknow.wiring.load import by_declaration, make_again, making, steps_of
+from dyknow.wiring.load import by_declaration, check_own, make_again, making, steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -195,13 +195,8 @@ def spawn(request: SpawnRequest) -> Change:
         client = present.client
 
         def check() -> None:
-            if not name.startswith("/"):
-                return  # it began in the manager's namespace
-            found = _nodelet(client, name)
-            if found.transformation != request.label:
-                raise CannotUndo(f"another client has made {name} from {found.transformation}")
-            if found.is_protected and not request.is_protected:
-                raise CannotUndo(f"another client has protected {name}")
+            if name.startswith("/"):  # else it began in the manager's namespace
+                check_own(_nodelet(client, name), request)
 
         return partial(client.spawn_nodelet, request), partial(client.destroy, name), check
 

@@ -15,7 +15,7 @@ from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.transformation import IN, Parameter
 from dyknow.wiring.ports import CannotConnect
-from dyknow.wiring.wiring import wiring_of
+from dyknow.wiring.wiring import Wiring, wiring_of
 from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
@@ -195,6 +195,11 @@ MODE, SLOW = (Parameter("mode", "string", text) for text in ("fast", "slow"))
         ),
         (
             spawn(SpawnRequest("tracker", "/x")),
+            lambda c: c.set_protection("/x", True),
+            "another client has protected /x",
+        ),
+        (
+            load_wiring(Wiring(nodelets=(SpawnRequest("tracker", "/x"),))),
             lambda c: c.set_protection("/x", True),
             "another client has protected /x",
         ),
